@@ -36,7 +36,7 @@ def test_a_trial_is_served_until_ctrl_c(log: Path):
         with urlopen(asked) as part:
             assert (part.status, part.read()) == (206, log.read_bytes()[:8])
         process.send_signal(signal.SIGINT)
-        rest, errors = process.communicate(timeout=30)
+        rest, errors = process.communicate(timeout=120)
     finally:
         process.kill()
     assert (process.returncode, rest) == (0, "")

@@ -24,7 +24,7 @@ PEERS = {
 
 def run(*args, cwd):
     return subprocess.run(
-        [sys.executable, SCRIPT, *args], cwd=cwd, capture_output=True, text=True, timeout=300
+        [sys.executable, SCRIPT, *args], cwd=cwd, capture_output=True, text=True, timeout=900
     )
 
 

@@ -49,7 +49,7 @@ _parser = cache(typer.main.get_command)  # made for each call it takes longer th
 
 
 class Cost(NamedTuple):
-    """What a command said, its exit code, its time [s], and the process' most memory [MB]."""
+    """What a command said, its exit code, its processor time [s], and its most memory [MB]."""
 
     out: str
     err: str
@@ -64,7 +64,7 @@ def call(command: str, log: Path, out: Path) -> Cost:
     out.mkdir()
     words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
     stdout, stderr = io.StringIO(), io.StringIO()
-    began = time.perf_counter()
+    began = time.process_time()
     with (
         mock.patch.object(sys, "argv", ["tetractl", *words]),
         mock.patch.object(typer.main, "get_command", _parser),
@@ -72,7 +72,7 @@ def call(command: str, log: Path, out: Path) -> Cost:
         contextlib.redirect_stderr(stderr),
     ):
         code = run_app()
-    seconds = time.perf_counter() - began
+    seconds = time.process_time() - began
     return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, _most_memory_mb())
 
 

@@ -110,7 +110,7 @@ class RealTime:
 
     def end(self) -> str:
         """Wait until it ends; return what it said."""
-        out, err = self.process.communicate(timeout=120)
+        out, err = self.process.communicate(timeout=600)
         assert self.process.returncode == 0, err
         return out
 

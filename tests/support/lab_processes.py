@@ -18,7 +18,7 @@ from support.paths import ROOT
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
-PATIENCE_S = 60  # until a step counts as hung: generous, for loaded machines
+PATIENCE_S = 300  # until a step counts as hung: generous, for loaded machines
 RUN = 1  # the flag of a command
 SMALL = (  # a small swarm and under two seconds of driving
     "lab.camera.transport=unicast",

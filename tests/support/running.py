@@ -15,7 +15,7 @@ from tetractl.log.read.reader import read_trial
 
 BIN = Path(sys.executable).parent
 TETRACTL = BIN / "tetractl"
-PATIENCE_S = 120  # before a test gives up; nothing waits for it to pass
+PATIENCE_S = 600  # before a test gives up; nothing waits for it to pass
 
 QUICK = """\
 name: quick

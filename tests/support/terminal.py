@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Self
 
-PATIENCE_S = 30.0  # before a test gives up; nothing waits for it to pass
+PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 _CODES = re.compile(r"\x1b(?:\[[0-9;?]*(?:[A-Za-z]|$)|[=>]|$)")
 
 

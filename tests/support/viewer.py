@@ -11,7 +11,7 @@ from urllib.parse import urlsplit
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
 
-PATIENCE_S = 30.0  # before a test gives up; nothing waits for it to pass
+PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 PROTOCOL = "foxglove.sdk.v1"
 MESSAGE, TIME, STATE = 1, 2, 5  # what a binary message from the server begins with
 CONTROL = 3  # and one to it

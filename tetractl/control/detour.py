@@ -24,7 +24,7 @@ from tetractl.core.problem import Problem
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
 LAST_S = 0.7  # of a plan, a robot: going round raises the accepted error only there [s]
-LAST_LEAST_S = 2.0  # and where robots are few [s]
+LAST_LEAST_S = 2.0  # the same, for few robots [s]
 OUT_SIGNALS = 8  # of a way out of a corner
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # directions that it begins with [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # at which they change [rad/s]

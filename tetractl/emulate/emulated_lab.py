@@ -170,7 +170,7 @@ class EmulatedLab:
         self.actuator.tick()
         if self.actuator.driven and not self._ran:
             self._ran = True
-            if self._still_since is not None:  # what was before the run does not count
+            if self._still_since is not None:  # poses from before the run are ignored
                 self._still_since = now
             self._note("run")
             self._report("run", {})
@@ -238,6 +238,6 @@ def _check_names(script: Script, setup: Setup) -> None:
     for name in names:
         if name not in setup.names:
             raise SpecError(
-                f"the script names '{name}', which is no robot of the spec",
+                f"the script's {name} is no robot of the spec",
                 f"its robots are {', '.join(setup.names)}",
             )

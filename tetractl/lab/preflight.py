@@ -102,7 +102,7 @@ def inspect(rig: Rig) -> Preflight:
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")
-    if newest is not None and rig.actuator.halts:  # other cells are always there
+    if newest is not None and rig.actuator.halts:  # cells are always present
         problems += _strangers(rig, newest.frame)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     devices = {"camera": camera, "actuator": actuator}

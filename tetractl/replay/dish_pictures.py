@@ -37,7 +37,8 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return which picture shows a time: the newest by then, or the first; None without."""
+        """Return the index of the picture shown at a time: the newest until then, else the first;
+        None without pictures."""
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:

@@ -7,7 +7,7 @@ from matplotlib.transforms import Affine2D
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
 
-FAINT = 0.55  # how much of the picture shows: paths and marks are to stand out
+FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
 
 
 class DishGround:

@@ -90,7 +90,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @property
     def emulated(self) -> bool:
-        """Whether the source says that it shows no robots of this moment."""
+        """Whether the source states that its robots are not real."""
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:

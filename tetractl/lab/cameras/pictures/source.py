@@ -52,7 +52,7 @@ class Feed(Protocol):
     """An open source. One thread reads and closes; any may interrupt.
 
     Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None if it promises nothing. An `emulated` source shows no robots of this moment.
+    None if it promises nothing. An `emulated` source does not show real robots.
     """
 
     live: bool

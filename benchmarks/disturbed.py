@@ -26,6 +26,7 @@ from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
 from tetractl.control.build import build_controller
+from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
@@ -156,7 +157,7 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     true = {"estimate": False}
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
-    return Knowing(section, setup, key, section.optimizer)
+    return Knowing(section, setup, key, section.optimizer, CircleSearch())
 
 
 class Seeing(Knowing):
@@ -188,7 +189,7 @@ def seeing(spec: Experiment, key: int, plant: Plant) -> Controller:
     assert isinstance(plant, SimPlant)
     known = {"estimate": False, "dead_time": plant.spec.dead_time}
     section = spec.controller.model_copy(update=known)
-    controller = Seeing(section, spec.setup, key, section.optimizer)
+    controller = Seeing(section, spec.setup, key, section.optimizer, CircleSearch())
     controller.plant = plant
     return controller
 

@@ -36,7 +36,8 @@ from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.detect import MODULES, refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 from tetractl.lab.cameras.apriltag.track import Tracker
-from tetractl.lab.cameras.pictures.source import Picture, decoded
+from tetractl.lab.cameras.pictures.feed import Picture
+from tetractl.lab.cameras.pictures.source import decoded
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")

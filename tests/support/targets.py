@@ -323,8 +323,9 @@ TARGETS = {
 }
 if find_spec("cv2"):
     from tetractl.emulate.network_camera import BOUNDARY, coded, part
+    from tetractl.lab.cameras.pictures.feed import Picture
     from tetractl.lab.cameras.pictures.multipart import Multipart
-    from tetractl.lab.cameras.pictures.source import Picture, decoded
+    from tetractl.lab.cameras.pictures.source import decoded
 
     TARGETS["pictures"] = Target(pictures, lambda: _dish()[1])
 

@@ -26,8 +26,8 @@ from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.cells.camera import CellCamera
 from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.lab.cameras.pictures.feed import Picture
 from tetractl.lab.cameras.pictures.multipart import Multipart
-from tetractl.lab.cameras.pictures.source import Picture
 
 cv2.setNumThreads(1)
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"

@@ -24,6 +24,9 @@ SIGNALS = 6  # signals per robot that several robots take at least: each has two
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
 """Lengths that are searched thoroughly at step 0 if none of the others is good enough, and the
 factor from one to the next."""
+SEARCH_S = 0.005
+"""Time of a control period for each search of a longer sequence [s]: what such a search takes, and
+as much again for the rest of the step."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the u_gb^0 to start from."""
 
@@ -144,6 +147,18 @@ class Searcher:
             found = self.search(length, start, len(wanted) - i)
             if found is None or (good_enough is not None and self.good(found, good_enough)):
                 break
+
+    def search_longer(self, lengths: list[int], period_s: float, good_enough: float) -> int:
+        """Search the lengths afresh until a cost is good enough; return the length to continue
+        with if the control period was too short, 0 otherwise."""
+        for i, length in enumerate(lengths):
+            in_time = (i + 1) * SEARCH_S < period_s or i == 0
+            found = self.search(length, None) if in_time else None
+            if found is None:
+                return length
+            if self.good(found, good_enough):
+                break
+        return 0
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:
         """Search from `least` on, at growing distances, until a cost is good enough; then between.

@@ -50,13 +50,7 @@ from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
 from tetractl.control.fixed_sequence import given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
-from tetractl.control.lengths import (
-    Searcher,
-    affordable,
-    candidates,
-    choose,
-    least_length,
-)
+from tetractl.control.lengths import Searcher, affordable, candidates, choose, least_length
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import MpcFields
 from tetractl.control.rng import mix
@@ -71,9 +65,6 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 
 RESTED_S = 2.0
 """Time after a pause before there is another one because no safe plan was found [s]."""
-SEARCH_S = 0.005
-"""Time of a control period for each search of a longer plan [s]: what such a search takes, and as
-much again for the rest of the step."""
 NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
 UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.2  # of their radius that robots then keep from what they could enter
@@ -356,23 +347,13 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences until one is good enough, as far as horizon and steps allow.
-
-        The next step continues if the control period is too short.
-        """
+        """Search longer sequences, as far as horizon, steps and the control period allow; the next
+        step continues."""
         assert self.warm is not None
         section = self.section
         most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
         lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
-        self.resume = 0
-        for i, length in enumerate(lengths):
-            in_time = (i + 1) * SEARCH_S < section.period or i == 0
-            found = searcher.search(length, None) if in_time else None
-            if found is None:
-                self.resume = length
-                return
-            if searcher.good(found, ENOUGH * self.accept):
-                return
+        self.resume = searcher.search_longer(lengths, section.period, ENOUGH * self.accept)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if they hear nothing for `silence` from some signal on,

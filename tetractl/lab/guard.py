@@ -113,8 +113,7 @@ class Guard:
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
-    # robots seen to disobey in the newest frame
-    _disobedient: set[int] = field(default_factory=set)
+    _disobedient: set[int] = field(default_factory=set)  # robots, in the newest frame
     _ghosts: dict[int, str] = field(default_factory=dict)  # robots accepted no more, and why
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
 
@@ -258,12 +257,10 @@ class Guard:
         if self._active:
             if asleep_ns >= self.rules.stream_lost_ns:
                 self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
-            if now_ns - self._steered_ns >= self.rules.silence_ns:
-                silent_s = (now_ns - self._steered_ns) / SECOND
-                steps = self.rules.late_steps
-                self.abort(
-                    f"{steps} control steps in a row were late: no direction for {silent_s:.1f} s"
-                )
+            silent_ns, steps = now_ns - self._steered_ns, self.rules.late_steps
+            if silent_ns >= self.rules.silence_ns:
+                silent = f"no direction for {silent_ns / SECOND:.1f} s"
+                self.abort(f"{steps} control steps in a row were late: {silent}")
             self._check_stream(now_ns)
             if mistaken := self._swaps.fault():
                 self.abort(mistaken)
@@ -321,8 +318,7 @@ class Guard:
             self._warnings.append(text)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
-        limit = max(self.rules.untracked_stop_ns, 0)
-        newest = self._last_frame_ns or 0
+        limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
         # a stopped stream is a fault of its own, not of robots that are not tracked
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit

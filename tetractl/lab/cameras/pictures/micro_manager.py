@@ -12,8 +12,8 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
+from tetractl.lab.cameras.pictures.feed import Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
-from tetractl.lab.cameras.pictures.source import Picture, SourceEndedError
 
 WAIT_NS = SECOND // 500
 SILENT_NS = 10 * SECOND

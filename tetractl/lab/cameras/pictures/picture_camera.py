@@ -14,15 +14,10 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
+from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.looks import LOOKS, Look
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
-from tetractl.lab.cameras.pictures.source import (
-    Feed,
-    Picture,
-    SourceEndedError,
-    decoded,
-    open_feed,
-)
+from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
 KEPT = 4096  # frames not fetched yet
 WAIT_S = 0.05

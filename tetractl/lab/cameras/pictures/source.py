@@ -7,9 +7,8 @@ import sys
 import threading
 import time
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, assert_never
+from typing import assert_never
 from urllib.parse import urlsplit
 
 import cv2
@@ -20,6 +19,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Grey
+from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.multipart import Multipart
 from tetractl.lab.cameras.pictures.picture_section import (
     PIXELS_MAX,
@@ -34,47 +34,6 @@ CHUNK = 1 << 16
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
 END_WITHIN = 64  # bytes at the end of a JPEG file, some cameras fill it up
 NO_CODE = b"\xff\x00" * 8  # 64 bits set: no Huffman code, and more than a decoder looks ahead
-
-
-class SourceEndedError(Exception):
-    """No picture will come any more; the message is a clause that says why."""
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture as it came: pixels (height, width, 3) or a JPEG file, and its time of arrival."""
-
-    content: np.ndarray | bytes
-    received_ns: int
-
-
-class Feed(Protocol):
-    """An open source. One thread reads and closes; any may interrupt.
-
-    Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None if it promises nothing. An `emulated` source does not show real robots.
-    """
-
-    live: bool
-    rate_hz: float | None
-    emulated: bool
-
-    @property
-    def damaged(self) -> int:
-        """Parts of a stream that could not be read; only grows."""
-        ...
-
-    def read(self) -> Picture:
-        """Wait for the next picture; SourceEndedError if none will come."""
-        ...
-
-    def interrupt(self) -> None:
-        """Interrupt a waiting `read`."""
-        ...
-
-    def close(self) -> None:
-        """Release the source."""
-        ...
 
 
 def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:

@@ -10,8 +10,9 @@ pytest.importorskip("cv2")
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.lab.cameras.pictures.feed import SourceEndedError
 from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
-from tetractl.lab.cameras.pictures.source import SourceEndedError, open_feed
+from tetractl.lab.cameras.pictures.source import open_feed
 
 SOURCE = MicroManagerSource(type="micromanager", config="scope.cfg")
 DEEP = np.array([[0, 0x0FFF, 0x0800]], np.uint16)

@@ -24,9 +24,10 @@ from tetractl.emulate.network_camera import (
     oversized,
     part,
 )
+from tetractl.lab.cameras.pictures.feed import Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.multipart import Multipart
 from tetractl.lab.cameras.pictures.picture_section import DeviceSource, FileSource, MjpegSource
-from tetractl.lab.cameras.pictures.source import Picture, SourceEndedError, decoded, open_feed
+from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
 PATIENCE_S = 20.0  # generous, for loaded hosts
 PICTURE = np.tile(np.arange(0, 240, 2, dtype=np.uint8), (90, 1))

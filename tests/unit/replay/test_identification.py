@@ -19,6 +19,7 @@ EXPECTED = np.array([6.0, 4.0, 3.0])
 NOISY = (
     "plant.measurement_noise={position: 0.5, heading: 0.01}",
     "plant.heading_noise=0.03",
+    "wheels.watchdog=null",  # at 5 Hz a lost command would stop a robot
 )
 
 

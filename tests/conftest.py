@@ -57,6 +57,8 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "unit/plant/test_bench_agrees",
     "unit/run/test_soak",
     "unit/test_benchmarks",
+    "unit/test_hostile.py::test_the_long_run",
+    "unit/view/test_film.py::test_an_mp4_lasts",
 )
 CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
     r"test_plant_contract.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"

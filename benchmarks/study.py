@@ -74,9 +74,9 @@ def measure(spec: Path, trials: int, jobs: int, logs: str) -> Measured:
             here_s = time.process_time() - before_s
         first = 2 * jobs
         rows = list(store.rows[loaded.arms[0].name].values())
-        used_s = [row.times["cpu_s"] for row in rows]
-        first_ms = [row.times["solve_max_ms"] for row in rows]
-        solved_s = sum(1e-3 * row.times["solve_mean_ms"] * row.columns["steps"] for row in rows)
+        used_s = [row.cpu_s for row in rows]
+        first_ms = [1e-6 * max(row.result.solve_ns) for row in rows]
+        solved_s = sum(1e-9 * sum(row.result.solve_ns) for row in rows)
     took_s = clocked.ends_s[-1] - clocked.ends_s[first - 1]
     if jobs == 1:
         here_s -= sum(used_s)

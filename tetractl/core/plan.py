@@ -122,6 +122,8 @@ class Estimate:
 
     def only(self, some: Bools) -> "Estimate":
         """Return the estimates of some of the robots, (N,) true for those."""
+        if some.all():
+            return self
         a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
         bias, std = self.heading_bias, self.heading_bias_std
         kept = (

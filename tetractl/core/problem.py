@@ -62,6 +62,8 @@ class Problem:
 
     def only(self, some: Bools) -> "Problem":
         """Return the problem of some of the robots, (N,) true for those."""
+        if some.all():
+            return self
         return replace(
             self,
             poses=Poses.of(self.poses.array()[some]),

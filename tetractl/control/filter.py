@@ -101,8 +101,9 @@ def _kernel() -> Any:
 
 
 class FilterBank:
-    """The bank of filters that identifies N robots during one trial. If the robots `drive_first`,
-    in a square, the filters start when the first direction acts.
+    """The bank of filters that identifies N robots during one trial.
+
+    If the robots `drive_first`, in a square, the filters start when the first direction acts.
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:

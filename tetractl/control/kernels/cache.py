@@ -42,8 +42,9 @@ def sources() -> Iterator[Path]:
 
 @cache
 def folder() -> Path | None:
-    """Return the cache folder for the present sources and settings, None if none can be made. Its
-    parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
+    """Return the cache folder for the present sources and settings, None if none can be made.
+
+    Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
     name = f"kernels-{digest(set(sources()), compiler_settings())}"
     if given := os.environ.get("NUMBA_CACHE_DIR"):

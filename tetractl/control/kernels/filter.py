@@ -118,8 +118,10 @@ def _advance(model, i, z, cov, u, scale, seconds):
 @compiled(**INLINE_FAST)
 def _correct(z, cov, n, index, factor, off, var):
     """Update by one measured number, `off` from its prediction h z; h has n entries h[index] =
-    factor. P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': if nothing has fitted
-    for long, P is many orders larger than `var`, and rounding would leave P - k h P no covariance.
+    factor.
+
+    P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': if nothing has fitted for
+    long, P is many orders larger than `var`, and rounding would leave P - k h P no covariance.
     Returns the number's variance before the update.
     """
     gain = np.empty(SIZE)
@@ -227,8 +229,9 @@ def _rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step):
-    """Let a command act: add the hypotheses that robot i follows it, or did not receive it. The
-    time of the action is uncertain by `step`, the spacing of the bank's dead times [s].
+    """Let a command act: add the hypotheses that robot i follows it, or did not receive it.
+
+    The time of the action is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
@@ -326,6 +329,7 @@ def place(bank, b, i, model, pose):
 @compiled(**ENTRY_FAST)
 def follow(bank, model, step, since, until, when, u, poses, seen):
     """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
+
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
     measured; only those of robots that are `seen` (N,) count.
     """

@@ -19,6 +19,7 @@ from tetractl.core.registries import MOTIONS
 @lru_cache(maxsize=2)  # the searches of one control step need the same constants
 def constants(problem: Problem) -> tuple[Any, Any]:
     """Return the constants of a problem's motion, `Lanes`, for its first signal and for the others.
+
     Both have the same class. Every call for a problem returns the same arrays, which must not be
     changed.
     """

@@ -44,6 +44,7 @@ _wrap = compiled(**INLINE_STRICT)(polynomials.wrap)
 @compiled(**ENTRY_STRICT)
 def scatter(key, below, share, middle, warm, knots, starts):
     """Write smooth random sequences to starts (L, P), with the same bits as NumPy's arithmetic.
+
     knots (K, P) are overwritten by the draws 0 ... K P - 1 of the key, from -1 to 1; below (L,) and
     share (L,) place each signal between two knots, as in `tetractl.control.curves.places`.
     """

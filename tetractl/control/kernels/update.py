@@ -25,9 +25,10 @@ def mixed(z):
 
 @compiled(**INLINE_FAST)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
-    """Apply (14)-(17) to signal j of every particle, with draws first, first + 1, ... Before that,
-    the coordinate of a particle that has just improved becomes its local best, (18): here, because
-    the row is in the processor's cache.
+    """Apply (14)-(17) to signal j of every particle, with draws first, first + 1, ...
+
+    Before that, the coordinate of a particle that has just improved becomes its local best, (18):
+    here, because the row is in the processor's cache.
     """
     c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN

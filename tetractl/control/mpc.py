@@ -282,9 +282,7 @@ class Mpc:
             return None
         if len(self.warm) > 0 and self.section.accept_error == 0:
             return None
-        between = (
-            self.section.stop_between and self.leg == self.last_leg
-        )  # on other legs nothing stops
+        between = self.section.stop_between and self.leg == self.last_leg  # stops on no other
         period = self.section.period if between else 0.0
         if 0 < self.accept < float((gaps - problem.speed * period).sum()):
             return None  # even at full speed no stop would be near enough

@@ -10,12 +10,14 @@ import numpy as np
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:
-    """Return JSON of plain data, dataclasses and arrays; null for what is not finite."""
+    """Return JSON of plain data, dataclasses and arrays; a number that is not finite becomes
+    null.
+    """
     return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
 
 
 def plain(value: Any) -> Any:
-    """Return dictionaries, lists, texts and finite numbers; None for a number that is not."""
+    """Convert data to dictionaries, lists, texts and finite numbers; other numbers become None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
     if isinstance(value, np.ndarray | np.generic):
@@ -30,7 +32,9 @@ def plain(value: Any) -> Any:
 
 
 def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested items in one level: `ci95` of two ends as `low` and `high`, lists as text."""
+    """Return nested items as one level: a `ci95` pair becomes `low` and `high`, lists become
+    text.
+    """
     found: dict[str, Any] = {}
     for key, value in items.items():
         name = f"{prefix}{key}"

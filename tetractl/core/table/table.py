@@ -16,7 +16,7 @@ def as_text(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row; None or NaN if it is not known.
+    """The values of one quantity, one per row; None or NaN if unknown.
 
     A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
     the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
@@ -36,7 +36,7 @@ class Column:
 
     @property
     def key(self) -> str:
-        """The column's name in a data file: its unit is the end of it, such as `speed_mm_s`."""
+        """The column's name in a data file, which ends in the unit, such as `speed_mm_s`."""
         return f"{self.name}_{self.unit.replace('/', '_')}" if self.unit else self.name
 
     @property
@@ -67,8 +67,8 @@ class Table:
     def of_texts(
         cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
     ) -> Self:
-        """Return a table of words; columns, except the first, that are empty in all rows are left
-        out.
+        """Return a table of words without columns that are empty in all rows; the first column is
+        kept.
 
         A cell is empty if it is "" or "-".
         """
@@ -96,7 +96,7 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether columns other than the first are words."""
+        """Whether any column other than the first is of words."""
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:
@@ -108,7 +108,7 @@ class Table:
         return Table(self.title, (*first, *self.columns), self.note)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values by column, as a data frame takes them."""
+        """Return the values by column key, to make a data frame from."""
         return {column.key: column.values for column in self.columns}
 
 

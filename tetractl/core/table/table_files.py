@@ -16,10 +16,10 @@ PART = ".part"
 
 
 class TableFile(Protocol):
-    """A file of one table, to which rows are added."""
+    """A file of one table that grows by rows."""
 
     def add(self, table: Table) -> None:
-        """Add rows; the columns are those of the first call."""
+        """Add rows, with the same columns as in the first call."""
         ...
 
     def close(self) -> None:
@@ -28,7 +28,7 @@ class TableFile(Protocol):
 
 
 class CsvFile:
-    """A table as CSV: UTF-8, a header, empty cells for what is not known."""
+    """A table as CSV: UTF-8, a header, empty cells for unknown values."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w", encoding="utf-8", newline="")
@@ -61,7 +61,7 @@ def _write_csv(table: Table, stream: TextIO, header: bool) -> None:
 def _cells(values: list[Any]) -> list[Any]:
     """Return cells as R, MATLAB and spreadsheets read them: truth values as true and false.
 
-    A text that a spreadsheet would compute gets an apostrophe in front.
+    Text that a spreadsheet would evaluate gets an apostrophe in front.
     """
     if any(isinstance(value, bool) for value in values):
         return [str(v).lower() if isinstance(v, bool) else v for v in values]
@@ -71,15 +71,15 @@ def _cells(values: list[Any]) -> list[Any]:
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a CSV file by column; raises UsageError if it is none."""
+    """Yield the rows of a CSV file by column; raises UsageError if the file is not CSV."""
     if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is no regular file")
+        raise UsageError(f"{path}: is not a regular file")
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             for row in csv.DictReader(stream):
                 yield {key: value or "" for key, value in row.items() if key}
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: is no CSV file: {error}") from None
+        raise UsageError(f"{path}: is not a CSV file: {error}") from None
 
 
 class ParquetFile:
@@ -108,7 +108,9 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a pyarrow array; without any known value it is of text if of words, else of numbers"""
+    """Return a pyarrow array; if no value is known, its type is text for words, otherwise a
+    number.
+    """
     import pyarrow
 
     values = column.known
@@ -150,9 +152,9 @@ class TableFiles:
         return self
 
     def add(self, name: str, table: Table, source: str = "") -> None:
-        """Add rows to the file `name`; `source` is where they are from.
+        """Add rows to the file `name`; `source` names their origin.
 
-        Raises UsageError if the columns are not those of the rows before.
+        Raises UsageError if the columns differ from those of earlier rows.
         """
         keys = [column.key for column in table.columns]
         known = self._keys.setdefault(name, keys)

@@ -96,7 +96,7 @@ def installed(tmp_path_factory):
 
 
 def test_planner_kernels_and_polish_honour_them(installed):
-    folder, run = installed
+    _, run = installed
     done = run("-c", PLAN)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -1,4 +1,4 @@
-"""`tetractl open`: logs in the browser of this machine."""
+"""`tetractl open`: shows logs in the browser of this machine."""
 
 import sys
 import threading
@@ -27,7 +27,10 @@ def open_logs(
         typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
     ],
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="TCP port; 0 is any that is free.")
+        int,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
+        ),
     ] = 0,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
@@ -35,9 +38,9 @@ def open_logs(
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
-    under a random path; nothing is uploaded. If Lichtblick answers, the address that opens the
-    first log there is printed too, and that of a layout for its menu "Layouts", "Import from file":
-    it frames the arena, shows the scene and plots error, J, solve time and estimate.
+    under a random path; nothing is uploaded. If Lichtblick runs here, two more addresses are
+    printed: one opens the first log there, the other is a layout for its menu "Layouts", "Import
+    from file", which frames the arena, shows the scene and plots error, J, solve time and estimate.
 
     Example: tetractl open trial-000.mcap
     """

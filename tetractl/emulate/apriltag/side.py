@@ -1,4 +1,6 @@
-"""The emulated camera of type `apriltag`: its settings and faults, and pictures of the bodies."""
+"""The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the
+robots.
+"""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -16,7 +18,7 @@ from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
 
 class AprilTagSettings(StreamSettings):
-    """Properties of the emulated camera; `latency` is the spec's by default."""
+    """Properties of the emulated camera; `latency` [s] is the spec's by default."""
 
     blur_px: NonNegative = 0.7
     """Gaussian blur of the lens [px]."""
@@ -53,7 +55,7 @@ class EmulatedAprilTag(StreamedCamera):
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def hide(self, hidden: bool) -> None:
-        """Draw no robot, or all again."""
+        """Leave all robots out of the pictures, or draw them again."""
         self.renderer.hidden.clear()
         if hidden:
             self.renderer.hidden.update(robot.tag for robot in self.renderer.robots)

@@ -15,18 +15,18 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
 
 BOUNDARY = "emulated-by-tetractl"
-QUEUED = 32  # pictures of a client that reads slowly; more are dropped
+QUEUED = 32  # most pictures queued for a client that reads slowly; further ones are dropped
 WAIT_S = 0.05
 
 
 class EmulatedNetworkCamera:
     """Serves http://127.0.0.1:`port`/ ; a context manager.
 
-    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed
-    k / `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or
-    as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
-    part before they are sent; `frozen` stops exposures while it is set; one of `every` pictures is
-    sent. A camera that `drips` sends its answer's header byte by byte, without an end.
+    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed k /
+    `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or as
+    soon as it is drawn; a busy host skips some exposures. `mangle` changes the bytes of a part
+    before they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is
+    sent. A camera that `drips` sends its answer's header byte by byte, without end. Raises
     TetractlError if the port is taken.
     """
 
@@ -45,7 +45,7 @@ class EmulatedNetworkCamera:
         self.mangle, self._drips = mangle, drips
         self.frozen = threading.Event()
         self.every = 1
-        self.exposed = 0  # the number of the last picture
+        self.exposed = 0  # number of the last picture
         self._draw, self._clock = draw, clock
         self._rate_hz, self._quality = rate_hz, quality
         self._half = round(exposure_s * SECOND / 2)
@@ -80,12 +80,12 @@ class EmulatedNetworkCamera:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody reads the stream."""
+        """Whether a client reads the stream."""
         return bool(self._clients)
 
     @property
     def url(self) -> str:
-        """The stream's address."""
+        """The stream's URL."""
         return f"http://127.0.0.1:{self.port}/"
 
     def __enter__(self) -> Self:
@@ -105,7 +105,7 @@ class EmulatedNetworkCamera:
         start, half = self._clock.now(), self._half
         while not self._closing.is_set():
             due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
-            self.exposed = max(self.exposed + 1, due)  # a busy host misses some
+            self.exposed = max(self.exposed + 1, due)  # a busy host skips some
             exposed = start + round(self.exposed * SECOND / self._rate_hz)
             self._clock.sleep_until(exposed + half)
             if self.frozen.is_set() or not self._clients or self.exposed % self.every:
@@ -144,12 +144,12 @@ def coded(picture: Grey, quality: int) -> bytes:
 
 
 def cut_short(whole: bytes) -> bytes:
-    """Return half of a part, as of a connection that lost the rest."""
+    """Return the first half of a part, as if the connection had lost the rest."""
     return whole[: len(whole) // 2]
 
 
 def cut_before_its_end(whole: bytes) -> bytes:
-    """Return a part whose JPEG has lost the second half of its data, but not its end marker."""
+    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
     jpeg = whole.partition(b"\r\n\r\n")[2]
     return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
 

@@ -1,4 +1,4 @@
-"""Shared by the emulated cameras with an MJPEG stream: pictures, and their faults."""
+"""Shared by the emulated cameras with an MJPEG stream: making pictures, and faults of pictures."""
 
 import random
 from abc import ABC, abstractmethod
@@ -25,12 +25,12 @@ from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
 
-KEEP_NS = 5_000_000  # between scenes that are kept for exposures
+KEEP_NS = 5_000_000  # interval of the scenes that are kept for drawing exposures
 KEPT = 200
 
 
 class StreamSettings(Model):
-    """Properties of an emulated camera; `latency` is the spec's by default."""
+    """Properties of an emulated camera; `latency` [s] is the spec's by default."""
 
     width: int = Field(default=640, ge=64, le=8192)
     """Columns of a picture [px]."""
@@ -41,9 +41,9 @@ class StreamSettings(Model):
     noise: NonNegative = 2.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004
-    """How long a picture is exposed [s]."""
+    """Exposure time of a picture [s]."""
     drips: bool = False
-    """Whether it answers byte by byte, without an end."""
+    """Whether the camera answers byte by byte, without end."""
 
 
 def _freeze(fault: Any, device: Any) -> Undo:
@@ -93,9 +93,9 @@ STREAM_FAULTS = (
 
 
 class StreamedCamera(ABC):
-    """A camera's side that serves pictures by MJPEG; a thread draws them.
+    """A camera's side that serves pictures as MJPEG; a thread draws them.
 
-    A subclass says how the scene is now, and draws it as it was.
+    A subclass returns the present scene, and draws the scene of an exposure.
     """
 
     Settings: ClassVar[type[Model]]
@@ -119,7 +119,7 @@ class StreamedCamera(ABC):
 
     @abstractmethod
     def _scene(self) -> Floats:
-        """Return the scene now, as numbers that can be interpolated."""
+        """Return the present scene as numbers that can be interpolated."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
@@ -152,27 +152,30 @@ class StreamedCamera(ABC):
         return {"pictures": self._exposures}
 
     def _joined(self) -> None:
-        """Do nothing when a client begins to watch; a subclass may."""
+        """Called when a client begins to watch; does nothing unless overridden."""
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time of the camera, between the two kept around it."""
+        """Return the scene at a time of the camera, interpolated between the two kept around that
+        time.
+        """
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:
             return past[0][1]
         (t0, before), (t1, after) = past[i - 1], past[i]
         part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
-        return before + part * (after[..., : before.shape[-1]] - before)  # more after a division
+        # a cell may have divided since
+        return before + part * (after[..., : before.shape[-1]] - before)
 
     def _remember(self) -> None:
-        """Keep the scene as it is now, for exposures that are drawn later."""
+        """Keep the present scene for exposures that are drawn later."""
         now = self._stage.timeline.now_ns
         self._past.append((now, self._scene()))
         self._stage.timeline.at(now + KEEP_NS, self._remember)
 
     def _expose(self) -> None:
-        """Note an exposure at the camera's rate, and the first client."""
+        """Report an exposure at the camera's rate, and the first client."""
         now = self._stage.timeline.now_ns
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)

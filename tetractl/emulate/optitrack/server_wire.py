@@ -1,4 +1,4 @@
-"""NatNet as a server has it: a client's messages are read, its answers and frames packed."""
+"""NatNet from the server's side: reads clients' messages, packs answers and frames."""
 
 from collections.abc import Sequence
 
@@ -34,14 +34,14 @@ from tetractl.lab.cameras.optitrack.wire import (
 )
 
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
-MEAN_ERROR_M = 0.0002  # of the markers of a tracked body
+MEAN_ERROR_M = 0.0002  # mean marker error of a tracked body
 
 
 def parse_request(received: bytes) -> Message:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
-        case MessageKind.CONNECT if len(payload) < SENDER:  # small clients send only a word
+        case MessageKind.CONNECT if len(payload) < SENDER:  # minimal clients send only a word
             return Connect(read_text(payload))
         case MessageKind.CONNECT if len(payload) < CONNECT_4:
             return Connect(*read_sender(payload))
@@ -57,7 +57,7 @@ def parse_request(received: bytes) -> Message:
 
 
 def pack_answer(message: Message, version: Version | None = None) -> bytes:
-    """Pack one datagram of a server; frames and models need a version from 2.6 to 4.3."""
+    """Pack one datagram from the server; frames and models need a version from 2.6 to 4.3."""
     match message:
         case NatNetFrame() | ModelDef() if version is None:
             raise WireError("frames and models need a protocol version")
@@ -76,7 +76,7 @@ def pack_answer(message: Message, version: Version | None = None) -> bytes:
         case Bare(MessageKind.UNRECOGNIZED as kind):
             return datagram(kind, b"")
         case _:
-            raise WireError(f"no server sends this: {type(message).__name__}")
+            raise WireError(f"a server does not send {type(message).__name__}")
 
 
 def _server_info(info: ServerInfo) -> bytes:
@@ -90,7 +90,7 @@ def _server_info(info: ServerInfo) -> bytes:
 
 
 def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
-    """Pack a frame's payload: rigid bodies, and sections of nothing else."""
+    """Pack a frame's payload: rigid bodies, and all other sections empty."""
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")
     bodies = [packed_body(body, version) for body in frame.bodies]
@@ -143,7 +143,7 @@ def pack_modeldef(
 ) -> bytes:
     """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers.
 
-    `grown` closes each body's description: what a newer protocol has added to it.
+    `grown` is appended to each body's description, as by a newer protocol.
     """
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")

@@ -56,7 +56,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
             time, direction = float(row[TIME]), float(row[DIRECTION])
             strength = float(row.get(STRENGTH) or 1.0)
         except ValueError:
-            raise UsageError(f"{path}, line {line}: is no number") from None
+            raise UsageError(f"{path}, line {line}: is not a number") from None
         if not all(map(math.isfinite, (time, direction, strength))):
             raise UsageError(f"{path}, line {line}: is not finite")
         if times and time < times[-1]:

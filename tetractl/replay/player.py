@@ -147,7 +147,8 @@ class Player:
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
         """Do what other controls ask: play or pause, at a rate, from a time [ns] or from now.
 
-        A rate out of bounds becomes the nearest within, and one that is no number changes nothing.
+        A rate out of bounds becomes the nearest within, and one that is not a number changes
+        nothing.
         """
         if at_ns is not None:
             self._seek(at_ns)

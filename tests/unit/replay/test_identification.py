@@ -199,7 +199,7 @@ def test_csv_files_are_read(tmp_path):
     [
         (POSES.replace("x_mm", "x"), COMMANDS, "needs x_mm and y_mm"),
         (POSES, COMMANDS.replace("direction_rad", "u"), "holds neither poses nor commands"),
-        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is no number"),
+        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
         (POSES, "time_s,direction_rad,log\n0,0.5,a\n", "poses and commands are needed"),
     ],
 )

@@ -203,7 +203,9 @@ FAULTS = (
         frames=(Frames, 1),
     ),
     fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    fault("nan", "A body's position is no number.", settings(_body, nan=True), EXPOSED, robot=Name),
+    fault(
+        "nan", "A body's position is not a number.", settings(_body, nan=True), EXPOSED, robot=Name
+    ),
     fault(
         "bad_quaternion",
         "A body's quaternion is not of norm 1.",

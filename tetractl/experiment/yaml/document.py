@@ -89,7 +89,7 @@ def read_text(path: Path) -> str:
     origin = printable(str(path))
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):  # a FIFO may never end
-            raise InvalidSpecError([SpecProblem(origin, "is no regular file")])
+            raise InvalidSpecError([SpecProblem(origin, "is not a regular file")])
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:

@@ -61,7 +61,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
         first = places[0]
         spec = first.suffix.lower() in (".yaml", ".yml")
         hint = f"run it with: tetractl run {first}" if spec else f"name the folder: {first.parent}"
-        raise UsageError(f"{first}: is no log (*{SUFFIX})", hint)
+        raise UsageError(f"{first}: is not a log (*{SUFFIX})", hint)
     return kept
 
 
@@ -99,7 +99,7 @@ def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
     if path.is_file():
         return [path]
     if path.exists():  # a FIFO or a device may never end
-        raise UsageError(f"{path}: is no regular file")
+        raise UsageError(f"{path}: is not a regular file")
     if not glob.has_magic(str(path)):
         raise UsageError(f"{path}: no such file or folder")
     logs = [

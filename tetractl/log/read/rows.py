@@ -128,7 +128,7 @@ def _text(value: Any) -> str:
 def _texts(record: Any) -> dict[str, str]:
     """Return the items of a record, all of them texts as in a log."""
     if not all(isinstance(value, str) for value in record.values()):
-        raise TypeError("an item is no text")
+        raise TypeError("an item is not text")
     return record
 
 

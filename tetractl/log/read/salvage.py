@@ -56,7 +56,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 def scan(path: Path) -> RawLog:
     """Return every intact record of a file.
 
-    Raises LogError if it is no MCAP file, or would become more than `bounds` allows.
+    Raises LogError if it is not an MCAP file, or would become more than `bounds` allows.
     """
     with _named(path):
         return _Scan(path).contents()

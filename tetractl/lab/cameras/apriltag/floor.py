@@ -1,6 +1,8 @@
 """Pose and lens of the camera, from the corners of the floor tags in its pictures.
 
-A lens in the spec is used as given. Without one, the principal point is the picture's middle, and the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values of lenses are priors of the fit: looking straight down, any f fits, and the prior decides.
+A lens in the spec is used as given. Without one, the principal point is the picture's middle, and
+the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values
+of lenses are priors of the fit: looking straight down, any f fits, and the prior decides.
 """
 
 import math

@@ -81,7 +81,7 @@ class Multipart:
 
 
 def _content_length(head: bytes) -> int | None:
-    """Return a part's Content-Length, None without one, -1 if it is no number."""
+    """Return a part's Content-Length, None without one, -1 if it is not a number."""
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length":

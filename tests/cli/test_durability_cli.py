@@ -15,7 +15,7 @@ from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
 
 from tetractl.log.read.reader import content_digest
-from tetractl.run.folder_lock import locked
+from tetractl.run.store import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """

@@ -93,7 +93,7 @@ def design(
 
 def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
     """Print a motion: its directions, and the predicted deviations of a fit to it."""
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
 
     setup = loaded.experiment.setup
     if as_json:

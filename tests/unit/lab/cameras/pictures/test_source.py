@@ -17,7 +17,7 @@ from support.tag_scene import film, jpeg
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.emulate.network_camera import (
+from tetractl.emulate.stream_side import (
     BOUNDARY,
     cut_before_its_end,
     cut_short,

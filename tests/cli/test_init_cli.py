@@ -75,7 +75,7 @@ def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
 def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
     result = tetractl("init", "--", name)
     assert result.returncode == 2
-    assert "is no name of an experiment" in result.stderr
+    assert "cannot be the name of an experiment" in result.stderr
     assert len(result.stderr.splitlines()) == 2
     assert list(tmp_path.iterdir()) == []
 

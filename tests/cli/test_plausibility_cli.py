@@ -70,5 +70,8 @@ def test_a_strict_run_runs_nothing(tetractl, tmp_path, more):
     assert result.stdout == ""
     *warnings, error = result.stderr.splitlines()
     assert warnings == WARNINGS
-    assert error == "error: the spec has 2 warnings, and --strict allows none; nothing was run"
+    assert (
+        error
+        == "error: the spec has 2 warnings, and --strict treats warnings as errors; nothing was run"
+    )
     assert not (tmp_path / "logs").exists()

@@ -21,7 +21,7 @@ NewFile = Annotated[
         "-o",
         "--out",
         metavar="FILE",
-        help="YAML file to write, which a spec names as `identified`.",
+        help="YAML file to write the values to; a spec uses it by its field `identified`.",
     ),
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
@@ -40,8 +40,8 @@ def identify(
 ) -> int:
     """Identify a, speed, heading bias, dead time and noise, with 95 % intervals.
 
-    Logs are pooled: all of the same robots, simulated or of a lab. The true poses in a simulation's
-    log are not used. The dead time counts from the sending of a direction.
+    All logs, simulated or from a lab, must be of the same robots; their data is pooled. The true
+    poses in a simulation's log are not used. The dead time counts from the sending of a direction.
 
     `tetractl design SPEC` proposes a motion from which much can be identified.
 
@@ -76,7 +76,7 @@ def identify(
 
 
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
-    """Print what was found, and write it as a file for specs if one is named."""
+    """Print the identified values; if a file is named, write them to it for use in specs."""
     from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.experiment.identified import identified_yaml
@@ -94,7 +94,7 @@ def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> No
 
 
 def refuse_existing(out: Path | None) -> None:
-    """Raise UsageError for a file that would be overwritten."""
+    """Raise UsageError if the output file exists already."""
     if out is not None and out.exists():
         raise UsageError(f"{out}: exists already", "name another with --out")
 

@@ -64,12 +64,15 @@ def init(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[NAME]", help="Name of the experiment, and of its file.  \\[experiment]"
+            metavar="[NAME]",
+            help="Name of the experiment and of the file to write.  \\[experiment]",
         ),
     ] = None,
-    lab: Annotated[bool, typer.Option("--lab", help="Add a lab of m3pi robots.")] = False,
+    lab: Annotated[
+        bool, typer.Option("--lab", help="Add a lab of m3pi robots to the spec.")
+    ] = False,
     cells: Annotated[
-        bool, typer.Option("--cells", help="Two cells, in um, in place of robots.")
+        bool, typer.Option("--cells", help="Write a spec of two cells, in um, in place of robots.")
     ] = False,
     example: Annotated[
         str | None,
@@ -90,17 +93,23 @@ def init(
     """
     if example is not None:
         if name is not None or lab or cells:
-            raise UsageError("--example writes a file as it is shipped", "give it alone")
+            raise UsageError(
+                "--example cannot be combined with other options: it writes a file as shipped",
+                "give --example alone",
+            )
         return _example(example)
     from tetractl.core.text import printable
 
     name = "experiment" if name is None else name
     if lab and cells:
-        raise UsageError("--lab and --cells: the lab is one of robots", "give one of the two")
+        raise UsageError(
+            "--lab and --cells exclude each other: the lab has robots, not cells",
+            "give one of the two",
+        )
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
     if not NAME.fullmatch(path.stem):
         raise UsageError(
-            f"'{printable(name, 80)}' is no name of an experiment",
+            f"'{printable(name, 80)}' cannot be the name of an experiment",
             "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
     kind = "cells" if cells else "lab" if lab else "robots"
@@ -116,14 +125,14 @@ def _example(name: str) -> int:
         (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
     for number, (inner, text) in enumerate(files.items()):
         path = Path(FOLDER) / inner
-        if number and path.exists():  # what another example brought
+        if number and path.exists():  # a file that another example wrote
             continue
         _write(path, text, "move it away, or edit it as it is")
     return Exit.DONE
 
 
 def _write(path: Path, text: str, hint: str) -> None:
-    """Write a file that is not there, and print its name."""
+    """Write a file that does not exist yet, and print its name."""
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

@@ -1,4 +1,4 @@
-"""A run in the lab: the operator's stop, placing the robots."""
+"""A run in the lab: the operator's stop, and placing the robots on their starts."""
 
 import threading
 from collections.abc import Iterator
@@ -29,8 +29,8 @@ def run_in_lab(
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
-    A person at the terminal starts each trial, unless `yes`. `unattended`: a terminal that goes
-    away stops nothing.
+    A person at the terminal starts each trial, unless `yes`. If `unattended`, the robots are not
+    stopped when the terminal closes.
     """
     from rich.console import Console
 

@@ -1,4 +1,4 @@
-"""A recorded trial as a sequence of instants, and its player: the effect of keys on the time shown."""
+"""A recorded trial as a sequence of instants, and its player: keys change the time shown."""
 
 import math
 from bisect import bisect_right

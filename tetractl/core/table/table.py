@@ -1,4 +1,4 @@
-"""A table: columns of values, each with a name, a unit and a format for readers; numbers as text."""
+"""A table: columns of values, each with a name, a unit and a format for readers."""
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

@@ -1,8 +1,8 @@
 """The emulated camera of type `apriltag`: its settings and faults, and pictures of the bodies.
 
-The arena is drawn as a camera would see it: optics, floor, tags, blur, noise. Nothing here is a real
-picture: an emulated camera is a pinhole with known optics, so that what is found in its pictures can
-be compared with the truth.
+The arena is drawn as a camera would see it: optics, floor, tags, blur, noise. Nothing here is a
+real picture: an emulated camera is a pinhole with known optics, so that what is found in its
+pictures can be compared with the truth.
 """
 
 import math

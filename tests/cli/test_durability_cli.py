@@ -14,7 +14,6 @@ from support import cli
 from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
 
-from tetractl.log.read.reader import content_digest
 from tetractl.run.store import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
@@ -82,32 +81,6 @@ def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
     with lateness() as host:
         killed = random_kill(tmp_path / "0.mcap", random.Random(seed), most_s=2.5)
     assert killed.lost_s <= LOSS_S + 2 * host.most_s
-
-
-def test_recover_repairs_a_torn_log(logs: Path) -> None:
-    whole = content_digest(logs / "trial-000.mcap")
-    data = (logs / "trial-000.mcap").read_bytes()
-    (logs / "trial-000.mcap").unlink()
-    (logs / "trial-000.mcap.part").write_bytes(data[:-1500])
-    done = tetractl(logs, "recover trial-000.mcap.part")
-    assert (done.returncode, "nothing is lost" in done.stdout) == (0, True)
-    assert content_digest(logs / "trial-000.recovered.mcap") == whole
-    stats = tetractl(logs, "stats . --format json")
-    assert json.loads(stats.stdout)["n_trials"] == 2
-
-
-def test_recover_says_what_is_lost(logs: Path) -> None:
-    data = (logs / "trial-000.mcap").read_bytes()
-    (logs / "torn.mcap").write_bytes(data[: data.index(b"\x04\0\0\0zstd") + 100])
-    done = tetractl(logs, "recover torn.mcap -o saved.mcap --json")
-    assert done.returncode == 3
-    found = json.loads(done.stdout)
-    assert (found["whole"], found["path"]) == (False, "saved.mcap")
-    assert any("the result and everything after" in lost for lost in found["damage"]["lost"])
-    for command in ("info", "verify", "replay", "stats", "plot -o x.svg"):
-        done = tetractl(logs, f"{command} saved.mcap")
-        assert done.returncode == 1, command
-        assert "recovered" in done.stdout + done.stderr or "damaged" in done.stdout + done.stderr
 
 
 def test_verify_says_which_of_the_two_it_did(logs: Path) -> None:

@@ -15,8 +15,6 @@ from tetractl.lab.actuators.xbee.frames import (
     encode,
 )
 
-POLL = encode_command(BroadcastCommand(9, Flag.POLL))
-
 
 @pytest.fixture
 def opened(tmp_path):
@@ -93,24 +91,6 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     assert serial_ns + 500_000 < took < serial_ns + 2_000_000
     turn_until(lab, lambda: lab.actuator.robots[0].left > 100)
     assert lab.actuator.robots[1].counts() == (60, 60)
-
-
-def test_at_another_speed_the_module_hears_nothing(opened):
-    lab, port = opened(baud=9600)
-    port.write(encode(AtCommand(1, b"HV")))
-    turn_until(lab, lambda: lab.actuator.radio.garbled)
-    assert port.read(100) == b""
-    port.baudrate = 57600
-    assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
-
-
-def test_a_stuck_port_times_out_and_recovers(opened):
-    lab, port = opened()
-    lab.actuator.port.stall(True)
-    with pytest.raises(serial.SerialTimeoutException):
-        port.write(b"x")
-    lab.actuator.port.stall(False)
-    assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
 
 
 def test_a_name_that_is_taken_is_refused_and_left(tmp_path):

@@ -24,7 +24,6 @@ from tetractl.log.format.channels import (
     HOST,
     LOG,
     RESULT,
-    RUN,
     STEP,
 )
 from tetractl.log.format.tetractl_pb2 import ControllerStep
@@ -172,9 +171,6 @@ def test_the_first_step_and_field_that_differ_are_named(tmp_path: Path, contents
     assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
 
 
-ESTIMATED = ["controller.estimate=true", "controller.motion=exact"]
-
-
 def elsewhere(name: str, facts: dict[str, str]) -> dict[str, str]:
     return facts | ({"cpu": "another"} if name == HOST else {})
 
@@ -202,42 +198,6 @@ def test_on_another_processor_the_costs_have_to_agree(
         found = verify(rewrite(changed, name.with_suffix(".there.mcap"), {}, elsewhere))
         assert found.method == Method.REEVALUATED
         assert found.problems[0].step == 1
-
-
-@pytest.mark.parametrize(
-    ("record", "key", "value", "field"),
-    [
-        (RUN, "spec_hash", "0" * 64, "run.spec_hash"),
-        (RUN, "seed", "8", "seed"),
-        (RUN, "trial", "2", "generator"),
-        (RUN, "trial", "-1", "seed"),
-        (RESULT, "total_error", "1.0", "result.total_error"),
-        (RESULT, "robot_errors", "[1.0, 2.0]", "result.robot_errors"),
-        (RESULT, "final_x", "[1.0, 2.0]", "result.final.x.0"),
-        (RESULT, "steps", "3", "result.steps"),
-        (RESULT, "clearance", "[1e9, 1e9]", "result.clearance.0"),
-        (RESULT, "duration_s", "3.25", "result.duration_s"),
-        (RESULT, "outcome", "arrived", "outcome"),
-        (RESULT, "outcome", "aborted", "outcome"),
-        (RESULT, "outcome", "interrupted", "outcome"),
-        (RESULT, "reason", "made up", "log"),
-        (RESULT, "entered", "[true, true]", "result.entered.0"),
-        (RESULT, "clearance", "[1.0, 1.0]", "result.clearance.0"),
-        (RESULT, "final_heading", "[0.0, 0.0]", "result.final"),
-        (RESULT, "unit", "um", "damage"),
-        (RUN, "unit", "um", "run.unit"),
-        (RUN, "mode", "lab", "run.mode"),
-        (RUN, "plant.true_a", "[6.5, 3.0]", "run.plant"),
-    ],
-)
-def test_facts_that_do_not_fit_are_noticed(
-    tmp_path: Path, contents: RawLog, record: str, key: str, value: str, field: str
-) -> None:
-    def change(name: str, facts: dict[str, str]) -> dict[str, str]:
-        return facts | ({key: value} if name == record else {})
-
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", {}, change))
-    assert any(field in problem.field for problem in found.problems), found.problems
 
 
 @pytest.mark.parametrize("outcome", ["aborted", "interrupted"])

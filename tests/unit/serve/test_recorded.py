@@ -105,14 +105,6 @@ def test_the_scene_is_sent_at_the_start_and_after_every_seek(play):
     assert len(shown.server.jumps) == 3
 
 
-def test_the_span_is_that_of_the_player(play):
-    shown = play()
-    assert shown.server.span_ns == (
-        shown.start_ns + shown.player.start_ns,
-        shown.start_ns + shown.player.until_ns,
-    )
-
-
 def test_states_are_told_when_they_change(play):
     shown = play()
     for _ in range(3):

@@ -181,15 +181,6 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
     assert study_progress(quiet, quiet=True) == FAILURES
 
 
-def test_a_study_on_a_terminal_has_a_bar_and_no_tenths():
-    lines = study_progress(terminal(100))
-    text = re.sub(r"\x1b\[[0-9;?]*[a-z]", "", "\n".join(lines), flags=re.I)
-    assert "20/20 0 s left" in text
-    assert all(line in text for line in FAILURES)
-    assert "of 20" not in text
-    assert "\x1b[2K" not in "".join(study_progress(terminal(100), quiet=True))
-
-
 @pytest.mark.parametrize(
     ("seconds", "words"),
     [(-1, "0 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (200, "3 min 20 s"), (7500, "2 h 5 min")],

@@ -138,11 +138,6 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     assert stop.outputs["field_mt"] == pytest.approx(0.05)  # the ambient field stays
 
 
-def test_cells_cannot_be_polled():
-    actuator, _ = virtual()
-    assert [status.answers for status in actuator.poll(1.0)] == [None, None]
-
-
 # from here on: before an emulated driver
 
 

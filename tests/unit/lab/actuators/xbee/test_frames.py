@@ -82,15 +82,6 @@ def fed_in_pieces(decoder, stream, cuts):
 
 
 @modes
-@given(sent=st.lists(frames, max_size=5), cuts=st.lists(st.integers(0, 1000), max_size=20))
-def test_frames_survive_any_chunking(escaped, sent, cuts):
-    decoder = Decoder(escaped)
-    stream = b"".join(encode(frame, escaped) for frame in sent)
-    assert fed_in_pieces(decoder, stream, cuts) == sent
-    assert (decoder.bad_checksums, decoder.malformed, decoder.dropped_bytes) == (0, 0, 0)
-
-
-@modes
 @given(st.lists(st.tuples(quiet, frames), max_size=5), st.lists(st.integers(0, 1000), max_size=9))
 def test_garbage_between_frames_is_dropped_and_counted(escaped, parts, cuts):
     decoder = Decoder(escaped)

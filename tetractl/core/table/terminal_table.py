@@ -5,8 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from tetractl.core.table.numbers import NONE
-from tetractl.core.table.table import Table
+from tetractl.core.table.table import NONE, Table
 from tetractl.core.text import printable
 
 if TYPE_CHECKING:

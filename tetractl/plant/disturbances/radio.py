@@ -24,7 +24,7 @@ class RadioSection(DisturbanceSection):
     """Each robot acts up to this much later than the first could, uniformly distributed, drawn once
     a trial [s]."""
     loss: Fraction = 0.0
-    """Probability that a robot does not hear a transmission."""
+    """Probability that a robot does not receive a transmission."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Radio":
         """Return the radio of one trial."""

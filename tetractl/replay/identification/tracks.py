@@ -328,4 +328,4 @@ def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
     try:
         return float(text)
     except ValueError:
-        raise UsageError(f"{path}: {column}: {text!r} is no number") from None
+        raise UsageError(f"{path}: {column}: {text!r} is not a number") from None

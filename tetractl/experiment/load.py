@@ -33,10 +33,10 @@ from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
 def override(document: Document, setting: str) -> None:
-    """Apply one `path=value` to a document; what is wrong joins its problems.
+    """Apply one `path=value` to a document; errors are added to its problems.
 
     A step of the path is a key, an index, or the `name` of an entry: `robots.0.a`,
-    `robots.green.a`. Mappings that the spec leaves to their defaults are made.
+    `robots.green.a`. Mappings that the spec omits are created.
     """
     origin = f"--set {printable(setting, 200)}"
     path, equals, text = setting.partition("=")

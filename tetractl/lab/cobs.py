@@ -38,7 +38,7 @@ def encode(payload: bytes) -> bytes:
 
 
 def decode(frame: bytes) -> bytes:
-    """Take the stuffing out of a frame, given without its closing 00."""
+    """Take the stuffing out of a frame, given without the closing byte 00."""
     if not frame or 0 in frame:
         raise WireError("not a stuffed frame")
     out = bytearray()
@@ -63,7 +63,7 @@ def frame_with_crc(payload: bytes) -> bytes:
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, given without its closing 00; WireError for a wrong CRC."""
+    """Return the payload of a frame, given without the closing byte 00; WireError for a wrong CRC."""
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
         raise WireError(f"a frame of {len(payload)} bytes")

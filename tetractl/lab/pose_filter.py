@@ -107,15 +107,16 @@ class PoseFilter:
         return ""
 
 
-KEPT = 20_000  # frames: nearly 3 minutes at 120 Hz between two reads of one reader
+KEPT = 20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
 
 
 @dataclass(frozen=True, slots=True)
 class AcceptedFrame:
-    """A frame exposed after those before it, and what the guard accepted of it, of N robots.
+    """A camera frame, exposed after all earlier ones, with the poses of N robots that the guard
+    accepts.
 
-    `poses` (N,) are the last accepted poses, None before a robot's first; `fresh` (N,) is whether
-    they are of this frame; if not, the robot was not tracked in it, or its pose was refused.
+    `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
+    pose is from this frame; if not, the robot was not tracked or its pose was refused.
     """
 
     frame: CameraFrame
@@ -123,7 +124,7 @@ class AcceptedFrame:
     fresh: tuple[bool, ...]
 
     def pose(self, i: int) -> Pose | None:
-        """Return robot i's accepted pose in this frame, None without one."""
+        """Return the pose of robot i accepted from this frame, None if there is none."""
         return self.poses[i] if self.fresh[i] else None
 
 
@@ -132,20 +133,20 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self.newest: AcceptedFrame | None = None
-        self.count = 0  # of all frames ever appended
+        self.count = 0  # number of frames appended so far
         self._frames: deque[AcceptedFrame] = deque(maxlen=KEPT)
         self._lock = threading.Lock()
 
     def append(self, frame: AcceptedFrame) -> None:
-        """Add the next frame."""
+        """Append the next frame, and drop the oldest one if the buffer is full."""
         with self._lock:
             self._frames.append(frame)
             self.newest = frame
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count` ever appended, oldest first, and the number of
-        all, for the next call. Frames no longer kept are left out.
+        """Return the frames after the first `count` appended, oldest first, and the number of all
+        frames, to be given as `count` next time. Frames no longer kept are left out.
         """
         with self._lock:
             return list(islice(reversed(self._frames), self.count - count))[::-1], self.count

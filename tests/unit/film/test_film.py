@@ -87,7 +87,7 @@ def test_films_are_read_by_their_own_rate(tmp_path, name):
 def test_what_is_no_film_is_one_clear_error(tmp_path, content):
     path = tmp_path / "film.avi"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match="is no film that OpenCV can read"):
+    with pytest.raises(UsageError, match="OpenCV cannot read this film"):
         open_film(path)
 
 

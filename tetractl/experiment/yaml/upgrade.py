@@ -1,8 +1,8 @@
-"""Specs written for an earlier tetractl: keys and values that were renamed since.
+"""Converts specs of an earlier tetractl: keys and values that have been renamed since.
 
-A spec, a `--set` and the resolved spec in a log all go through here before they are checked. The
-locations of the values stay, so that errors point at the written text; each change leaves a notice
-in the document.
+A spec, a `--set` and the resolved spec in a log all go through here before they are checked. Values
+keep their locations, so that errors point at the original text; each change adds a notice to the
+document.
 """
 
 from dataclasses import dataclass
@@ -14,13 +14,13 @@ from tetractl.experiment.yaml.problems import Loc, SpecProblem
 
 @dataclass(frozen=True, slots=True)
 class Renamed:
-    """A key that has another name now: two dotted paths that differ in their last step."""
+    """A renamed key: old and new dotted path, which differ in the last step."""
 
     old: str
     new: str
 
     def apply(self, document: Document) -> None:
-        """Rename the key, which keeps its rank; with both names given, the old one is a problem."""
+        """Rename the key in its place; if both names are given, the old one is a problem."""
         *home, old = loc = self.old.split(".")
         new = self.new.split(".")[-1]
         holder = _mapping(document.data, home)
@@ -40,7 +40,7 @@ class Renamed:
                 notes[(*home, new, *place[len(loc) :])] = notes.pop(place)
 
     def path(self, steps: list[str]) -> list[str]:
-        """Return the path of a `--set`, with the new name for the old one."""
+        """Return the path of a `--set` with the new name."""
         old = self.old.split(".")
         same = steps[: len(old)] == old
         return [*self.new.split("."), *steps[len(old) :]] if same else steps
@@ -48,14 +48,14 @@ class Renamed:
 
 @dataclass(frozen=True, slots=True)
 class Revalued:
-    """A value of a key that is called something else now."""
+    """A renamed value of a key."""
 
     at: str
     old: str
     new: str
 
     def apply(self, document: Document) -> None:
-        """Replace the value."""
+        """Replace the old value by the new one."""
         *home, key = loc = self.at.split(".")
         holder = _mapping(document.data, home)
         if holder.get(key) == self.old:
@@ -69,13 +69,13 @@ class Revalued:
 
 @dataclass(frozen=True, slots=True)
 class Removed:
-    """A key that is no longer needed."""
+    """A key that no longer exists."""
 
     at: str
     why: str
 
     def apply(self, document: Document) -> None:
-        """Leave the key out."""
+        """Remove the key."""
         *home, key = loc = self.at.split(".")
         if _mapping(document.data, home).pop(key, None) is not None:
             _notice(document, tuple(loc), f"{self.at} is left out: {self.why}")
@@ -98,28 +98,32 @@ UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
     Removed("controller.losses", "with 'estimate' lost commands are always detected"),
     Removed("controller.optimizer.precision", "particles are in double precision always"),
 )
-"""In the order of application: a later one may name a key that an earlier one renamed."""
+"""All upgrades in the order of application: a later one may refer to a key that an earlier one
+renamed.
+"""
 
 OLD_LAB = {"mocap", "radio", "protocol", "robots"}
 LAB_PAGE = "docs/reference/spec.md#lab shows them"
 
 
 def upgrade(document: Document) -> None:
-    """Bring a document to today's names; what was changed joins its notices."""
+    """Convert a document to the current names; each change adds a notice."""
     for change in UPGRADES:
         change.apply(document)
     _refuse_old_lab(document)
 
 
 def upgraded_path(steps: list[str]) -> list[str]:
-    """Return the path of a `--set` in today's names."""
+    """Return the path of a `--set` with the current names."""
     for change in UPGRADES:
         steps = change.path(steps)
     return steps
 
 
 def _refuse_old_lab(document: Document) -> None:
-    """Report a lab in the format without cameras and actuators, once, and drop it from the data."""
+    """Report a lab in the old format, without camera and actuator, once, and remove it from the
+    data.
+    """
     for key in ("plant", "lab"):
         section = document.data.get(key)
         if not isinstance(section, dict) or {"camera", "actuator"} & section.keys():

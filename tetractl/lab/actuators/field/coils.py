@@ -1,4 +1,4 @@
-"""Direction and strength of a field to the currents of two orthogonal coil pairs, and back.
+"""Converts a field's direction and strength to the currents of two orthogonal coil pairs, and back.
 
 Along its own axis a coil pair adds gain * current to the ambient field, `offset`: with the x pair's
 axis turned by `rotation` from the spec's x axis and c the field in the axes of the coils,
@@ -9,14 +9,15 @@ axis turned by `rotation` from the spec's x axis and c the field in the axes of 
 import math
 from dataclasses import dataclass
 
-Pair = tuple[float, float]  # x and y: of the coils' axes for currents, of the spec's for fields
+Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 
 
 @dataclass(frozen=True, slots=True)
 class Coils:
-    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and
-    `offset`, the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each
-    [A], at least what cancels the ambient field."""
+    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and `offset`,
+    the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each [A], at least
+    enough to cancel the ambient field.
+    """
 
     gain: Pair
     offset: Pair
@@ -40,7 +41,7 @@ class Coils:
     def currents(self, direction: float, strength: float) -> Pair:
         """Return the currents [A] of a field: direction [rad], strength [mT].
 
-        If a current would exceed its limit the strength is less, the direction kept.
+        If a current would exceed its limit, the strength is reduced and the direction kept.
         """
         strength = min(strength, self.reach(direction))
         x, y = (
@@ -66,8 +67,9 @@ class Coils:
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved in a straight line towards `wished`, neither component by more than
-    `step`."""
+    """Return `now` moved along a straight line towards `wished`, each component by at most
+    `step`.
+    """
     dx, dy = wished[0] - now[0], wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:

@@ -17,7 +17,7 @@ class CoilPair(Model):
     gain_mt_a: Finite
     """Field per current [mT/A]; negative if the winding is reversed."""
     offset_mt: Finite = 0.0
-    """Ambient field along its axis [mT], such as the earth's; the current cancels it."""
+    """Ambient field along the pair's axis [mT], such as the earth's; the current cancels it."""
 
     @field_validator("gain_mt_a")
     @classmethod
@@ -33,9 +33,9 @@ class CoilsSection(Model):
     x: CoilPair
     """The pair whose axis is the spec's x axis turned by `rotation`."""
     y: CoilPair
-    """The pair at a right angle anticlockwise from x."""
+    """The pair whose axis is a right angle anticlockwise from the x pair's."""
     rotation: Finite = 0.0
-    """Turn from the spec's x axis to that of the x pair [rad]."""
+    """Angle from the spec's x axis to the x pair's axis [rad]."""
 
 
 class FieldSection(ActuatorSection):
@@ -51,16 +51,19 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field at which the cells have their `a` [mT]; less if the current limit binds."""
+    """Field at which the cells have their `a` [mT]; the field is weaker if the current limit is
+    reached.
+    """
     coils: CoilsSection
-    """The coils, as measured by a probe where the cells are."""
+    """The coils, as measured by a field probe at the cells' place."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
     """Greatest current of each coil pair [A]."""
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
-    """Time without a command after which the driver switches the field off [s]; built into the
-    driver."""
+    """Time without a command after which the driver switches the field off [s]; this value is built
+    into the     driver.
+    """
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
@@ -78,14 +81,14 @@ class FieldSection(ActuatorSection):
         return self
 
     def bounds(self) -> dict[str, str]:
-        """Return the driver's port and rate, and how strong the field may be."""
+        """Return the driver's port, rate and field limits for display, {name: text}."""
         return {
             "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
 
     def calibrated_coils(self) -> Coils:
-        """Return the coils as numbers."""
+        """Return the coils with the values of the section."""
         x, y = self.coils.x, self.coils.y
         gain, offset = (x.gain_mt_a, y.gain_mt_a), (x.offset_mt, y.offset_mt)
         return Coils(gain, offset, self.coils.rotation, self.current_max_a)

@@ -30,9 +30,9 @@ class Flag(IntFlag):
 class Status(IntFlag):
     """Status flags of a robot."""
 
-    RUNNING = 1  # the last frame let it run
+    RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
-    SILENT = 4  # the watchdog has stopped it
+    SILENT = 4  # stopped by the watchdog
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class Reply:
 
 
 def encode_command(command: BroadcastCommand) -> bytes:
-    """Pack a command, with its closing 00."""
+    """Pack a command, including the closing byte 00."""
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} is not one byte")
     if len(command.wheels) > ROBOTS_MAX:
@@ -73,7 +73,7 @@ def encode_command(command: BroadcastCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
-    """Read a command, given without its closing 00."""
+    """Read a command, given without the closing byte 00."""
     payload = checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
@@ -89,7 +89,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Pack a reply, with its closing 00."""
+    """Pack a reply, including the closing byte 00."""
     try:
         return frame_with_crc(
             _REPLY.pack(
@@ -107,7 +107,7 @@ def encode_reply(reply: Reply) -> bytes:
 
 
 def decode_reply(frame: bytes) -> Reply:
-    """Read a reply, given without its closing 00."""
+    """Read a reply, given without the closing byte 00."""
     payload = checked_payload(frame)
     if len(payload) != _REPLY.size or payload[0] != REPLY:
         raise WireError("not a reply")

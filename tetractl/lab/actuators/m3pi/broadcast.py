@@ -15,16 +15,16 @@ from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
+REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 
 
 class Flag(IntFlag):
     """Flags of a command."""
 
-    RUN = 1  # without it every robot stops
-    EMERGENCY_STOP = 2  # stop, and stay so until the robot is switched off
-    POLL = 4  # every robot answers
+    RUN = 1  # without this flag every robot stops
+    EMERGENCY_STOP = 2  # latched stop, until the robot is switched off
+    POLL = 4  # every robot replies
 
 
 class Status(IntFlag):
@@ -37,7 +37,9 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i obeys `wheels[i]`, and stops if there is none."""
+    """One frame for all robots: robot i drives with `wheels[i]`, and stops if the list is
+    shorter.
+    """
 
     sequence: int
     flags: Flag
@@ -46,7 +48,7 @@ class BroadcastCommand:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a polled robot answers; `sequence` is that of the poll, 0 mV means not known.
+    """The reply of a polled robot; `sequence` is that of the poll, 0 mV means unknown.
 
     `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
     """

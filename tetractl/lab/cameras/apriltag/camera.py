@@ -15,20 +15,20 @@ from tetractl.lab.cameras.apriltag.track import ODD_SIZE, Seen, Tracker
 from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
-BLURRED = 0.36  # modules: from here on, tags begin not to be read
-ODD = 0.03  # a tag of another size than the spec says, as a share
+BLURRED = 0.36  # blur in modules from which on some tags cannot be read
+ODD = 0.03  # relative difference from the spec's size that is reported
 MISPLACED_MM = 3.0
 DOUBTFUL_MM = 3.0
-OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
+OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
-    has not.
+    """The state of the camera besides its pictures; `ended` is why the source ended, "" while it is
+    open.
 
-    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
-    calibrated, even if it does not fit the spec.
+    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the calibrated
+    floor, even if it does not fit the spec.
     """
 
     source: str
@@ -66,7 +66,7 @@ Lines = tuple[list[str], list[str]]
 
 
 def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
-    """Return the tags seen in most pictures, and those seen twice in any."""
+    """Return the tags seen in most pictures, and the tags seen twice in any picture."""
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
     return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
@@ -86,7 +86,7 @@ def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
         return [], []
     problems: list[str] = []
     warnings: list[str] = []
-    if not plane.worst_mm <= MISPLACED_MM:  # NaN is far off too
+    if not plane.worst_mm <= MISPLACED_MM:  # also for NaN
         line = (
             f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
             "them: measure at, size_mm and heading again"
@@ -170,8 +170,8 @@ def _listed(numbers: Sequence[int]) -> str:
 class AprilTagCamera(PictureCamera[Seen]):
     """Tracks N robots by their tags; a `Camera`.
 
-    A robot is not tracked (None) while its tag is not seen, seen twice, or not of its size, and
-    none is while the floor is not known.
+    A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
+    No robot is tracked while the floor is unknown.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""One picture in, the robots' planar poses out."""
+"""Computes the robots' planar poses from one picture."""
 
 import math
 from collections import Counter
@@ -12,18 +12,19 @@ from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
 from tetractl.lab.cameras.apriltag.floor import MM, SQUARE, Floor
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 
-ODD_SIZE = 0.2  # a tag whose size differs by this fraction is another one, or at another height
+ODD_SIZE = (
+    0.2  # a tag whose size differs by this fraction is a different tag, or at a different height
+)
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The tags found in one picture.
-    `poses` has one entry per robot, None if it is not tracked, and `strangers` those of unknown
-    tags, as if they lay on the floor; both in the spec's unit. `tags` are the numbers of all tags,
-    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, if seen.
-    `blur` is the largest blur of a wanted tag's edges in modules, `side_px` the shortest side of
-    one; None without wanted tags.
+    """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
+    `strangers` are the poses of unknown tags, computed as if on the floor; both in the spec's unit.
+    `tags` are the numbers of all tags, repeated if seen several times. `sizes` are the ratios of
+    measured side to `size_mm` by robot, if seen. `blur` is the largest blur of the edges of robots'
+    and floor tags [modules], `side_px` their shortest side; None without such tags.
     """
 
     poses: tuple[Pose | None, ...]
@@ -47,9 +48,10 @@ class Tracker:
         self.floor = Floor(section.floor, metres, section.lens, highest)
 
     def see(self, picture: Grey) -> Seen:
-        """Return what a grey picture (height, width) shows.
+        """Return the tags and poses found in a grey picture (height, width).
 
-        A number that is seen twice is ignored: its robot is not tracked, its floor tag not used.
+        A tag number that is seen twice is ignored: the robot is not tracked, the floor tag not
+        used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)

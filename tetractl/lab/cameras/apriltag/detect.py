@@ -52,8 +52,8 @@ class Detector:
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
         self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
         self._top_left = 0
-        # OpenCV's dictionary is rotated against the AprilTag project's pictures, differently in some
-        # releases: a picture of tag 0 shows which of its corners is the top left one
+        # OpenCV's dictionary is rotated against the AprilTag project's pictures, and not in every
+        # release alike: a picture of tag 0 shows which of its corners is the top left one
         square = np.kron(_zero(), np.ones((10, 10), np.uint8))
         (shown,) = self.find(np.pad(square, 20, constant_values=255))
         self._top_left = int(np.argmin(shown.corners.sum(axis=1)))

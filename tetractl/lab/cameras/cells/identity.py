@@ -1,9 +1,9 @@
-"""Identities of cells after they were one blob: probabilities from how each answers the known
+"""Infers the identities of cells after they were one blob from each cell's response to the known
 signal.
 
-Each cell that leaves a merged blob is followed once for every cell that went in, with what was
-known of that one (turning rate, bias, speed, helix). Once the likelihood of the later measurements
-decides, the question is closed; if cells are too alike it stays open, and says so.
+Each cell that leaves a merged blob is followed once as each of the cells that entered it, with that
+cell's known turning rate, bias, speed and helix. The question is closed once the likelihood of the
+later measurements decides; if cells are too alike, it stays open and reports that.
 """
 
 from collections.abc import Sequence
@@ -15,18 +15,18 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.helix import HelixFilter
 
-MOST = 4  # cells of one question: 24 assignments
-SURE = 0.998  # then the question is closed
-PATIENCE_S = 10.0  # after which it is closed without an answer: the cells are indistinguishable
-TEMPER = 0.7  # of the likelihood: errors of successive pictures are not independent
+MOST = 4  # largest number of cells in a question: 24 assignments
+SURE = 0.998  # probability at which a question is closed
+PATIENCE_S = 10.0  # time after which it is closed unanswered: the cells are indistinguishable
+TEMPER = 0.7  # exponent of the likelihood, as errors of successive pictures are not independent
 
 
 @dataclass(slots=True)
 class Question:
-    """Which of K cells each of K tracks is.
+    """The question which of K cells each of K tracks is.
 
-    `rows` (K, K) are the filter's rows: track t as if it were cell i. `likelihood` (K, K) is the
-    logarithm of each, summed since the question was opened at `since_s`.
+    `rows` (K, K) are the filter's rows of track t as if it were cell i. `likelihood` (K, K) is the
+    sum of their log-likelihoods since the question was opened at `since_s`.
     """
 
     identities: tuple[int, ...]
@@ -58,13 +58,15 @@ class Question:
         return tuple(self._orders[i].tolist()), float(shares[i])
 
     def closed(self, now_s: float) -> bool:
-        """Whether the answer is certain, or will never be."""
+        """Return whether the answer is certain, or can never become certain."""
         return self.best()[1] > SURE or now_s - self.since_s > PATIENCE_S
 
 
 def opened(
     bank: HelixFilter, identities: Sequence[int], coasted: Sequence[int], now_s: float
 ) -> Question:
-    """Return the question of the cells' identities; their rows `coasted` since they merged."""
+    """Return a new question of the cells' identities; `coasted` are their rows, predicted since
+    they merged.
+    """
     rows = np.array([[bank.copied(row) for row in coasted] for _ in identities])
     return Question(tuple(identities), rows, now_s)

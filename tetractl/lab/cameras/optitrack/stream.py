@@ -1,4 +1,4 @@
-"""A NatNet connection without its sockets: datagrams in, camera frames and counts out.
+"""A NatNet connection without its sockets: turns datagrams into camera frames and counts.
 
 The same code reads a live server and a recorded wire.
 """
@@ -28,18 +28,18 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.sync import ClockSync
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
 
-AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
-MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
-REORDERED = 10  # a frame this little behind the newest was overtaken on its way
+AGE_MAX_NS = 60_000_000_000  # a frame with a larger age was not exposed by these cameras
+MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
+REORDERED = 10  # a frame up to this number behind the newest was overtaken in the network
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
-ECHOES = 64  # unanswered questions for the time that an answer is matched to
+ECHOES = 64  # number of unanswered time requests to which an answer can be matched
 
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A robot as the cameras know it: a rigid body by name or id, and its heading offset [rad]."""
+    """A robot's rigid body, by name or id, and its heading offset [rad]."""
 
     body: str | int
     heading_offset: float = 0.0
@@ -47,23 +47,23 @@ class Tracked:
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Counts of datagrams by what became of them; every number only grows."""
+    """Counts of datagrams by result; every count only grows."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames
-    overtaken: int = 0  # frames behind a newer one, or twice the same
-    bad: int = 0  # datagrams that are no NatNet message
+    overtaken: int = 0  # frames that arrived after a newer one, or twice
+    bad: int = 0  # datagrams that are not NatNet messages
     early: int = 0  # frames and models before the version was known
-    unasked: int = 0  # answers to no question of ours
-    unread_frames: int = 0  # of the bad ones
-    unread_models: int = 0  # of the bad ones
+    unasked: int = 0  # answers to which no request was open
+    unread_frames: int = 0  # bad datagrams that are frames
+    unread_models: int = 0  # bad datagrams that are models
 
 
 class Stream:
     """The state of a server and its newest frame.
 
-    `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis if the spec
-    gives it. `feed` never raises on data. Times are ns on the host's clock.
+    `pinned` is the version that CONNECT requested, in unicast; `up` is the vertical axis if the
+    spec gives it. `feed` never raises on data. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
     `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame reports
@@ -100,16 +100,16 @@ class Stream:
         self._awaited: Counter[type[Message]] = Counter()
         self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
-        self._mistimed = 0  # in a row
-        self._twins = ""  # which name in the models is that of two bodies
+        self._mistimed = 0  # number of successive frames with an impossible time
+        self._twins = ""  # message about a name that two bodies share
 
     @property
     def version(self) -> Version | None:
-        """The protocol version frames come in, None before SERVERINFO."""
+        """The protocol version of frames, None before SERVERINFO."""
         return self._pinned if self._pinned and self.info else self.info and self.info.version
 
     def number(self, body: str | int) -> int | None:
-        """Return the id that a body has in frames, None if its name is not known."""
+        """Return a body's id in frames, None if its name is unknown."""
         if isinstance(body, int):
             return body
         return self.model.ids().get(body) if self.model else None
@@ -119,7 +119,7 @@ class Stream:
         return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
 
     def asked(self, message: Message) -> None:
-        """Note a message of ours: its answer will be taken, any other is counted and dropped."""
+        """Record a request that was sent: only answers to recorded requests are accepted."""
         match message:
             case NatNetRequest(text):
                 self._asked = text
@@ -133,7 +133,7 @@ class Stream:
                 pass
 
     def feed(self, datagram: bytes, received_ns: int) -> Message | None:
-        """Take one datagram; return what it says, None for one that is dropped and counted."""
+        """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
             if not self._expected(message):
@@ -158,7 +158,7 @@ class Stream:
             self.counts.unread_models += 1
 
     def _expected(self, message: Message) -> bool:
-        """Return whether an answer is to a question of ours, which it then closes."""
+        """Return whether an answer belongs to an open request, which it then closes."""
         match message:
             case ServerInfo() | ModelDef():
                 awaited = self._awaited[type(message)] > 0
@@ -199,7 +199,7 @@ class Stream:
         elif asked == UNITS:
             unit_mm = response_float(response)
             if not 1e-3 <= unit_mm <= 1e6:
-                raise WireError(f"no unit of length: {unit_mm:g} mm")
+                raise WireError(f"not a unit of length: {unit_mm:g} mm")
             self.unit_mm = unit_mm
             if abs(unit_mm - METRE_MM) > 1e-3 * METRE_MM:
                 self._fault = self._fault or (
@@ -247,7 +247,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return a message if two bodies have one robot's name, else ""."""
+        """Return a message if two bodies have the same robot's name, otherwise ""."""
         for robot in self.robots:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:

@@ -1,11 +1,11 @@
-"""The server's clock on the host's: offset, drift and round trip from echoes.
+"""Relates the server's clock to the host's: offset, drift and round trip from echoes.
 
-An echo says that the server's clock read `ticks` at some time between its sending and its
-return; halfway is the best guess, wrong by half the round trip at most. So the echoes of shortest
-round trip decide, and the drift is fitted to those.
+An echo says that the server's clock read `ticks` at some time between its sending and its return;
+halfway is the best guess, with an error of at most half the round trip. Therefore only the echoes
+with the shortest round trips are used, also for the fit of the drift.
 
-Two echoes also bound how the clock ran between them, however late the network or the host was. A
-clock that gained or lost more than `DRIFT_MAX` was set or runs wrongly: `fault` says so.
+Two echoes also bound the clock's rate between them, even with a slow network or host. If a clock
+gained or lost more than `DRIFT_MAX`, it was set or runs wrongly, and `fault` says so.
 """
 
 from collections import deque
@@ -14,14 +14,16 @@ from dataclasses import dataclass
 from tetractl.core.clock import SECOND
 
 KEPT = 120
-BEST = 0.25  # share of the echoes that decide
-DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be distinguished from noise
+BEST = 0.25  # fraction of the echoes, with the shortest round trips, that are used
+DRIFT_SPAN = 5 * SECOND  # least time span of the echoes for a fit of the drift
 DRIFT_MAX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One echo: host time halfway [ns], what the server's clock read there [ns], round trip."""
+    """One echo: host time halfway [ns], the server's clock at that time [ns], and round trip
+    [ns].
+    """
 
     host_ns: int
     server_ns: int
@@ -29,18 +31,18 @@ class Echo:
 
 
 class ClockSync:
-    """Maps the ticks of a server's clock to the host's clock; without an echo it cannot."""
+    """Maps the ticks of a server's clock to the host's clock; needs at least one echo."""
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
-        self.drift = 0.0  # the server gains this much on the host, per unit of time
-        self.fault = ""  # the fault of the clock, permanent
+        self.drift = 0.0  # time by which the server's clock gains on the host's, per unit of time
+        self.fault = ""  # description of a fault of the clock, kept for good
         self._echoes: deque[Echo] = deque(maxlen=KEPT)
         self._at = Echo(0, 0, 0)
 
     @property
     def synced(self) -> bool:
-        """Whether `to_host` can convert a time."""
+        """Whether there is an echo, so that `to_host` can convert times."""
         return bool(self._echoes)
 
     @property
@@ -62,17 +64,18 @@ class ClockSync:
         self.drift = _slope(best)
 
     def to_host(self, ticks: int) -> int:
-        """Return the host time [ns] when the server's clock read `ticks`."""
+        """Return the host time [ns] at which the server's clock showed `ticks`."""
         since = self._ns(ticks) - self._at.server_ns
         return self._at.host_ns + round(since / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
-        """Return how far `to_host` may be off at a time of the host's [ns]."""
-        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)  # `drift` is off by twice at most
+        """Return the largest error of `to_host` near a host time [ns]."""
+        # the error of `drift` is at most twice DRIFT_MAX
+        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return the fault of the clock since an earlier echo, "" for none."""
+        """Return a description of the clock's fault since an earlier echo, "" if there is none."""
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
             gained = new.server_ns - old.server_ns - span
@@ -94,7 +97,9 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Least squares slope of server minus host against host; 0 if it cannot be estimated."""
+    """Return the least-squares slope of server minus host time over host time, 0 if it cannot be
+    estimated.
+    """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:

@@ -128,6 +128,7 @@ def read_log(path: str | Path) -> TrialLog:
 
 def read_batch(*paths: str | Path) -> "Batch":
     """Read the results of trials, about a millisecond per log; paths are logs, folders or patterns.
+
     The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Trials of a study that
     have no log are read from its rows. Raises UsageError for a path without a trial.
     """

@@ -14,7 +14,7 @@ from support import cli
 from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
 
-from tetractl.run.folder_lock import locked
+from tetractl.run.store import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """

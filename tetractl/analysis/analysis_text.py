@@ -7,8 +7,7 @@ import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.core.ellipse import ellipse
-from tetractl.core.table.numbers import fixed
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import Column, Table, fixed
 
 OF_PLANS = (
     "fewest_signals",

@@ -45,7 +45,7 @@ def analyze(
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
 

@@ -95,7 +95,7 @@ def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
     """Print a motion's directions, and the predicted standard deviations of values identified from
     it.
     """
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
 
     setup = loaded.experiment.setup
     if as_json:

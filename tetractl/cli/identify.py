@@ -48,9 +48,8 @@ def identify(
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
     """
     from tetractl.log.read.find import find_logs
-    from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import track_of
+    from tetractl.replay.identification.tracks import csv_tracks, track_of
 
     refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
@@ -78,18 +77,18 @@ def identify(
 
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.experiment.identified import identified_yaml
-    from tetractl.replay.identification import report
+    from tetractl.replay.identification.identify import identified, tables
 
     if as_json:
         print(json_text(found))
     else:
-        print_tables(report.tables(found))
+        print_tables(tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        write(out, identified_yaml(report.identified(found, when)))
+        write(out, identified_yaml(identified(found, when)))
         if not as_json:
             print(f"wrote {out}; name it in the spec: identified: {out.name}")
 

@@ -47,7 +47,7 @@ def kinds(
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import REGISTRIES
     from tetractl.core.registry import PluginError
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
 
     problems: dict[str, str] = {}
     rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
@@ -80,7 +80,7 @@ def _list(as_json: bool) -> int:
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.init import template
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.text import printable
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value

@@ -156,7 +156,7 @@ def calibrate(
 
     from tetractl.cli.streams import hung_up_unread
     from tetractl.run.interrupt import interrupted_once
-    from tetractl.view.terminal.stopkey import SAYS, StopKey
+    from tetractl.view.terminal.keys import SAYS, StopKey
 
     if output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")

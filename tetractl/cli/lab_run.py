@@ -37,8 +37,8 @@ def run_in_lab(
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.batch import run_batch
     from tetractl.run.executors import Here
-    from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
-    from tetractl.view.terminal.stopkey import SAYS, StopKey
+    from tetractl.view.terminal.keys import SAYS, StopKey
+    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
     quiet, console = console, Console(stderr=True)  # messages on safety are always printed
     emergency, entered = threading.Event(), threading.Event()

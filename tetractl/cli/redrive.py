@@ -76,8 +76,7 @@ def _table(apart: "Apart") -> "Table":
     """Return the table of each robot's distances: at a few times, then the largest and the last."""
     import numpy as np
 
-    from tetractl.core.table.numbers import fixed
-    from tetractl.core.table.table import Column, Table
+    from tetractl.core.table.table import Column, Table, fixed
 
     last = max(len(apart.time_s) - 1, 0)
     rows = np.unique(np.linspace(0, last, ROWS).astype(int))[: len(apart.time_s)]

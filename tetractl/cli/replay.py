@@ -80,8 +80,7 @@ def _on_screen(
     from rich.console import Console
 
     from tetractl.log.read.reader import read_trial
-    from tetractl.replay.player import Playback, Player, span
-    from tetractl.replay.recording import Recording
+    from tetractl.replay.player import Playback, Player, Recording, span
     from tetractl.view.terminal.replay_screen import play
 
     def opened(index: int) -> Player:
@@ -117,8 +116,7 @@ def _as_text(
     loop: bool,
 ) -> int:
     from tetractl.core.text import printable
-    from tetractl.replay.player import span
-    from tetractl.replay.recording import Recording
+    from tetractl.replay.player import Recording, span
     from tetractl.view.terminal.replay_text import print_lines
 
     damaged = False

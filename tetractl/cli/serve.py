@@ -1,5 +1,7 @@
-"""`tetractl serve`: shows a trial in a log viewer."""
+"""`tetractl serve` and `tetractl open`: a trial in a log viewer, logs in the browser."""
 
+import sys
+import threading
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
@@ -88,8 +90,7 @@ def serve(
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
-    from tetractl.replay.player import Player, span
-    from tetractl.replay.recording import Recording
+    from tetractl.replay.player import Player, Recording, span
     from tetractl.run.interrupt import interrupted_once
     from tetractl.serve.server import FOXGLOVE, LoopbackServer
 
@@ -122,3 +123,50 @@ def serve(
         else:
             served.play(wall)
     return Exit.FAILED if recording.log.damage else Exit.DONE
+
+
+def open_logs(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
+    ],
+    port: Annotated[
+        int,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
+        ),
+    ] = 0,
+    browser: Browser = True,
+    viewer: Viewer = LICHTBLICK,
+) -> int:
+    """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
+
+    The page and the logs named, and nothing else, are served on this machine's loopback address
+    under a random path; nothing is uploaded. If Lichtblick runs here, two more addresses are
+    printed: one opens the first log there, the other is a layout for its menu "Layouts", "Import
+    from file", which frames the arena, shows the scene and plots error, J, solve time and estimate.
+
+    Example: tetractl open trial-000.mcap
+    """
+    from tetractl.log.read.find import find_logs
+    from tetractl.report.page import report
+    from tetractl.run.interrupt import interrupted_once
+    from tetractl.serve.server import LoopbackServer
+
+    found = find_logs(logs)
+    html, unread = report(logs, None, lambda done, total: None)
+    for problem in unread:
+        print(f"warning: {problem}", file=sys.stderr)
+    named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
+    server = LoopbackServer(port, html.encode(), layout_of(found), named)
+    in_viewer = answers(viewer)  # imported first: Ctrl-C during an import would be lost
+    with suppress(KeyboardInterrupt), interrupted_once(), server:
+        print_forwarding(server)
+        print(server.page_url, flush=True)
+        if in_viewer:
+            first = link(viewer, "remote-file", server.log_url(next(iter(named))))
+            print(f"in Lichtblick: {first}\n  its layout: {server.layout_url}", flush=True)
+        if browser:
+            webbrowser.open(server.page_url)
+        threading.Event().wait()
+    return Exit.FAILED if unread else Exit.DONE

@@ -75,8 +75,7 @@ def stats(
 
 def show(found: "GroupComparison", form: str) -> None:
     """Print groups and their comparisons to stdout."""
-    from tetractl.core.table.data import json_text
-    from tetractl.core.table.table_files import csv_text
+    from tetractl.core.table.table_files import csv_text, json_text
     from tetractl.core.table.terminal_table import TEXTS, print_tables
     from tetractl.results.items import as_items, data_table
     from tetractl.results.tables import tables

@@ -32,9 +32,10 @@ GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class PatientWriter(io.RawIOBase):
-    """Writes bytes to a file descriptor; waits if it is slow, but not if it is stuck. If the
-    descriptor takes nothing for `patience_s`, bytes are dropped, without waiting, until it takes
-    some again. Bytes that it refuses are lost too; if `tells`, the OSError is raised once.
+    """Writes bytes to a file descriptor; waits if it is slow, but not if it is stuck.
+
+    If the descriptor takes nothing for `patience_s`, bytes are dropped, without waiting, until it
+    takes some again. Bytes that it refuses are lost too; if `tells`, the OSError is raised once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -164,9 +165,10 @@ def open_streams() -> Output:
 
 
 def settle() -> None:
-    """Write or drop what the standard streams have buffered, while their threads still run. A
-    buffer keeps what it could not write; at the interpreter's end, when the threads have ended, it
-    would be written again.
+    """Write or drop what the standard streams have buffered, while their threads still run.
+
+    A buffer keeps what it could not write; at the interpreter's end, when the threads have ended,
+    it would be written again.
     """
     for stream in (sys.stdout, sys.stderr) * 2:  # a failure is raised once, then the rest is lost
         with suppress(OSError, ValueError):

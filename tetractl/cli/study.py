@@ -96,9 +96,8 @@ def study(
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
     from tetractl.study.load_study import load_study
-    from tetractl.study.options import Logs, Shard, lacking
+    from tetractl.study.options import Logs, Shard, job_script, lacking
     from tetractl.study.row_store import Store
-    from tetractl.study.slurm import job_script
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
@@ -116,7 +115,7 @@ def study(
     store = Store(folder, loaded.arms)
     with store.opened():
         if trial is not None:
-            from tetractl.study.repeat import repeat
+            from tetractl.study.options import repeat
 
             print(repeat(loaded, store, trial))
             return Exit.DONE

@@ -67,7 +67,7 @@ def track(
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.film.field_file import read_field
     from tetractl.film.film_tables import as_items, cell_table

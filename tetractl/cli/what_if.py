@@ -37,7 +37,7 @@ def what_if(
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
@@ -63,8 +63,7 @@ def what_if(
 
 def _tables(found: "WhatIf", title: str) -> "list[Table]":
     """Return tables of the predicted decisions next to the recorded ones."""
-    from tetractl.core.table.numbers import fixed
-    from tetractl.core.table.table import Column, Table
+    from tetractl.core.table.table import Column, Table, fixed
 
     unit, steps, three = found.unit, found.steps, fixed(3)
     columns = (

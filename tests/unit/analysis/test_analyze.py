@@ -9,7 +9,7 @@ from tetractl.analysis.analyze import Change, analyze, best_change, respaced, sm
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
-from tetractl.core.table.data import json_text
+from tetractl.core.table.table_files import json_text
 from tetractl.view.figures.analysis import analysis_figure
 
 SETUP = experiment().setup

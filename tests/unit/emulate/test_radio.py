@@ -6,8 +6,14 @@ from support.emulated_lab import emulated, turn_until
 
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
-from tetractl.lab.actuators.xbee.frames import AtCommand, AtResponse, Transmit16, TransmitStatus
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
+from tetractl.lab.actuators.xbee.frames import (
+    AtCommand,
+    AtResponse,
+    Decoder,
+    Transmit16,
+    TransmitStatus,
+    encode,
+)
 
 
 @pytest.fixture

@@ -8,8 +8,7 @@ from support.trials import cut_short, three_robots
 
 from tetractl.core.commands import Note
 from tetractl.core.errors import UsageError
-from tetractl.replay.player import Playback, Player, PlayerClock, span
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import Playback, Player, PlayerClock, Recording, span
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5

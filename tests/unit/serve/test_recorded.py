@@ -8,8 +8,7 @@ from support import random_trials as made
 from tetractl.log.format.channels import SCENE
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.replay.player import RATE_MAX, Playback, Player
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import RATE_MAX, Playback, Player, Recording
 from tetractl.serve import feeds
 from tetractl.serve.feeds import ServedReplay
 from tetractl.serve.foxglove_protocol import Request

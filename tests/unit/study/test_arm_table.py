@@ -6,9 +6,9 @@ import pytest
 from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import distributions
-from tetractl.study.arm import arm_name
 from tetractl.study.arm_table import arms_table, error_of, field_values, write_tables
 from tetractl.study.figure import error_figure, write_figures
+from tetractl.study.load_study import arm_name
 from tetractl.study.options import Logs, Shard
 
 

@@ -10,8 +10,7 @@ from support.trials import cut_short, experiment, three_robots
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
 from tetractl.core.plan import Outcome
-from tetractl.replay.player import Player, span
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import Player, Recording, span
 from tetractl.view.terminal.glyphs import UNICODE, glyphs_for
 from tetractl.view.terminal.replay_screen import Help, dashboard
 

@@ -17,7 +17,7 @@ from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
 from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver_protocol import FieldFlag
+from tetractl.lab.actuators.field.driver import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])

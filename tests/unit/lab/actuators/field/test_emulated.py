@@ -16,7 +16,7 @@ from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver_protocol import DriverStatus
+from tetractl.lab.actuators.field.driver import DriverStatus
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 

@@ -6,18 +6,20 @@ from hypothesis import strategies as st
 
 from tetractl.core.errors import WireError
 from tetractl.lab.actuators.xbee.frames import (
+    CONTENT_MAX,
     FRAME_TYPES,
     AtCommand,
     AtResponse,
+    Decoder,
     Other,
     Receive,
     Receive16,
     Receive64,
     Transmit16,
     TransmitStatus,
+    encode,
     parse_content,
 )
-from tetractl.lab.actuators.xbee.framing import CONTENT_MAX, Decoder, encode
 
 FAR = 0x0013A20012345678
 VECTORS = [

@@ -19,7 +19,7 @@ LFLAG = 3
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     write_trial(folder / "whole.mcap")
     write_trial(folder / "other.mcap", seed=3)
@@ -27,20 +27,20 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
-def run(*args: str | Path, cwd: Path) -> cli.Done:
+def run(*args, cwd):
     return cli.tetractl(cwd, *args)
 
 
-def play(folder: Path, *options: str, **env: str) -> Terminal:
+def play(folder, *options, **env):
     return Terminal([TETRACTL, "replay", "whole.mcap", *options], folder, **env)
 
 
-def step_lines(text: str) -> list[str]:
+def step_lines(text):
     """The lines of control steps, without those of events."""
     return [line for line in text.splitlines() if "  k " in line]
 
 
-def at(seconds: float) -> str:
+def at(seconds):
     return re.escape(f"{seconds:.1f} / {three_robots().result.duration_s:.1f} s")
 
 

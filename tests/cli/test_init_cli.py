@@ -71,15 +71,6 @@ def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert load_spec(tmp_path / f"{name}.yaml").experiment.name == name
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "a b", "-x.y", ".yaml", "a\nb", "n" * 65])
-def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
-    result = tetractl("init", "--", name)
-    assert result.returncode == 2
-    assert "cannot be the name of an experiment" in result.stderr
-    assert len(result.stderr.splitlines()) == 2
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
     done = tetractl("init", "--example", "studies/dead_time")
     assert done.returncode == 0

@@ -40,6 +40,9 @@ class PlantSection(Model):
     def clock(self) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
+    def require_devices(self) -> None:
+        """Raise AbortError if a device of a lab is not there; quick, nothing is opened."""
+
     @abstractmethod
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision

@@ -14,7 +14,7 @@ class ShapeSection(Model):
 
     type: Any  # the section's name, a Literal in each subclass
     packed: ClassVar[Any]
-    """The class of these shapes for compiled code: a `PackedShapes`."""
+    """The `PackedShapes` class that holds these shapes for compiled code."""
     _margin: float = PrivateAttr(default=0.0)
 
     @property

@@ -229,7 +229,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),
-                "see `tetractl lab check`; limits.placing waits for robots to be placed",
+                "find the cause with `tetractl lab check`; limits.placing waits for robots "
+                "to be placed",
             )
         clock.sleep_until(clock.now() + PLACES_NS)
 

@@ -37,7 +37,7 @@ class Rig:
     ) -> None:
         self.camera, self.actuator, self.limits = camera, actuator, limits
         self.setup, self.clock = setup, clock
-        self.mm = setup.metres / MM  # millimetres in a length unit
+        self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self.guard = Guard(guard_rules(setup, limits, actuator.individual))
         self.loop = InnerLoop(
             camera,

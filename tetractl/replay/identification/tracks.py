@@ -191,7 +191,7 @@ def _drive(track: Track, begin: float) -> Drives:
     usable = seen & began & told[:, None]
     some = usable.any(axis=1)
     index = np.flatnonzero(some)
-    changes = np.append(True, np.diff(track.u) != 0)  # what repeats a direction changes nothing
+    changes = np.append(True, np.diff(track.u) != 0)  # a repeated direction changes nothing
     return Drives(
         Intervals(
             since=time[:-1][some] - origin + begin,

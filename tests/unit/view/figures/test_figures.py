@@ -15,7 +15,6 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
-from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.labels import separated
@@ -28,18 +27,18 @@ COURSES = tuple(kind for kind in FIGURES.names() if kind not in OF_BATCHES)
 
 
 @pytest.fixture(scope="module")
-def log() -> TrialLog:
+def log():
     log = three_robots()
     valid = log.valid.copy()
     valid[100:110, 1] = False  # the cameras lose a robot
     return estimated(replace(log, valid=valid))
 
 
-def estimated(log: TrialLog, **more: object) -> TrialLog:
+def estimated(log, **more):
     """The trial with an estimate at each step that comes nearer to 5 % above the spec."""
     setup = log.start.setup
 
-    def estimate(k: int) -> Estimate:
+    def estimate(k):
         share = 0.05 * (1 - 0.5**k)
         a, speed = setup.a * (1 + share), setup.speed * (1 + share)
         return Estimate(a, 0.1 * a / (k + 1), speed, 0.1 * speed / (k + 1), **more)
@@ -50,7 +49,7 @@ def estimated(log: TrialLog, **more: object) -> TrialLog:
     return replace(log, steps=steps)
 
 
-def many(log: TrialLog, count: int) -> TrialLog:
+def many(log, count):
     """The trial with its robots copied, a little apart, until there are `count`."""
     spec = experiment(
         robots=[
@@ -81,7 +80,7 @@ def many(log: TrialLog, count: int) -> TrialLog:
     return estimated(replace(made, truth=None))
 
 
-def unseen(figure: Figure) -> set[int]:
+def unseen(figure):
     """The numbers of marks outside what their axis shows, and the numbers of marks on a trail."""
     found = set()
     for axes in figure.axes:
@@ -94,7 +93,7 @@ def unseen(figure: Figure) -> set[int]:
     return found
 
 
-def overlapping(figure: Figure) -> list[tuple[str, str]]:
+def overlapping(figure):
     """The pairs of texts of a figure that lie over one another, or beyond its edge."""
     figure.draw_without_rendering()
     hidden, page = unseen(figure), figure.bbox
@@ -113,7 +112,7 @@ def overlapping(figure: Figure) -> list[tuple[str, str]]:
     return found
 
 
-def words(figure: Figure) -> str:
+def words(figure):
     """All text of a figure, after drawing it once."""
     figure.draw_without_rendering()
     found = figure.findobj(matplotlib.text.Text)

@@ -16,14 +16,14 @@ from tetractl.view.terminal.replay_screen import Help, dashboard
 
 
 class StillWall:
-    def now(self) -> int:
+    def now(self):
         return 0
 
-    def sleep_until(self, when: int) -> None:
+    def sleep_until(self, when):
         raise AssertionError("nothing waits here")
 
 
-def screen(recording: Recording, width: int, height: int, seconds: float, **options) -> list[str]:
+def screen(recording, width, height, seconds, **options):
     console = Console(
         file=io.TextIOWrapper(io.BytesIO(), encoding=options.pop("encoding", "utf-8")),
         width=width,
@@ -42,7 +42,7 @@ def screen(recording: Recording, width: int, height: int, seconds: float, **opti
 
 
 @pytest.fixture
-def recording() -> Recording:
+def recording():
     return Recording(three_robots())
 
 
@@ -95,7 +95,7 @@ def test_the_end_says_how_it_ended_and_damage_is_told(recording):
     assert "all after 4.0 s" in text
 
 
-def with_events(recording: Recording) -> Recording:
+def with_events(recording):
     log = recording.log
     assert log.result
     aborted = replace(

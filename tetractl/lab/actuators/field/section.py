@@ -61,8 +61,8 @@ class FieldSection(ActuatorSection):
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
-    """Time without a command after which the driver switches the field off [s]; this value is built
-    into the     driver.
+    """Time without a command after which the driver switches the field off [s]; this value is this
+    value is built into the     driver.
     """
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
@@ -79,6 +79,12 @@ class FieldSection(ActuatorSection):
             least = FRAMES_PER_WATCHDOG / self.rate
             raise inconsistent("watchdog", f"at {self.rate:g} Hz it must be {least:.3g} s or more")
         return self
+
+    def require_port(self) -> None:
+        """Raise AbortError if the port of the current driver is not there."""
+        from tetractl.lab.serial_port import require_port
+
+        require_port(self.port, "the current driver")
 
     def bounds(self) -> dict[str, str]:
         """Return the driver's port, rate and field limits for display, {name: text}."""

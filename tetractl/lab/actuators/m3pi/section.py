@@ -11,6 +11,7 @@ from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.model.wheels import COUNT_MAX
 
 
 class BroadcastSection(Model):
@@ -18,6 +19,8 @@ class BroadcastSection(Model):
     by themselves after 250 ms.
     """
 
+    watchdog: ClassVar[bool] = True
+    limit: ClassVar[int] = COUNT_MAX
     type: Literal["broadcast"]
 
 
@@ -26,6 +29,7 @@ class SlaveSection(Model):
     a robot that loses the radio connection drives on.
     """
 
+    watchdog: ClassVar[bool] = False
     type: Literal["slave"]
     accept_no_watchdog: Literal[True]
     """Must be true: confirms that a person stands by to switch the robots off."""
@@ -90,7 +94,7 @@ class M3piSection(XbeeSection, ActuatorSection):
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
         yield from mismatches(indexed, setup.names, ("index", "address"))
-        slave = isinstance(self.protocol, SlaveSection)
+        slave = not self.protocol.watchdog
         if slave and self.mode == "transparent":
             message = "cannot address one robot, which the slave protocol needs; use api2"
             yield ("mode",), message
@@ -108,6 +112,12 @@ class M3piSection(XbeeSection, ActuatorSection):
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= limit:
                     yield ("robots", i, side, "dead_zone"), f"must be below its limit, {limit}"
+
+    def require_port(self) -> None:
+        """Raise AbortError if the port of the radio is not there."""
+        from tetractl.lab.serial_port import require_port
+
+        require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
         """Return the radio's port, rate and limits of the wheels for display, {name: text}."""
@@ -129,9 +139,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         """Return the largest count that is sent to a robot, lower if its program has no
         watchdog.
         """
-        if isinstance(self.protocol, SlaveSection):
-            return min(robot.limit, self.protocol.limit)
-        return robot.limit
+        return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, with either program; where possible, latched until switched

@@ -44,7 +44,7 @@ class State:
 def health_of(
     section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
 ) -> Health:
-    """Return the health of a camera from its last looks, oldest first."""
+    """Return the health of a camera from its last pictures' results, oldest first."""
     problems, warnings = stream_lines(
         looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
     )

@@ -41,7 +41,7 @@ class CellsSection(PictureSection):
         return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:
-        """Return where pictures come from."""
+        """Return the source of the pictures for display, {name: text}."""
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:

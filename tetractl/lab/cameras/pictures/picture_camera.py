@@ -19,7 +19,7 @@ from tetractl.lab.cameras.pictures.looks import LOOKS, Look
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
-KEPT = 4096  # frames not fetched yet
+KEPT = 4096  # most frames kept until they are fetched
 WAIT_S = 0.05
 CLOSE_S = 2.0
 

@@ -18,7 +18,6 @@ from tetractl.lab.actuators.xbee.frames import (
     Transmit16,
     TransmitStatus,
     encode,
-    pack_content,
     parse_content,
 )
 
@@ -146,20 +145,6 @@ def test_short_contents_are_refused(api):
     if not kind.HAS_DATA:
         with pytest.raises(WireError):
             parse_content(bytes([api]) + bytes(kind.LAYOUT.size + 1))
-
-
-@pytest.mark.parametrize(
-    "frame",
-    [
-        Transmit16(256, 0, 0, b""),
-        Transmit16(0, 0x10000, 0, b""),
-        AtCommand(1, b"B"),
-        Other(256, b""),
-    ],
-)
-def test_what_does_not_fit_is_not_packed(frame):
-    with pytest.raises(WireError):
-        pack_content(frame)
 
 
 def test_frames_longer_than_the_radio_takes_are_not_encoded():

@@ -202,16 +202,19 @@ SURE = 0.9
 
 
 class IdentityWatch:
-    """The robots of one run by their `names`; `unknown` are those that have not been known for
-    `patience_s` or longer, by their index, and why they must not be steered on."""
+    """The identities of a run's robots, called `names`. `unknown` maps the index of each robot
+    whose identity has been unknown for `patience_s` to the reason why the run must end.
+    """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
         self._names, self._patience_ns = names, round(patience_s * SECOND)
-        self._since_ns: dict[int, int] = {}  # since when robots are unknown
+        self._since_ns: dict[int, int] = {}  # since when each unknown robot has been unknown
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Yield what a picture changes, as text; a cell that is not seen changes nothing."""
+        """Take a picture's probabilities; yield a text for each change. A cell out of view changes
+        nothing.
+        """
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
@@ -225,6 +228,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Begin again with another cell in place of a robot."""
+        """Start again with another cell as this robot."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

@@ -41,7 +41,7 @@ def test_no_file_and_no_film_are_told_apart(tmp_path):
         open_feed(FileSource(type="file", path=str(tmp_path / "no.avi")), VirtualClock(), 1.0)
     text = tmp_path / "text.avi"
     text.write_text("no film")
-    with pytest.raises(AbortError, match="no video that OpenCV can read"):
+    with pytest.raises(AbortError, match="not a video that OpenCV can read"):
         open_feed(FileSource(type="file", path=str(text)), VirtualClock(), 1.0)
 
 

@@ -8,7 +8,7 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.experiment.examples import example_names
+from tetractl.cli.init import example_names
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 
@@ -69,15 +69,6 @@ def test_a_file_is_never_overwritten(tetractl, tmp_path):
 def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert tetractl("init", name).returncode == 0
     assert load_spec(tmp_path / f"{name}.yaml").experiment.name == name
-
-
-@pytest.mark.parametrize("name", ["", ".", "..", "a b", "-x.y", ".yaml", "a\nb", "n" * 65])
-def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
-    result = tetractl("init", "--", name)
-    assert result.returncode == 2
-    assert "is no name of an experiment" in result.stderr
-    assert len(result.stderr.splitlines()) == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory) -> Path:
+def log(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     return made.write(made.trial(1, steps=20, frames=10), folder / "trial-000.mcap")
 

@@ -124,7 +124,7 @@ def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["stop"], 2, "name a SPEC or a --port"),
+        (["stop"], 2, "give either a SPEC or --port"),
         (["stop", "--port", "nowhere"], 1, "nowhere: there is no such port"),
         (["stop", "--port", "x", "--mode", "loud"], 2, "--mode"),
         (["check", str(SPEC.with_name("three_m3pi.yaml"))], 2, "has no lab"),

@@ -7,7 +7,7 @@ import numpy as np
 from support.needs_opencv import cv2
 
 from tetractl.core.poses import Poses
-from tetractl.emulate.apriltag.renderer import Optics, Renderer
+from tetractl.emulate.apriltag.side import Optics, Renderer
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
 from tetractl.lab.cameras.apriltag.track import Tracker
 

@@ -11,7 +11,7 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
-COMPARED = 12  # choices whose errors are predicted: those whose a differ most
+COMPARED = 12  # choices of cells whose errors are predicted: those with the most different a
 # difference of the logarithms of a below which cells cannot be distinguished in time
 ALIKE = 0.08
 

@@ -58,7 +58,7 @@ class Noise:
 
     @property
     def any(self) -> bool:
-        """Whether there is any."""
+        """Whether any deviation is above 0."""
         return any((self.a, self.speed, self.walk, self.position, self.heading))
 
 
@@ -75,7 +75,7 @@ def end_covariance(
     count, length = len(plan.miss), len(plan.seconds)
     size = 2 * count
     p, cross = np.zeros((size, size)), np.zeros((size, size))
-    known = np.repeat([noise.a**2, noise.speed**2], count)  # variances of ln a, then of ln speed
+    known = np.repeat([noise.a**2, noise.speed**2], count)  # variances of ln a, then ln speed
     for k in range(length):
         if corrects:
             rows = np.hstack([TURN * plan.by_signal[:, k:], plan.onward])
@@ -100,8 +100,7 @@ def end_covariance(
 
 def _told(plan: Linear, noise: Noise, k: int) -> Floats:
     """Return the information (1/variance) on ln a, then on ln speed, (2N,) from the motion under
-    signal k: a turn is the difference of two measured headings, a displacement that of two
-    positions.
+    signal k, measured as the difference of two headings and of two positions.
     """
     turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
     ways = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
@@ -111,7 +110,7 @@ def _told(plan: Linear, noise: Noise, k: int) -> Floats:
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
-    """Return each robot's mean distance to its target (N,), planned to end `miss` (N,) off it.
+    """Return each robot's mean distance to its target (N,), if its plan ends `miss` (N,) from it.
 
     The mean length of a normal vector of deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
     with the complete elliptic integral E; the planned miss is added in square.

@@ -19,19 +19,19 @@ from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 
-NUDGE = 1e-4  # relative, of a and speed
+NUDGE = 1e-4  # relative change of a and speed for a central difference
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
     """A plan of L signals for N robots, linearised; lengths in the spec's unit.
 
-    `miss` (N,) is how far from its target each robot is planned to end. Derivatives of the ends:
+    `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends:
     `by_signal` (2N, L), of x_1, y_1, x_2, ..., by the signals [1/rad]; `by_heading` (L + 1, N, 2)
     by the heading before each signal and at the end [1/rad]. `by_a` and `by_speed` (L, N, 2) are
     those by the logarithms of a and speed in force during each signal alone, and `turn_by_a` (L, N)
-    how the turn of one signal depends on ln a [rad]. `onward` (2N, 1) is how far a signal more of
-    straight motion takes the ends, and `seconds` (L,) how long each signal is held.
+    how the turn of one signal depends on ln a [rad]. `onward` (2N, 1) is the displacement of the
+    ends by one more signal of straight motion, and `seconds` (L,) how long each signal is held.
     """
 
     miss: Floats

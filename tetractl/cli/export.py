@@ -21,15 +21,19 @@ def export(
             "-o",
             "--out",
             metavar="DIR|FILE",
-            help="Folder for all tables, or one file, .csv or .parquet, for the --table named.",
+            help="Folder for all tables; or a .csv or .parquet file for the one named by --table.",
         ),
     ],
     table: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="trials, steps, poses, estimates or events.  \\[all]"),
+        typer.Option(
+            metavar="NAME",
+            help="Write only this table: trials, steps, poses, estimates or events.  \\[all]",
+        ),
     ] = None,
     format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="csv or parquet.  \\[csv]")
+        str | None,
+        typer.Option("--format", metavar="NAME", help="File format: csv or parquet.  \\[csv]"),
     ] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.

@@ -1,4 +1,4 @@
-"""A run in the lab: the operator's stop, placing the robots."""
+"""A run in the lab: the operator's stop, and placing the robots on their starts."""
 
 import threading
 from collections.abc import Iterator
@@ -29,16 +29,16 @@ def run_in_lab(
 ) -> "Report":
     """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
 
-    A person at the terminal starts each trial, unless `yes`. `unattended`: a terminal that goes
-    away stops nothing.
+    A person at the terminal starts each trial, unless `yes`. If `unattended`, the robots are not
+    stopped when the terminal closes.
     """
     from rich.console import Console
 
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.batch import run_batch
     from tetractl.run.executors import Here
-    from tetractl.view.terminal.lab_watch import LabWatch, TerminalPrompt
-    from tetractl.view.terminal.stopkey import SAYS, StopKey
+    from tetractl.view.terminal.keys import SAYS, StopKey
+    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
 
     quiet, console = console, Console(stderr=True)  # messages on safety are always printed
     emergency, entered = threading.Event(), threading.Event()

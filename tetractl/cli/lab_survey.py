@@ -1,4 +1,4 @@
-"""`tetractl lab survey`."""
+"""`tetractl lab survey`: finds the cells of a dish and proposes which to steer."""
 
 import sys
 from pathlib import Path
@@ -9,7 +9,7 @@ import typer
 from tetractl.cli.options import Sets, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 
-NORMAL = 1.96  # deviations of a 95 % interval
+NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 
 
 def survey(
@@ -17,10 +17,15 @@ def survey(
     sets: Sets = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the trial to write."),
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="YAML file to write a spec for trials to."
+        ),
     ] = None,
     plans: Annotated[
-        int, typer.Option(min=1, max=100, metavar="N", help="Plans for each choice of cells.")
+        int,
+        typer.Option(
+            min=1, max=100, metavar="N", help="Number of plans to search for each choice of cells."
+        ),
     ] = 2,
     yes: Yes = False,
 ) -> int:
@@ -28,8 +33,8 @@ def survey(
 
     The field turns for `robots.seconds` of the spec. Every cell with a magnet is listed with 95 %
     intervals; choices of cells are ranked by the error that `tetractl analyze` predicts, with the
-    noise of the spec's simulation. -o writes a spec by which a trial finds the best ones again, by
-    their a and speed.
+    noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
+    by their a and speed.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
@@ -52,7 +57,10 @@ def survey(
     experiment = on_plant(loaded, "lab").experiment
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
-        raise UsageError(f"{spec}: names its robots", "a survey needs robots: {choose: N, ...}")
+        raise UsageError(
+            f"{spec}: lists its robots, so there are none to choose",
+            "a survey needs robots: {choose: N, ...}",
+        )
     if output is not None and output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")
     require_confirmation(yes)

@@ -1,4 +1,4 @@
-"""`tetractl recover`: a damaged log back into a complete file."""
+"""`tetractl recover`: copies what is intact of a damaged log to a complete file."""
 
 import json
 import sys
@@ -12,7 +12,7 @@ from tetractl.core.errors import Exit
 
 
 def recover(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, a .part too.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial; a .part file too.")],
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),

@@ -16,7 +16,13 @@ def report(
         typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
     ],
     output: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FILE", help="Page to write, overwritten.")
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="HTML file to write; an existing one is overwritten.",
+        ),
     ] = Path("report.html"),
     title: Annotated[
         str | None, typer.Option(metavar="TEXT", help="Title of the page.  \\[experiment's name]")

@@ -1,4 +1,4 @@
-"""Runs trials for `run`, `rerun` and commands that drive a plant; shows them, and stops them."""
+"""Runs, displays and stops the trials of `run`, `rerun` and other commands that drive a plant."""
 
 import sys
 from collections.abc import Iterator
@@ -31,7 +31,7 @@ STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
 class PlantChoice(StrEnum):
-    """The plant of a run."""
+    """A plant named by --plant: the simulation or the lab of a spec."""
 
     SIM = "sim"
     LAB = "lab"
@@ -44,19 +44,24 @@ Out = Annotated[
     ),
 ]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
+    bool,
+    typer.Option(
+        "--dry-run", help="Run nothing: print the spec, its limits and what would be run."
+    ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show neither a live view nor progress.")
+]
 Unattended = Annotated[
     bool,
     typer.Option(
         "--unattended",
-        help="Lab only, with --yes: go on if the terminal, or every reader of the output, "
-        "is gone; else that stops the robots.",
+        help="Lab only, with --yes: go on if the terminal or every reader of the output is "
+        "gone, which otherwise stops the robots.",
     ),
 ]
 Json = Annotated[
-    bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
+    bool, typer.Option("--json", help="Print the statistics as JSON, like `stats --format json`.")
 ]
 
 
@@ -76,7 +81,7 @@ def run_command(
 ) -> tuple[int, Path]:
     """Run the trials of a spec, or `only` one, and print the statistics; or say what would be run.
 
-    Return the exit code and the folder. `port` is where the trials are served, None for nowhere.
+    Return the exit code and the folder. The trials are served at `port`, unless it is None.
     """
     from rich.console import Console
 
@@ -86,9 +91,9 @@ def run_command(
     experiment = loaded.experiment
     in_lab = not experiment.plant.simulated
     if in_lab and jobs > 1:
-        raise UsageError("--jobs: the lab runs one trial at a time")
+        raise UsageError("--jobs is for simulations: the lab runs one trial at a time")
     if unattended and not (in_lab and yes):
-        raise UsageError("--unattended: only the lab has robots to watch", "add --plant lab --yes")
+        raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
     folder = out or default_folder(experiment.name, datetime.now(UTC))
     store = LogStore(folder, experiment)
@@ -146,7 +151,7 @@ def stoppable(
 ) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an interrupt that signals set inside the block.
 
-    In the lab the loss of every reader of the output is one of them, unless `unattended`.
+    In the lab, unless `unattended`, losing every reader of the output sends such a signal.
     """
     from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up
@@ -171,7 +176,8 @@ def run_trials(
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
 ) -> "Report":
-    """Run trials with their displays, `served` included; in the lab with the operator's stop.
+    """Run trials with their displays and the `served` observers; in the lab with the operator's
+    stop.
 
     The first trial that fails ends the run.
     """
@@ -199,7 +205,7 @@ def run_trials(
 
 
 def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
-    """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
+    """Print what a run would do, all as YAML, so that the text is a valid spec."""
     from tetractl.experiment.load import resolved_yaml
     from tetractl.run.task import log_path
     from tetractl.run.trial_limits import limits
@@ -218,7 +224,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
 def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
-    Raises the error that kept a trial from an outcome.
+    Raises the error of a trial that reached no outcome.
     """
     from tetractl.cli.streams import first_signal_callback
     from tetractl.run.task import log_path

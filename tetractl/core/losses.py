@@ -1,4 +1,4 @@
-"""Which robots of a trial are lost: the cell that left, divided or died, a robot out of sight."""
+"""Which robots of a trial are lost: a cell that left, divided or died, or a robot out of view."""
 
 from dataclasses import dataclass
 
@@ -15,7 +15,8 @@ Integers = NDArray[np.int64]
 class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
-    Where lost robots are `replaced`, one that is tracked again is another one, with its target.
+    If lost robots are `replaced`, a lost robot that is tracked again is another robot, which takes
+    over the target.
     """
 
     after_s: float
@@ -23,10 +24,10 @@ class LossRule:
 
 
 class Losses:
-    """Which of N robots are `lost` (N,) and how often each was, `times` (N,).
+    """Which of N robots are `lost` (N,), and how often each has been lost, `times` (N,).
 
-    Given every camera frame, in order, it is the same for the controller, for the log's reader and
-    for `verify`. Without a rule no robot is ever lost.
+    Given every camera frame in order, the result is the same for the controller, for the log's
+    reader and for `verify`. Without a rule no robot is ever lost.
     """
 
     def __init__(self, rule: LossRule | None, count: int) -> None:
@@ -37,7 +38,7 @@ class Losses:
         self._seen_ns: Integers | None = None
 
     def see(self, frame: Observation) -> list[int]:
-        """Take the next frame; return the robots that are others from it on."""
+        """Take the next frame; return the indices of robots that are replaced by others in it."""
         if self._rule is None:
             return []
         if self._seen_ns is None:

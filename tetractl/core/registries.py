@@ -1,4 +1,4 @@
-"""Every registry by name. A new kind takes one file and one line here, or an entry point."""
+"""Every registry by name. A new kind needs one file and one line here, or an entry point."""
 
 from tetractl.core.registry import Registry
 

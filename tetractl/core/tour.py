@@ -1,4 +1,4 @@
-"""Way-points and a hold, and how well the robots met them.
+"""Way-points and a hold, and measures of how well the robots kept to them.
 
 All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
 way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
@@ -16,18 +16,18 @@ from tetractl.core.poses import Floats, Observation
 
 @dataclass(frozen=True, slots=True)
 class HoldTask:
-    """Robots are to stay within `radius` [length unit] of their targets for `seconds`."""
+    """The task to stay within `radius` [length unit] of the targets for `seconds`."""
 
     radius: float
     seconds: float
 
 
 class TourMeasure:
-    """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
+    """Measures how N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
-    `step` is called with each control step's leg and observation, before the frames of it, which
-    `add` counts up to `until_ns`; the true poses count if they are known. A robot is lost by a
-    `loss` rule.
+    `step` is called with each control step's leg and observation, before that step's frames, which
+    `add` counts up to `until_ns`; the true poses are used if known. `loss` is the rule by which a
+    robot is lost.
     """
 
     def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
@@ -38,7 +38,7 @@ class TourMeasure:
         self._losses = Losses(loss, legs.shape[1])
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Note the leg of a control step; return the text that announces a new leg, else ""."""
+        """Take the leg of a control step; return a text that announces a new leg, otherwise ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
             self._passed.append(float(observation.poses.distances(past).sum()))
         begins, self._leg = leg > self._leg, leg
@@ -48,7 +48,9 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count lost robots, and the frames of the hold: an untracked robot is not inside."""
+        """Count lost robots and the frames of the hold, in which an untracked robot counts as
+        outside.
+        """
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:
@@ -72,11 +74,13 @@ class TourMeasure:
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """How often each robot was lost, (N,); empty where none was."""
+        """How often each robot was lost, (N,); empty if none ever was."""
         times = self._losses.times
         return tuple(times.tolist()) if times.any() else ()
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Each robot's share of the hold's frames within its radius, (N,); empty without any."""
+        """Share of the hold's frames in which each robot was within the radius, (N,); empty without
+        frames.
+        """
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

@@ -4,8 +4,8 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from tetractl.core.table.data import flat
 from tetractl.core.table.table import Table
+from tetractl.core.table.table_files import flat
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, Scaled

@@ -14,10 +14,8 @@ from rich.console import Console
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.data import flat, json_text
-from tetractl.core.table.numbers import fixed
-from tetractl.core.table.table import Column, Table
-from tetractl.core.table.table_files import TableFiles, csv_text, read_csv
+from tetractl.core.table.table import Column, Table, fixed
+from tetractl.core.table.table_files import TableFiles, csv_text, flat, json_text, read_csv
 from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
 
 LONG = "words " * 60

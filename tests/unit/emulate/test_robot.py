@@ -7,7 +7,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.emulate.m3pi.robot import (
-    EmulatedBattery,
     EmulatedRobot,
     FirmwareProgram,
     SlaveProgram,
@@ -63,12 +62,3 @@ def test_a_slave_drives_on_in_silence_and_firmware_stops():
     assert slave.left == pytest.approx(180.0)
     assert firmware.standing
     assert firmware.x < 100 + 180 * 0.3
-
-
-def test_the_battery_sags_under_load_and_drains():
-    battery = EmulatedBattery(5000.0, sag_mv=200.0, drain_mv_s=1.0)
-    assert battery.voltage_mv(0.5) == 4900
-    battery.draw(1.0, 100.0)
-    assert battery.voltage_mv(0.0) == 4900
-    battery.draw(1.0, 1e6)
-    assert battery.voltage_mv(0.0) == 0

@@ -73,13 +73,6 @@ def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
     assert [found.items["arrived_ci95"] is None for found in arrived] == [True, False]
 
 
-def test_no_complete_trial_leaves_no_mean():
-    found = group(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
-    assert found.counted == 0
-    assert math.isnan(found.total.mean)
-    assert found.total.ci95.reason == "no values"
-
-
 def test_violations_are_counted_in_trials_whatever_their_outcome():
     trials = batch(ERRORS[:4].tolist())
     both = Verdict(Poses.of(np.zeros((3, 3))), (True, False, True), (-1.0, 5.0, -2.0))

@@ -192,11 +192,6 @@ def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_pa
     assert (tmp_path / "trial-001.mcap.part").exists()
 
 
-def test_logs_are_numbered_with_three_digits_or_more(tmp_path):
-    assert log_path(tmp_path, 7).name == "trial-007.mcap"
-    assert log_path(tmp_path, 12345).name == "trial-12345.mcap"
-
-
 def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
     monkeypatch.setattr(task.time, "time_ns", lambda: -1)

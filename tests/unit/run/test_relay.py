@@ -4,8 +4,8 @@ from contextlib import closing
 import pytest
 
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.run import relay
-from tetractl.run.relay import Relay
+from tetractl.run import task
+from tetractl.run.task import Relay
 
 
 class Watcher:
@@ -54,7 +54,7 @@ def test_a_failure_comes_out_at_the_end_at_the_latest_and_nothing_follows_it():
 
 
 def test_an_observer_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatch):
-    monkeypatch.setattr(relay, "SIZE", 5)
+    monkeypatch.setattr(task, "RELAY_SIZE", 5)
     watcher = Watcher()
     watcher.gate.clear()
     with closing(Relay(watcher)) as observer:

@@ -8,8 +8,7 @@ from support import random_trials as made
 from tetractl.log.format.channels import SCENE
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.replay.player import RATE_MAX, Playback, Player
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import RATE_MAX, Playback, Player, Recording
 from tetractl.serve import feeds
 from tetractl.serve.feeds import ServedReplay
 from tetractl.serve.foxglove_protocol import Request
@@ -104,14 +103,6 @@ def test_the_scene_is_sent_at_the_start_and_after_every_seek(play):
         assert shown.server.told[-1].sought
         shown.player.press("right")
     assert len(shown.server.jumps) == 3
-
-
-def test_the_span_is_that_of_the_player(play):
-    shown = play()
-    assert shown.server.span_ns == (
-        shown.start_ns + shown.player.start_ns,
-        shown.start_ns + shown.player.until_ns,
-    )
 
 
 def test_states_are_told_when_they_change(play):

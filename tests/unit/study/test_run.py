@@ -12,11 +12,10 @@ from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import task
 from tetractl.run.executors import Here
-from tetractl.run.folder_lock import locked
 from tetractl.run.interrupt import Interrupt
+from tetractl.run.store import locked
 from tetractl.run.task import OtherCodeError, log_path, run_trial
-from tetractl.study.options import Logs, Shard
-from tetractl.study.repeat import repeat
+from tetractl.study.options import Logs, Shard, repeat
 from tetractl.study.row_store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)

@@ -28,8 +28,7 @@ from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
-from tetractl.lab.actuators.xbee.frames import Transmit16
-from tetractl.lab.actuators.xbee.framing import Decoder
+from tetractl.lab.actuators.xbee.frames import Decoder, Transmit16
 from tetractl.lab.cobs import Splitter
 
 Note = Callable[..., None]

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from tetractl.core.colors import robot_colors
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recording import tracked
+from tetractl.replay.player import tracked
 from tetractl.replay.redrive import Apart
 from tetractl.view import style
 

@@ -1,4 +1,6 @@
-"""The paper's Figure 5: the paths of the robots in one trial or in several."""
+"""The paper's Figure 5: the paths of the robots in one trial or in several; under those
+in a dish the microscope's picture.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +12,17 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import Affine2D
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
-from tetractl.core.table.numbers import lengths
+from tetractl.core.table.table import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recording import tracked
+from tetractl.replay.dish_pictures import DishPictures
+from tetractl.replay.player import tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
@@ -27,8 +31,37 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
-from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.labels import HALO, Labels, edge
+
+FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
+
+
+class DishGround:
+    """Shows the picture of a time under the axes of a trial; nothing for a log without pictures."""
+
+    def __init__(self, axes: Axes, log: TrialLog) -> None:
+        self._pictures, self._shown, self._image = DishPictures(log), -1, None
+        if not self._pictures.times:
+            return
+        low, right, up = self._pictures.corners
+        place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
+        limits = axes.axis()
+        self._image = axes.imshow(
+            self._pictures.grey(0), cmap="gray", vmin=0, vmax=255, alpha=FAINT, zorder=0,
+            extent=(0, 1, 0, 1), interpolation="bilinear", transform=place + axes.transData,
+        )  # fmt: skip
+        axes.axis(limits)
+
+    def show(self, when_ns: int) -> bool:
+        """Show the picture of a time on the trial's clock; return whether it is another one."""
+        which = self._pictures.at(when_ns)
+        if which is None or which == self._shown:
+            return False
+        assert self._image is not None, "with a picture there is an image"
+        self._image.set_data(self._pictures.grey(which))
+        self._shown = which
+        return True
+
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
 LINE_IN = 0.156  # height of a line of the legend

@@ -4,8 +4,7 @@ import math
 
 from tetractl.core.clock import Clock
 from tetractl.log.read.trial_log import Event
-from tetractl.replay.player import PlayerClock
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import PlayerClock, Recording
 
 
 def print_lines(

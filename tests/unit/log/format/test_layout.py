@@ -16,7 +16,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 
 
-def made(**changes: object) -> dict:
+def made(**changes):
     return json.loads(layout(experiment(**changes).setup))
 
 
@@ -38,7 +38,7 @@ def test_the_arena_fills_the_view_in_every_unit(unit):
     assert camera["near"] < camera["far"] / 2 < camera["far"]
 
 
-def share_of(unit: str) -> float:
+def share_of(unit):
     return {"um": 1e-3, "mm": 1.0, "m": 1e3}[unit]
 
 

@@ -17,10 +17,11 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.actuators.field.coils import Pair, approach
-from tetractl.lab.actuators.field.driver import HINT, Driver
-from tetractl.lab.actuators.field.driver_protocol import (
+from tetractl.lab.actuators.field.driver import (
+    HINT,
     UNKNOWN_TEMPERATURE,
     VERSION,
+    Driver,
     DriverStatus,
     FieldFlag,
     FieldReply,

@@ -1,16 +1,170 @@
-"""The `apriltag` camera: robots by their tags in pictures."""
+"""The `apriltag` camera: robots by their tags in pictures; its problems, warnings and facts."""
 
-from collections.abc import Callable
-from dataclasses import replace
+import statistics
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Grey
 from tetractl.core.setup import Setup
-from tetractl.lab.cameras.apriltag.health import State, health_of
-from tetractl.lab.cameras.apriltag.section import AprilTagSection
-from tetractl.lab.cameras.apriltag.track import Seen, Tracker
+from tetractl.lab.cameras.apriltag.floor import MISFIT_MM, Plane
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
+from tetractl.lab.cameras.apriltag.track import ODD_SIZE, Seen, Tracker
+from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
+
+BLURRED = 0.36  # modules: from here on, tags begin not to be read
+ODD = 0.03  # a tag of another size than the spec says, as a share
+MISPLACED_MM = 3.0
+DOUBTFUL_MM = 3.0
+OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
+
+
+@dataclass(frozen=True, slots=True)
+class State:
+    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
+    has not.
+
+    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
+    calibrated, even if it does not fit the spec.
+    """
+
+    source: str
+    ended: str
+    now_ns: int
+    rate_hz: float | None
+    size: tuple[int, ...] | None
+    plane: Plane | None
+    damaged: int
+    skipped: int
+
+
+def health_of(
+    section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
+) -> Health:
+    """Return the health of a camera from its last looks, oldest first."""
+    problems, warnings = stream_lines(
+        looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
+    )
+    seen, twice = _seen(looks)
+    floor = [tag.tag for tag in section.floor]
+    for each in (
+        _floor_seen(floor, seen, twice),
+        _floor_placed(state.plane, section.lens is None),
+        _robots(robots, looks, seen, twice),
+        _sharpness(looks),
+    ):
+        problems += each[0]
+        warnings += each[1]
+    return Health(tuple(problems), tuple(warnings), _facts(section, looks, state))
+
+
+Lines = tuple[list[str], list[str]]
+"""Problems and warnings."""
+
+
+def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
+    """Return the tags seen in most pictures, and those seen twice in any."""
+    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
+    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
+    return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
+
+
+def _floor_seen(floor: Sequence[int], seen: Sequence[int], twice: Sequence[int]) -> Lines:
+    problems: list[str] = []
+    if missing := [tag for tag in floor if tag not in seen]:
+        problems.append(f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}")
+    if double := [tag for tag in floor if tag in twice]:
+        problems.append(f"floor {_tags(double)} seen twice: every number may be used once only")
+    return problems, []
+
+
+def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
+    if plane is None:
+        return [], []
+    problems: list[str] = []
+    warnings: list[str] = []
+    if not plane.worst_mm <= MISPLACED_MM:  # NaN is far off too
+        line = (
+            f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
+            "them: measure at, size_mm and heading again"
+        )
+        (warnings if plane.worst_mm <= MISFIT_MM else problems).append(line)
+    if estimated and plane.doubt_mm > DOUBTFUL_MM:
+        line = (
+            f"the floor tags say too little about the lens: robots may be {plane.doubt_mm:.0f} mm "
+            "off; tilt the camera more or set lab.camera.lens"
+        )
+        (problems if plane.doubt_mm > MISFIT_MM else warnings).append(line)
+    return problems, warnings
+
+
+def _robots(
+    robots: Sequence[RobotTag],
+    looks: Sequence[Look[Seen]],
+    seen: Sequence[int],
+    twice: Sequence[int],
+) -> Lines:
+    problems: list[str] = []
+    warnings: list[str] = []
+    for i, robot in enumerate(robots):
+        sizes = [look.seen.sizes[i] for look in looks]
+        measured = [size for size in sizes if size is not None]
+        if robot.tag in twice:
+            problems.append(f"{robot.name}: tag {robot.tag} is seen twice, so it is not tracked")
+        elif robot.tag not in seen:
+            problems.append(
+                f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
+            )
+        elif measured and abs(size := statistics.median(measured) - 1) > ODD:
+            line = (
+                f"{robot.name}: its tag looks {abs(100 * size):.0f} % "
+                f"{'larger' if size > 0 else 'smaller'} than it should: are size_mm and height_mm "
+                "right?"
+            )
+            (problems if abs(size) >= ODD_SIZE else warnings).append(line)
+    return problems, warnings
+
+
+def _sharpness(looks: Sequence[Look[Seen]]) -> Lines:
+    blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
+    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    if not blurs or statistics.median(blurs) <= BLURRED:
+        return [], []
+    return [], [
+        f"tags are too small or blurred, {min(sides):.0f} px wide at least: focus the lens, use "
+        "larger tags or more pixels, or shorten the exposure"
+    ]
+
+
+def _facts(section: AprilTagSection, looks: Sequence[Look[Seen]], state: State) -> dict[str, str]:
+    facts = {"source": state.source, "latency": f"{section.latency:g} s, as the spec says"}
+    if state.size is not None:
+        facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
+    if (rate := rate_hz(looks)) is not None:
+        facts["rate"] = f"{rate:.1f} Hz"
+    if looks:
+        facts["search"] = f"{search_ms(looks):.1f} ms"
+    if (plane := state.plane) is not None:
+        facts["floor_error"] = f"{plane.error_mm:.2f} mm"
+        origin = "the spec's" if section.lens is not None else "estimated"
+        facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
+    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+    if sides:
+        facts["smallest_tag"] = f"{min(sides):.0f} px"
+    facts["damaged"] = str(state.damaged)
+    facts["skipped"] = str(state.skipped)
+    return facts
+
+
+def _tags(numbers: Sequence[int]) -> str:
+    return f"tag{'s' * (len(numbers) > 1)} {_listed(numbers)} {'are' if len(numbers) > 1 else 'is'}"
+
+
+def _listed(numbers: Sequence[int]) -> str:
+    return ", ".join(map(str, numbers)) or "none"
 
 
 class AprilTagCamera(PictureCamera[Seen]):

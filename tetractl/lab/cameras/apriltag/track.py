@@ -9,8 +9,7 @@ import numpy as np
 
 from tetractl.core.poses import Floats, Grey, Pose
 from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
-from tetractl.lab.cameras.apriltag.floor import Floor
-from tetractl.lab.cameras.apriltag.plane import MM, SQUARE
+from tetractl.lab.cameras.apriltag.floor import MM, SQUARE, Floor
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 
 ODD_SIZE = 0.2  # a tag whose size differs by this fraction is another one, or at another height

@@ -12,7 +12,7 @@ from support.tag_scene import FLOOR, MM, NAMES, ROBOTS, STANDING, film, rendered
 from tetractl.core.clock import SECOND, MonotonicClock, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Poses
-from tetractl.emulate.network_camera import EmulatedNetworkCamera
+from tetractl.emulate.stream_side import EmulatedNetworkCamera
 from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
 from tetractl.lab.cameras.apriltag.section import FloorTag
 

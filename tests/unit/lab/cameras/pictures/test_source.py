@@ -17,15 +17,7 @@ from support.tag_scene import film, jpeg
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
-from tetractl.emulate.network_camera import (
-    BOUNDARY,
-    cut_before_its_end,
-    cut_short,
-    oversized,
-    part,
-)
 from tetractl.lab.cameras.pictures.feed import Picture, SourceEndedError
-from tetractl.lab.cameras.pictures.multipart import Multipart
 from tetractl.lab.cameras.pictures.picture_section import DeviceSource, FileSource, MjpegSource
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
@@ -221,16 +213,6 @@ def test_bytes_behind_the_end_marker_are_no_damage():
     whole = jpeg(PICTURE)
     padded = decoded(Picture(whole + bytes(30), 0))
     assert (padded == decoded(Picture(whole, 0))).all()
-
-
-@pytest.mark.parametrize("spoil", [cut_short, cut_before_its_end, oversized])
-def test_what_the_emulated_camera_spoils_is_damaged(spoil):
-    before, after = part(jpeg(PICTURE)), part(jpeg(PICTURE))
-    stream = Multipart(BOUNDARY)
-    bodies = stream.feed(before + spoil(before) + after + b"--" + BOUNDARY.encode())
-    good = [decoded(Picture(body, 0)) is not None for body in bodies]
-    assert good == ([True, True] if spoil is cut_short else [True, False, True])
-    assert stream.damaged == (spoil is cut_short)
 
 
 def cv2grey(content):

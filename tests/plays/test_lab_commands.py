@@ -139,6 +139,18 @@ def test_bad_usage_is_one_clear_line(tmp_path, words, code, says):
     assert says in done.stderr
 
 
+def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
+    def compiled(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
+    done = tetractl(
+        tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
+    )
+    assert done.returncode == 1
+    assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
+
+
 def test_lab_options_of_run_are_checked(tmp_path):
     done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--jobs", "2")
     assert done.returncode == 2

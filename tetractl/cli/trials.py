@@ -157,6 +157,7 @@ def stoppable(
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt, leave_on_signals
 
+    experiment.plant.require_devices()  # before a minute of compiling
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # again, after everything is printed

@@ -28,6 +28,8 @@ class WheelDrive:
     trial.
     """
 
+    sampled = True  # the path is a sum over samples
+
     def __init__(
         self,
         section: WheelDriveSection,

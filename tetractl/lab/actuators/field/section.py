@@ -77,6 +77,12 @@ class FieldSection(ActuatorSection):
             raise inconsistent("watchdog", f"at {self.rate:g} Hz it must be {least:.3g} s or more")
         return self
 
+    def require_port(self) -> None:
+        """Raise AbortError if the port of the current driver is not there."""
+        from tetractl.lab.serial_port import require_port
+
+        require_port(self.port, "the current driver")
+
     def bounds(self) -> dict[str, str]:
         """Return the driver's port and rate, and how strong the field may be."""
         return {

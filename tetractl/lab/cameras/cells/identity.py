@@ -104,7 +104,7 @@ def opened(
         )
         new = np.isnan(sizes[:, 0])  # those may have been anywhere
         question.add(track, np.where(new, 0.0, likelihood))
-        for i in np.flatnonzero((distance > FAR) | new):
+        for i in np.flatnonzero((distance > FAR) | new).tolist():
             bank.drop(int(rows[track, i]))
             rows[track, i] = bank.moved(coasted[i], *place.tolist())
     return question

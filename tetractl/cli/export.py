@@ -29,7 +29,8 @@ def export(
         typer.Option(
             metavar="NAME",
             help="Write only this table: Write only this table: Write only this table: "
-            "trials, steps, poses, estimates or events.  \\[all]",
+            "Write only this table: Write only this table: trials, steps, poses, estimates "
+            "or events.  \\[all]",
         ),
     ] = None,
     format_name: Annotated[
@@ -37,7 +38,8 @@ def export(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="File format: File format: File format: csv or parquet.  \\[csv]",
+            help="File format: File format: File format: File format: File format: csv or "
+            "parquet.  \\[csv]",
         ),
     ] = None,
 ) -> int:

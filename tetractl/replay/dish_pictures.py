@@ -64,5 +64,5 @@ def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
         grey = picture.convert("L")
         grey.thumbnail((SHOWN, SHOWN))
         return grey, size
-    except Exception:  # what Pillow raises for hostile bytes is not documented
+    except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

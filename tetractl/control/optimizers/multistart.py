@@ -38,7 +38,7 @@ POOL = 6  # number of sequences that are kept to hop from
 HOP_STEPS, HOP_PATIENCE = (
     60,
     12,
-)  # Levenberg-Marquardt iterations of a hop, and its patience, and its patience
+)  # Levenberg-Marquardt iterations of a hop, and its patience, and its patience, and its patience
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
 # cost of a position in an obstacle among hops, as a fraction of the fastest robot's step
 HIT = 0.25

@@ -42,7 +42,9 @@ class PsoFields(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations Largest number of iterations z_max."""
+        """Largest number of iterations Largest number of iterations Largest number of iterations
+        z_max.
+        """
         return self.iterations
 
     @property

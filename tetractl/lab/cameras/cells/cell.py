@@ -1,5 +1,6 @@
 """A tracked cell, and its state in one picture."""
 
+import math
 from dataclasses import dataclass
 
 from tetractl.core.poses import Floats
@@ -51,13 +52,13 @@ class CellAnswer:
 class Born:
     """A new cell, and the path (M, 4) by which it was recognised: seconds, x, y [um], axis.
 
-    `beside` is the cell next to which the new one was first seen, None for none: that cell has
-    divided, or shared a blob with the new one.
+    `divided` is the cell out of whose blob it came although nothing had come into it, None for
+    none.
     """
 
     identity: int
     path: Floats
-    beside: int | None
+    divided: int | None
 
 
 @dataclass(slots=True)
@@ -81,6 +82,10 @@ class FollowedCell:
         None  # time [s] and x, y [um] of its first blob, until it swims
     )
     measured: tuple[float, ...] | None = None
+    alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
+    size: tuple[float, float] = (math.nan, math.nan)  # its length and width then
+    large_s: float = -math.inf  # when that last was so
+    met: bool = False  # whether something not followed may have come into its blob
 
 
 @dataclass(slots=True)

@@ -29,6 +29,7 @@ STATES = 12
 
 HELIX = 2 * math.pi * 2.5, 2.0  # mean and standard deviation of the rate among cells [rad/s]
 HELIX_UM = 6.0  # standard deviation of c and s among cells
+NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
@@ -36,17 +37,15 @@ SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothin
 BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
 # growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
-# additional growth at rest, since a cell may go on in any direction
 RESTING = (
     (HEADING, 0.5),
     (SPEED, 150.0),
-)
+)  # additional growth at rest, since a cell may go on in any direction
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
-# standard deviation of that turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = (
     0.1,
     3.0,
-)
+)  # standard deviation of that turning [rad/s] with and without a known field
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 25.0  # squared distance in deviations beyond which a measurement gets less weight
 
@@ -75,8 +74,7 @@ class HelixFilter:
         turn = TURN_KNOWN if self.known else TURN_UNKNOWN
         a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
         self.mean[row] = (x, y, heading, speed, 0, 0, HELIX[0], a, 0, 0, 0, 0)
-        helix, flow = (HELIX_UM, HELIX_UM, HELIX[1]), (FLOW_UM_S, FLOW_UM_S)
-        deviations = (6, 6, 0.35, 80, *helix, a_sd, BIAS_PRIOR, turn, *flow)
+        deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S)
         self.covariance[row] = np.diag(np.square(deviations))
         return row
 
@@ -85,6 +83,15 @@ class HelixFilter:
         new = self._free()
         self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
         self.growth[new] = self.growth[row]
+        return new
+
+    def moved(self, row: int, x: float, y: float, heading: float) -> int:
+        """Return a row of the same cell somewhere else: its speed, helix and turning are kept."""
+        new = self.copied(row)
+        for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
+            self.mean[new, state] = value
+            self.covariance[new, state, :] = self.covariance[new, :, state] = 0.0
+            self.covariance[new, state, state] = NEW[state] ** 2
         return new
 
     def drop(self, row: int) -> None:

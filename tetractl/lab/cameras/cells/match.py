@@ -17,8 +17,10 @@ STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected
 STOPPED_UM_S = 200.0  # growth of this distance for each second without a blob
 SIZE_SHARE = 0.35  # relative variation of a cell's blob by tilt and focus
 ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
-COVER = 0.6  # a cell may be part of a blob up to this distance, in widths of the cell
+COVER = 0.6  # smallest width of a cell: so far from a blob, it may still be a part of it
 FAR_PX = 20.0  # a cell further than the blob's length plus this from its middle is not part of it
+PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one that has left it
+SPECK_UM = 25.0  # from where a speck was
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 ROUNDS = 4  # iterations when a blob is divided among cells
 
@@ -126,6 +128,38 @@ def shared_blobs(
             owner[i] = j
             shared.setdefault(j, []).append(i)
     return shared
+
+
+def separated(
+    cells: Sequence[FollowedCell],
+    expected: Floats,
+    places: Floats,
+    owner: dict[int, int],
+    shared: dict[int, list[int]],
+    specks: set[int],
+    hidden: Floats,
+) -> None:
+    """Give free blobs to owners of a shared blob next to them; `owner` and `shared` are changed.
+
+    So cells that have been one blob, and are not where they are expected, are found again. What is
+    at `hidden` (S, 2) is a speck that they were over.
+    """
+    away = np.linalg.norm(places[:, None, :2] - hidden, axis=2).min(axis=1, initial=np.inf)
+    free = [
+        k for k in range(len(places)) if k not in shared and k not in specks and away[k] > SPECK_UM
+    ]
+    for j in [j for j, owners in shared.items() if len(owners) > 1]:
+        for k in free:
+            owners = shared[j]
+            if len(owners) < 2 or np.linalg.norm(places[k, :2] - places[j, :2]) > PARTED_UM:
+                continue
+            sizes = np.array([(cells[i].long, cells[i].wide) for i in owners])
+            alike = np.abs(np.log(places[k, 3:5] / sizes)).max(axis=1) < ALIKE
+            gaps = np.linalg.norm(expected[owners, None, :2] - places[None, (k, j), :2], axis=2)
+            cost = np.where(alike, gaps[:, 0] - gaps[:, 1], np.inf)
+            if k not in shared and np.isfinite(cost.min()):
+                i = owners.pop(int(cost.argmin()))
+                owner[i], shared[k] = k, [i]
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:

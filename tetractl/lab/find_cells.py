@@ -76,7 +76,7 @@ def turn_field(
 
 
 def free_cells(rig: Rig) -> list[FoundCell]:
-    """Return the cells that answer the field, are off the walls, and are no robot."""
+    """Return the cells that respond to the field, are away from the walls, and are not robots."""
     taken = rig.camera.robots  # type: ignore[attr-defined]
     cells = [cell for cell in found_cells(rig) if cell.magnetised and cell.free]
     return [cell for cell in cells if cell.number not in taken]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial
+from tetractl.cli.options import Logs, open_trial
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG...", help="Logs of trials, folders or globs.")
-    ],
+    logs: Logs,
     rate: Annotated[
         float | None,
         typer.Option(

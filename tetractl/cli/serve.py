@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import warn_of_damage
+from tetractl.cli.options import Logs, warn_of_damage
 from tetractl.cli.serving import (
     LICHTBLICK,
     PORT,
@@ -126,10 +126,7 @@ def serve(
 
 
 def open_logs(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     port: Annotated[
         int,
         typer.Option(

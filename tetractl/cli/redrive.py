@@ -64,7 +64,7 @@ def redrive(
     print_tables([_table(apart)])
     print(f"log in {path}")
     if picture is not None:
-        from tetractl.view.figures.redriven import redriven_figure
+        from tetractl.view.figures.trajectory import redriven_figure
         from tetractl.view.style import save
 
         save(redriven_figure(was, again, apart), picture)

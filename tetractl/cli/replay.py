@@ -115,7 +115,7 @@ def _as_text(
 ) -> int:
     from tetractl.core.text import printable
     from tetractl.replay.player import Recording, span
-    from tetractl.view.terminal.replay_text import print_lines
+    from tetractl.view.terminal.replay_screen import print_lines
 
     damaged = False
     for path in paths:

@@ -85,7 +85,7 @@ def serve(
     from tetractl.log.read.find import find_log
 
     with websockets_needed():
-        from tetractl.serve.feeds import ServedReplay
+        from tetractl.serve.live import ServedReplay
     from tetractl.cli.replay import is_terminal
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import trial_of

@@ -153,7 +153,7 @@ FIGURES = Registry(
         "scatter": "tetractl.view.figures.scatter:scatter_figure",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",
         "estimate": "tetractl.view.figures.estimate:estimate_figure",
-        "timing": "tetractl.view.figures.timing:timing_figure",
+        "timing": "tetractl.view.figures.convergence:timing_figure",
     },
 )
 EMULATED_CAMERAS = Registry(

@@ -15,7 +15,6 @@ from functools import cache
 import numpy as np
 from support.paths import ROOT
 from support.virtual_lab import Busy, VirtualLab, virtual_lab
-from tetractl.plant.disturbances.radio_x import PlanningTimeSection
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
@@ -23,7 +22,7 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
-from tetractl.plant.disturbances.radio import RadioSection
+from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.simulation import SimSection
 from tetractl.run.interrupt import Interrupt

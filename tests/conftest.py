@@ -49,7 +49,6 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "cli/test_docs.py::test_every_example",
     "cli/test_docs.py::test_every_python_example",
     "cli/test_plugin",
-    "cli/test_solver_benchmark",
     "cli/test_study_dask",
     "emulated",
     "unit/control/kernels/test_cache",

@@ -155,11 +155,7 @@ def natnet(data: bytes) -> None:
 def serial(data: bytes) -> None:
     """One byte for the mode, one for where reads are cut, then what comes from the port."""
     mode, cut, stuff = data[:1] or b"\0", (data[1:2] or b"\1")[0] % 64 + 1, data[2:]
-    decoder, splitter, program = (
-        Decoder(bool(mode[0] & 1)),
-        cobs.Splitter(),
-        SlaveDecoder(),
-    )
+    decoder, splitter, program = (Decoder(bool(mode[0] & 1)), cobs.Splitter(), SlaveDecoder())
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]
         for frame in decoder.feed(piece):

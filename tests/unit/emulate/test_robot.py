@@ -6,11 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.emulate.m3pi.robot import (
-    EmulatedRobot,
-    FirmwareProgram,
-    SlaveProgram,
-)
+from tetractl.emulate.m3pi.robot import EmulatedRobot, FirmwareProgram, SlaveProgram
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
 from tetractl.model.wheels import Drivetrain, Wheel

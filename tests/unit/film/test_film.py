@@ -1,5 +1,7 @@
 """Films: their pictures, what is found of each cell, and how sure that is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.dish_films import film, followed, record, who
@@ -7,6 +9,7 @@ from support.needs_opencv import cv2
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
+from tetractl.film.film_files import CROP_PX, cropped
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import follow
@@ -124,3 +127,13 @@ def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
     path.write_text(text)
     with pytest.raises(UsageError, match=says):
         read_field(path)
+
+
+def test_a_crop_has_its_cell_in_the_middle():
+    picture = np.random.default_rng(1).integers(0, 256, (600, 800)).astype(np.uint8)
+    half = CROP_PX // 2
+    inside = cropped(picture, SimpleNamespace(x=2.0 * 300.5, y=2.0 * (600 - 200.5)), 2.0)
+    assert np.array_equal(inside, picture[200 - half : 200 + half, 300 - half : 300 + half])
+    corner = cropped(picture, SimpleNamespace(x=1.0, y=2.0 * 600 - 1.0), 2.0)
+    assert np.array_equal(corner[half:, half:], picture[:half, :half])
+    assert not corner[:half].any()

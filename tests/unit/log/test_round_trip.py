@@ -39,14 +39,7 @@ def assert_same_trial(log, made):
     simulated=st.booleans(),
     length=st.integers(2, 12),
 )
-def test_a_trial_comes_back_bit_for_bit(
-    tmp_path_factory,
-    seed,
-    robots,
-    steps,
-    simulated,
-    length,
-):
+def test_a_trial_comes_back_bit_for_bit(tmp_path_factory, seed, robots, steps, simulated, length):
     made = trial(
         seed, robots=robots, steps=steps, simulated=simulated, length=length, first=min(length, 5)
     )

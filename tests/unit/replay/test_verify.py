@@ -19,12 +19,7 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
-from tetractl.log.format.channels import (
-    HOST,
-    LOG,
-    RESULT,
-    STEP,
-)
+from tetractl.log.format.channels import HOST, LOG, RESULT, STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan

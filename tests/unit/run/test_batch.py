@@ -82,10 +82,7 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
     assert watcher.events == [
         event
         for trial, left_s in ((0, 4.0), (2, 2.0), (3, 0.0))
-        for event in (
-            ("started", trial, 4),
-            ("ended", trial, Outcome.ARRIVED, None, left_s),
-        )
+        for event in (("started", trial, 4), ("ended", trial, Outcome.ARRIVED, None, left_s))
     ]
     assert (report.left, report.interrupted, report.aborted) == (0, False, {})
 

@@ -13,7 +13,6 @@ from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import task
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.store import locked
 from tetractl.run.task import OtherCodeError, log_path, run_trial
 from tetractl.study.options import Logs, Shard, repeat
 from tetractl.study.row_store import rows_of
@@ -111,14 +110,6 @@ def test_trials_of_outdated_code_are_named_and_run_again_only_on_demand(done):
 def test_a_study_of_another_spec_is_not_mixed_in(done):
     with pytest.raises(UsageError, match="another spec or seed"):
         run(done, SMALL.replace("seed: 7", "seed: 8"))
-
-
-def test_a_folder_in_use_is_refused(finished):
-    """What the lock does among processes is tested in run/test_folder_lock.py."""
-    folder, ran = finished
-    refused = pytest.raises(UsageError, match="out: in use by process")
-    with locked(folder / "out"), refused, ran.store.opened():
-        pass
 
 
 def test_more_trials_and_values_are_added_to_those_there_are(done):

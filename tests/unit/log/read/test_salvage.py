@@ -69,13 +69,7 @@ def _damaged(tmp_path, data):
 
 
 @pytest.mark.parametrize("field", range(1, 9))
-def test_a_bad_record_length_costs_nothing(
-    tmp_path,
-    log,
-    whole,
-    chunks,
-    field,
-):
+def test_a_bad_record_length_costs_nothing(tmp_path, log, whole, chunks, field):
     data = bytearray(log.read_bytes())
     data[chunks[1][0] + field] ^= 0x41
     found = read_trial(_damaged(tmp_path, bytes(data)))

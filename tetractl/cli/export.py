@@ -6,15 +6,12 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import Logs, progress
 from tetractl.core.errors import Exit, UsageError
 
 
 def export(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     output: Annotated[
         Path,
         typer.Option(
@@ -29,8 +26,8 @@ def export(
         typer.Option(
             metavar="NAME",
             help="Write only this table: Write only this table: Write only this table: "
-            "Write only this table: Write only this table: trials, steps, poses, estimates "
-            "or events.  \\[all]",
+            "Write only this table: Write only this table: Write only this table: Write only "
+            "this table: trials, steps, poses, estimates or events.  \\[all]",
         ),
     ] = None,
     format_name: Annotated[
@@ -38,8 +35,8 @@ def export(
         typer.Option(
             "--format",
             metavar="NAME",
-            help="File format: File format: File format: File format: File format: csv or "
-            "parquet.  \\[csv]",
+            help="File format: File format: File format: File format: File format: File "
+            "format: File format: csv or parquet.  \\[csv]",
         ),
     ] = None,
 ) -> int:

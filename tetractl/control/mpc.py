@@ -66,7 +66,7 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 RESTED_S = 2.0
 """Least time between a pause and the next one for lack of a safe plan [s]."""
 NEXT = 2  # next signals of the present plan that must be safe if robots receive nothing
-UNSURE = 2  # last signals of a plan that need not be safe safe safe
+UNSURE = 2  # last signals of a plan that need not be safe
 KEPT = 0.2  # clearance that robots keep then, as a fraction of their radius
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes of a leg after which the next leg begins."""

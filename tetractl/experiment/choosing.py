@@ -28,7 +28,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
     if len(able) < choice.choose:
         raise AbortError(
             f"{len(able)} of {len(cells)} cells respond to the field, {choice.choose} are needed",
-            "use use use use more cells, a stronger field, or fewer robots",
+            "use more cells, a stronger field, or fewer robots",
         )
     able = sorted(able, key=lambda cell: -cell.a)[:MOST]
     if choice.wanted:

@@ -75,7 +75,7 @@ class SwapDetector:
         self._times.append(now_ns)
         self._sent.append(np.array(turning, dtype=np.float64))
         old = bisect_right(self._times, now_ns - KEPT_NS)
-        if old > 64:  # occasionally, all at once
+        if old > 64:  # old entries are removed occasionally, all at once
             del self._times[: old - 1], self._sent[: old - 1]
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:

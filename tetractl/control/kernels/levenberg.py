@@ -205,7 +205,7 @@ def _linearise_meetings(work, floor, slack, r):
 
 @compiled(**INLINE_FAST)
 def _gram(work, r):
-    """Compute Compute Compute J J' of the first r rows."""
+    """Compute J J' of the first r rows."""
     rows, gram = work.rows, work.gram
     for p in range(r):
         for q in range(p + 1):

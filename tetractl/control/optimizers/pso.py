@@ -42,9 +42,7 @@ class PsoFields(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations Largest number of iterations Largest number of iterations
-        z_max.
-        """
+        """Largest number of iterations z_max."""
         return self.iterations
 
     @property

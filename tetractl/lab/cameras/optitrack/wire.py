@@ -72,6 +72,7 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     if len(datagram) < HEADER:
         raise WireError(
             f"a datagram of {len(datagram)} bytes is too short or too long is too short or "
+            "too long is too short or "
             "too long is too short"
         )
     code = int.from_bytes(datagram[:2], "little")

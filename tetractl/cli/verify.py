@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
 
 SHOWN = (
-    20  # problems of one log that are printed that are printed that are printed that are printed
+    20  # problems of one log that are printed
 )
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 from support.paths import ROOT
 
-from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee

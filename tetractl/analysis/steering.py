@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, mean_errors
-from tetractl.analysis.linear import linearise
+from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.control.mpc import MpcSection
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.identify import AsJson, refuse_existing, show_found, write
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.identify import refuse_existing, show_found, write
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, UsageError
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def design(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     seconds: Annotated[
         float, typer.Option(min=1, max=120, metavar="S", help="Duration of the motion [s].")

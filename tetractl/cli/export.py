@@ -6,15 +6,12 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import Logs, progress
 from tetractl.core.errors import Exit, UsageError
 
 
 def export(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     output: Annotated[
         Path,
         typer.Option(

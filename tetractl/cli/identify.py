@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial
+from tetractl.cli.options import AsJson, open_trial
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -24,7 +24,6 @@ NewFile = Annotated[
         help="YAML file to write the values to; a spec uses it by its field `identified`.",
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def identify(

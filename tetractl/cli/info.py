@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
 SHOWN = 240  # characters of a line that are shown; --json has the whole line
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
 

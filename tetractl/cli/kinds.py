@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit, UsageError
 
 
@@ -25,7 +26,7 @@ def kinds(
             help="With --check: set a field of the kind; may be repeated.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
     on.

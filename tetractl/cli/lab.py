@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate, lab_survey
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -21,13 +21,11 @@ if TYPE_CHECKING:
 
 HELP = "Check, calibrate, stop or emulate the lab of a spec."
 
-Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
-
 
 def check(
     spec: Spec,
     sets: Sets = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
     """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
@@ -50,7 +48,7 @@ def check(
         rig.start_anywhere()
     with rig:
         found = inspect(rig)
-    if json:
+    if as_json:
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
     else:
         findings.print_findings(found)

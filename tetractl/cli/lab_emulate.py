@@ -6,12 +6,12 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Spec
 from tetractl.core.errors import Exit
 
 
 def emulate(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     script: Annotated[
         Path | None,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 
 
 def survey(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     output: Annotated[
         Path | None,
@@ -36,7 +36,7 @@ def survey(
         ),
     ] = 48,
     yes: Yes = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Find the cells of a dish, see how each answers the field, and propose which to steer.
 

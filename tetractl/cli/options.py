@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.run.plausibility import PlacedWarning
 
+Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Sets = Annotated[
     list[str] | None,
     typer.Option(

@@ -6,16 +6,14 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial, progress
+from tetractl.cli.options import Logs, open_trial, progress
 from tetractl.core.errors import Exit, UsageError
 
 VIDEO = "video"
 
 
 def plot(
-    logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Trial logs: files, folders or globs.")
-    ],
+    logs: Logs,
     output: Annotated[
         Path | None,
         typer.Option(

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
 
@@ -17,7 +18,7 @@ def recover(
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 

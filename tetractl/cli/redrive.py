@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import Yes, open_trial
+from tetractl.cli.options import Log, Yes, open_trial
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
 
@@ -18,7 +18,7 @@ ROWS = 12  # rows of the table of distances
 
 
 def redrive(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")],
+    log: Log,
     plant: Annotated[
         PlantChoice,
         typer.Option(help="sim: drive a simulation. lab: drive the robots of the log's lab."),
@@ -64,7 +64,7 @@ def redrive(
     print_tables([_table(apart)])
     print(f"log in {path}")
     if picture is not None:
-        from tetractl.view.figures.redriven import redriven_figure
+        from tetractl.view.figures.trajectory import redriven_figure
         from tetractl.view.style import save
 
         save(redriven_figure(was, again, apart), picture)

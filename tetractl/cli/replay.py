@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial
+from tetractl.cli.options import Logs, open_trial
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -14,9 +14,7 @@ if TYPE_CHECKING:
 
 
 def replay(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG...", help="Logs of trials, folders or globs.")
-    ],
+    logs: Logs,
     rate: Annotated[
         float | None,
         typer.Option(
@@ -117,7 +115,7 @@ def _as_text(
 ) -> int:
     from tetractl.core.text import printable
     from tetractl.replay.player import Recording, span
-    from tetractl.view.terminal.replay_text import print_lines
+    from tetractl.view.terminal.replay_screen import print_lines
 
     damaged = False
     for path in paths:

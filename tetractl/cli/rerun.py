@@ -1,11 +1,10 @@
 """`tetractl rerun`: run the trial of a log again, and compare the two logs."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import Yes
+from tetractl.cli.options import Log, Yes
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,
@@ -20,7 +19,7 @@ from tetractl.core.errors import Exit
 
 
 def rerun(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")],
+    log: Log,
     plant: Annotated[
         PlantChoice,
         typer.Option(help="sim: simulate. lab: drive the robots of the log's lab."),

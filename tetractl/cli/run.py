@@ -1,11 +1,10 @@
 """`tetractl run`: run the trials of an experiment."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import Sets, Strict, Yes, refuse, warn
+from tetractl.cli.options import Sets, Spec, Strict, Yes, refuse, warn
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,
@@ -20,7 +19,7 @@ from tetractl.core.errors import UsageError
 
 
 def run(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     trials: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Number of trials.  \\[spec: trials.count]"),

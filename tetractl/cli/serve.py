@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import warn_of_damage
+from tetractl.cli.options import Logs, warn_of_damage
 from tetractl.cli.serving import (
     LICHTBLICK,
     PORT,
@@ -85,7 +85,7 @@ def serve(
     from tetractl.log.read.find import find_log
 
     with websockets_needed():
-        from tetractl.serve.feeds import ServedReplay
+        from tetractl.serve.live import ServedReplay
     from tetractl.cli.replay import is_terminal
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import trial_of
@@ -126,10 +126,7 @@ def serve(
 
 
 def open_logs(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     port: Annotated[
         int,
         typer.Option(

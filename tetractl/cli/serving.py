@@ -57,7 +57,7 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
     with websockets_needed():
         from tetractl.serve.live import Viewers
     from tetractl.core.clock import MonotonicClock
-    from tetractl.serve.feeds import ServedRun
+    from tetractl.serve.live import ServedRun
     from tetractl.serve.server import LoopbackServer
 
     viewers = Viewers(name)

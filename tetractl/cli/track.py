@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import AsJson, progress
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def track(
             help="Folder for the tables, a log and the film with the tracks drawn in.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.cli.options import Strict, load, warn
+from tetractl.cli.options import AsJson, Strict, load, warn
 from tetractl.core.errors import Exit
 
 
@@ -20,7 +20,7 @@ def validate(
         ),
     ] = None,
     strict: Strict = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Check specs and report every problem at its line.
 

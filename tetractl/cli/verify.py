@@ -3,10 +3,9 @@
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from tetractl.cli.options import AsJson, Logs
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
@@ -16,8 +15,8 @@ SHOWN = 20  # problems of one log that are printed
 
 
 def verify(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    logs: Logs,
+    as_json: AsJson = False,
 ) -> int:
     """Compute every control decision again from the log alone, and check the log against itself.
 

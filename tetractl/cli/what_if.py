@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tetractl.cli.options import AsJson, Logs
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
@@ -19,7 +20,7 @@ SAYS = (
 
 
 def what_if(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
+    logs: Logs,
     sets: Annotated[
         list[str],
         typer.Option(
@@ -28,7 +29,7 @@ def what_if(
             help="Replace a value of the controller, as field=value; may be repeated.",
         ),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
 

@@ -7,9 +7,8 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from tetractl.core.losses import LossRule
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.tour import HoldTask
+from tetractl.core.tour import HoldTask, LossRule
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Metres in each length unit a spec may declare."""

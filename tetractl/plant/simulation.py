@@ -27,8 +27,7 @@ from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.true_motion import Drive, TrueMotion
-from tetractl.plant.wheel_drive import WheelDrive
-from tetractl.plant.wheel_host import WheelDriveSection
+from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from

@@ -12,7 +12,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
-from tetractl.plant.disturbances.wander import WanderSection
+from tetractl.plant.disturbances.robots import WanderSection
 
 PERIOD = SECOND // 5
 ROBOTS = [  # two that hardly turn, along +x

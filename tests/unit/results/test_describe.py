@@ -13,7 +13,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.flagged import flagged
+from tetractl.results.describe import flagged
 from tetractl.results.open_batch import Batch, Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))

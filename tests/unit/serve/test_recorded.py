@@ -9,9 +9,9 @@ from tetractl.log.format.channels import SCENE
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.replay.player import RATE_MAX, Playback, Player, Recording
-from tetractl.serve import feeds
-from tetractl.serve.feeds import ServedReplay
+from tetractl.serve import live
 from tetractl.serve.foxglove_protocol import Request
+from tetractl.serve.live import ServedReplay
 
 MS = 1_000_000
 
@@ -49,7 +49,7 @@ def contents(tmp_path_factory):
 
 @pytest.fixture
 def play(contents, monkeypatch):
-    monkeypatch.setattr(feeds, "Viewers", Server)
+    monkeypatch.setattr(live, "Viewers", Server)
 
     def opened(**options):
         wall = Wall()

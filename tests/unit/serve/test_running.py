@@ -2,7 +2,7 @@ from support import random_trials as made
 
 from tetractl.core.commands import Command, Note
 from tetractl.log.read.salvage import scan
-from tetractl.serve.feeds import ServedRun
+from tetractl.serve.live import ServedRun
 
 
 class Server:

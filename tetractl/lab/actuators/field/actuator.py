@@ -16,7 +16,6 @@ from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.field.coils import Pair, approach
 from tetractl.lab.actuators.field.driver import (
     HINT,
     UNKNOWN_TEMPERATURE,
@@ -26,7 +25,7 @@ from tetractl.lab.actuators.field.driver import (
     FieldFlag,
     FieldReply,
 )
-from tetractl.lab.actuators.field.section import FieldSection
+from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 
 STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
 OFF: Pair = (0.0, 0.0)

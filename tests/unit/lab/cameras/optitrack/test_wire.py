@@ -16,7 +16,7 @@ from support.natnet_samples import (
 )
 
 from tetractl.core.errors import WireError
-from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
+from tetractl.emulate.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     BodyName,

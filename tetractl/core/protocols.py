@@ -15,9 +15,8 @@ from tetractl.core.commands import (
     Transmission,
     Verdict,
 )
-from tetractl.core.plan import End, Limits, Outcome, Plan, Search
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
-from tetractl.core.problem import Problem
 from tetractl.core.trial import Result, Start, Step
 
 

@@ -12,9 +12,8 @@ from typing import Any, Protocol, Self, TextIO
 
 import numpy as np
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Column, Table
-from tetractl.core.text import cell
 
 PART = ".part"
 

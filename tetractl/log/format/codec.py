@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.commands import Command, Sample
+from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Plan, Search, StopReason
 from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.core.text import printable
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 

@@ -45,16 +45,6 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
     assert "cameras" in done.stdout.partition("# Limits")[2]
 
 
-def test_every_line_has_room_and_the_comments_name_the_file(tetractl, tmp_path):
-    for options in ([], ["--cells"], ["--lab"]):
-        name = "-".join(["x", *options]).replace("--", "")
-        tetractl("init", name, *options)
-        text = (tmp_path / f"{name}.yaml").read_text("utf-8")
-        assert max(map(len, text.splitlines())) <= 100
-        assert f"tetractl run {name}.yaml" in text
-        assert text.count("#") > 15
-
-
 def test_a_file_is_never_overwritten(tetractl, tmp_path):
     (tmp_path / "mine.yaml").write_text("my work\n")
     for name in ("mine", "mine.yaml"):

@@ -38,12 +38,17 @@ def statistics(folder):
     return json.loads(tetractl(folder, "stats", "logs", "--format", "json").stdout)
 
 
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
 @pytest.fixture
-def page(folder, tmp_path):
-    with chromium(tmp_path / "profile") as browser:
-        browser.open(folder / "report.html")
-        yield browser
-        assert browser.errors == []
+def page(folder, browser):
+    browser.open(folder / "report.html")
+    yield browser
+    assert browser.errors == []
 
 
 def text(page, name):

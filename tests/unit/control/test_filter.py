@@ -18,10 +18,7 @@ from tetractl.plant.simulation import SimPlant
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 CELLS = ROOT / "experiments" / "tetrahymena_bench.yaml"
-NOISY = (
-    "plant.measurement_noise={position: 0.3, heading: 0.004}",
-    "plant.heading_noise=0.03",
-)
+NOISY = ("plant.measurement_noise={position: 0.3, heading: 0.004}", "plant.heading_noise=0.03")
 
 
 def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=None, seed=3):

@@ -91,17 +91,6 @@ def test_without_a_terminal_words_are_wrapped_and_names_are_not_broken():
     assert any(path in line for line in printed(Table.of_texts("", ("log",), [(path,)])).split())
 
 
-def test_a_wide_name_leaves_words_and_numbers_whole():
-    columns = (
-        Column("name", ["n" * 110]),
-        Column("size", ["-11.28 to 6.43"]),
-        Column("verdict", ["none: a verdict needs 8 pairs"], words=True),
-    )
-    text = printed(Table("", columns))
-    for whole in ("n" * 110, "-11.28 to 6.43", "verdict", "needs"):
-        assert whole in text
-
-
 def test_columns_that_are_empty_in_all_rows_are_left_out():
     found = Table.of_texts("", ("name", "empty", "why"), [("a", "-", ""), ("b", "", "x")])
     assert found.header == ["name", "why"]

@@ -12,7 +12,7 @@ from tetractl.film.field_file import read_field
 from tetractl.film.film_files import CROP_PX, cropped
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import summarise
-from tetractl.film.follow import follow
+from tetractl.film.follow import _paths, follow
 from tetractl.film.pictures import open_film
 
 
@@ -137,3 +137,13 @@ def test_a_crop_has_its_cell_in_the_middle():
     corner = cropped(picture, SimpleNamespace(x=1.0, y=2.0 * 600 - 1.0), 2.0)
     assert np.array_equal(corner[half:, half:], picture[:half, :half])
     assert not corner[:half].any()
+
+
+def test_what_is_seen_too_briefly_or_does_not_move_is_no_cell():
+    def seen(k):
+        places = {"moves": (4.0 * k, 0.0), "stays": (5.0, 5.0), "brief": (90.0 * k, 9.0)}
+        cells = [SimpleNamespace(identity=name, x=x, y=y) for name, (x, y) in places.items()]
+        return {cell.identity: cell for cell in cells[: 3 if k < 3 else 2]}
+
+    found = _paths([seen(k) for k in range(90)], range(90), 30.0)
+    assert [path.identity for path in found] == ["moves"]

@@ -25,7 +25,8 @@ ONLY_THE_LAB_KNOWS = {
 
 
 SHORT = ("controller.steps_max=3", "controller.horizon_max=5")
-SMALL = (  # 5 Hz and a small swarm
+SMALL = (  # 5 Hz, few steps and a small swarm
+    "controller.steps_max=4",
     "controller.period=0.2",
     "controller.hold=1",
     "controller.deadline=0.15",

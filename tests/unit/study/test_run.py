@@ -4,7 +4,7 @@ import shutil
 from dataclasses import replace
 
 import pytest
-from support.studies import FAILING, SMALL, run
+from support.studies import SMALL, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
@@ -129,19 +129,6 @@ def test_the_trials_of_damaged_rows_are_run_again(done, finished):
     assert path.read_bytes().count(b"\n") == 5
 
 
-def test_a_failed_trial_has_a_row_and_is_reported(tmp_path):
-    ran = run(tmp_path, FAILING, logs=FAILED)
-    assert [(arm, trial) for arm, trial, _ in ran.watcher.failures] == [
-        ("speed=1e+308", i) for i in range(4)
-    ]
-    assert all("aborted: the cost is not finite" in why for *_, why in ran.watcher.failures)
-    assert [row.logged for row in ran.rows.values()] == [True] * 4 + [False] * 4
-    for (arm, trial), row in ran.rows.items():
-        if row.logged:
-            assert logged(log_path(tmp_path / "out" / arm, trial)) == row.trial_digest
-    assert ran.counts == (8, 0, 0)
-
-
 def test_a_trial_without_an_outcome_has_no_row_and_is_run_again_the_next_time(
     tmp_path, monkeypatch
 ):
@@ -171,23 +158,6 @@ def test_an_interrupted_trial_leaves_neither_row_nor_log(tmp_path):
     assert ran.report.interrupted
     assert (ran.counts, ran.rows) == ((1, 0, 5), {})
     assert not list(tmp_path.rglob("*.mcap*"))
-
-
-def test_shares_are_disjoint_and_merge_to_the_whole(finished, tmp_path):
-    whole = finished[1]
-    for i in (1, 2):
-        run(tmp_path, SMALL, out=f"share-{i}", logs=ALL, shard=Shard(i, 2))
-    shares = [tmp_path / "share-1", tmp_path / "share-2"]
-    with whole.store.opened():
-        assert whole.store.merge(shares) == 0  # it has them all
-    gathered = run(tmp_path, SMALL, out="gathered", shard=Shard(1, 10_000))
-    with gathered.store.opened():
-        before = len(gathered.rows)
-        assert gathered.store.merge(shares) == 6  # the one for its log
-        assert before == 1
-    assert digests(gathered.rows) == digests(whole.rows)
-    for (arm, trial), row in gathered.rows.items():
-        assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.trial_digest
 
 
 def test_shares_that_contradict_each_other_are_refused(done):

@@ -302,14 +302,6 @@ def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
     assert overlapping(draw(kind, [many(three_robots(seed), 14) for seed in (1, 2, 3)])) == []
 
 
-def test_from_eight_robots_on_they_have_numbers(log):
-    text = words(trajectory_figure([many(log, 8)]))
-    assert "every 2 s" in text
-    assert "2 s\n" not in text.replace("every 2 s", "")
-    lines = text.split("\n")
-    assert all(lines.count(str(number)) >= 2 for number in range(1, 9))  # at start and target
-
-
 @pytest.mark.parametrize("kind", ["trajectory", "timing"])
 def test_an_aborted_trial_says_so(log, kind):
     assert log.result

@@ -2,17 +2,16 @@ import io
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from rich.console import Console
-from support.trials import cut_short, experiment, three_robots
+from support.trials import cut_short, three_robots
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
 from tetractl.core.plan import Outcome
 from tetractl.replay.player import Player, Recording, span
-from tetractl.view.terminal.glyphs import UNICODE, glyphs_for
-from tetractl.view.terminal.replay_screen import Help, dashboard
+from tetractl.view.terminal.glyphs import glyphs_for
+from tetractl.view.terminal.replay_screen import dashboard
 
 
 class StillWall:
@@ -124,38 +123,3 @@ def test_events_show_as_they_pass(recording):
     assert lines[-2].endswith("…")
     assert "did not get" in "\n".join(screen(told, 80, 40, 3.05))
     assert "evaluations" in "\n".join(lines)  # and the numbers are all there still
-
-
-@pytest.mark.parametrize(("width", "height"), [(80, 24), (60, 16), (200, 60)])
-def test_the_reason_of_an_abort_stands_at_the_end(recording, width, height):
-    told = with_events(recording)
-    lines = screen(told, width, height, recording.end_ns / SECOND)
-    beside = " ".join(re.split("[│┘]  ", line)[-1].strip() for line in lines)
-    assert "ended: aborted red is not tracked (0.30 s) for too long now" in beside
-
-
-def test_the_list_of_keys_fits_and_names_each_key():
-    console = Console(width=80, height=24, force_terminal=True, color_system=None, _environ={})
-    with console.capture() as captured:
-        console.print(Help(UNICODE), height=24, end="")
-    lines = captured.get().split("\n")
-    assert (len(lines), {len(line) for line in lines}) == (24, {80})
-    for key in ("space", "←→", ", .", "E e", "Home End", "+ -", "p n", "?", "q"):
-        assert any(line.startswith(f" {key} ") for line in lines)
-
-
-def test_many_robots_are_summed_up():
-    robots = [
-        {"name": f"r{i}", "start": [700 + i, 800], "target": [1700, 500], "a": 6, "speed": 180}
-        for i in range(40)
-    ]
-    log = cut_short(three_robots(), 0)
-    many = replace(
-        log,
-        start=replace(log.start, setup=experiment(robots=robots).setup),
-        mocap=np.empty((0, 40, 3)),
-        valid=np.empty((0, 40), dtype=bool),
-        truth=None,
-    )
-    text = "\n".join(screen(Recording(many), 80, 24, 0))
-    assert re.search(r"and \d+ more, at most \d+", text)

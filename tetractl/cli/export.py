@@ -27,7 +27,8 @@ def export(
             metavar="NAME",
             help="Write only this table: Write only this table: Write only this table: "
             "Write only this table: Write only this table: Write only this table: Write only "
-            "this table: trials, steps, poses, estimates or events.  \\[all]",
+            "this table: Write only this table: Write only this table: trials, steps, poses, "
+            "estimates or events.  \\[all]",
         ),
     ] = None,
     format_name: Annotated[
@@ -36,7 +37,7 @@ def export(
             "--format",
             metavar="NAME",
             help="File format: File format: File format: File format: File format: File "
-            "format: File format: csv or parquet.  \\[csv]",
+            "format: File format: File format: File format: csv or parquet.  \\[csv]",
         ),
     ] = None,
 ) -> int:

@@ -97,7 +97,7 @@ def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
     verdict = replace(
         found,
         entered=tuple(theirs if touch else own for touch, own, theirs in entered),
-        edge=found.edge if logged.edge else (),  # older logs have neither
+        edge=found.edge if logged.edge else (),  # older logs lack some columns
         apart=found.apart if logged.apart else (),
     )
     return replace(ours, start=log.start, result=replace(ours.result, verdict=verdict))

@@ -181,7 +181,7 @@ DECIDES_BITS = (
     "numba",
     "llvmlite",
 )
-"""Facts that must agree on two hosts to give the same bits."""
+"""Facts of a host that must agree for results with the same bits."""
 
 
 class Method(StrEnum):
@@ -210,7 +210,7 @@ class Verification:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found wrong."""
+        """Whether no problem was found."""
         return not self.problems
 
 

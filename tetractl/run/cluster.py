@@ -161,10 +161,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             if len(given) > 1:
                 return None
-            error = AbortError(
-                "the trial was lost with every worker that ran it; start workers with more "
-                "memory, then run it again"
-            )
+            error = AbortError("the trial was lost with every worker that ran it")
         if error is not None:
             return [error for _ in given]
         future.release()

@@ -76,7 +76,7 @@ def serve(
 
         if (rate, start, until, loop, paused) != (1.0, 0.0, None, True, False):
             raise UsageError(
-                "the options of playback need a LOG, not a SPEC",
+                "only a LOG is played back",
                 "leave out the options for playback, or give a LOG in place of the SPEC",
             )
         return run(what, serve=True, port=port)

@@ -118,7 +118,7 @@ def test_a_trial_without_an_outcome_is_an_error(monkeypatch, tmp_path, error, li
     ("outcomes", "interrupted"), [({1: Outcome.INTERRUPTED}, True), ({}, False)]
 )
 def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupted):
-    """Regression: between two trials it came too late for either, and the batch ended as if done."""
+    """Regression: between two trials it came too late, and the batch ended as if done."""
     interrupt = Interrupt()
     scripted(monkeypatch, outcomes, lambda trial: trial == 1 and interrupt.request())
     report = run(tmp_path, interrupt=interrupt, fail_fast=False)

@@ -29,9 +29,12 @@ def survey(
     plans: Annotated[
         int,
         typer.Option(
-            min=1, max=100, metavar="N", help="Number of plans to search for each choice of cells."
+            min=1,
+            max=1000,
+            metavar="N",
+            help="Plans to search for each of the best choices of cells.",
         ),
-    ] = 2,
+    ] = 48,
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> int:
@@ -82,7 +85,7 @@ def survey(
         _print_cells(cells, pairs, unit)
 
     def done(count: int, of: int) -> None:
-        print(f"choice {count} of {of}", file=sys.stderr)
+        print(f"prediction {count} of {of}", file=sys.stderr)
 
     found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:

@@ -30,12 +30,9 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
     return kinds[name].model_validate(value, strict=True)
 
 
-def _camera_settings(value: Any, info: ValidationInfo) -> Model:
-    return _sides(info).camera.Settings.model_validate(value, strict=True)
-
-
-def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
-    return _sides(info).actuator.Settings.model_validate(value, strict=True)
+def _settings(value: Any, info: ValidationInfo) -> Model:
+    """Return the settings of the device that a field is called after."""
+    return getattr(_sides(info), str(info.field_name)).Settings.model_validate(value, strict=True)
 
 
 class Placed(Model):
@@ -50,18 +47,18 @@ class Placed(Model):
 
 
 class Emulation(Model):
-    """How the emulated lab differs from the spec."""
+    """How the emulated lab differs from what the spec says."""
 
-    camera: Annotated[Model, PlainValidator(_camera_settings)] | None = None
+    camera: Annotated[Model, PlainValidator(_settings)] | None = None
     """Settings of the emulated camera; the fields depend on the camera's type."""
-    actuator: Annotated[Model, PlainValidator(_actuator_settings)] | None = None
+    actuator: Annotated[Model, PlainValidator(_settings)] | None = None
     """Settings of the emulated actuator; the fields depend on the actuator's type."""
     robots: tuple[Placed, ...] = ()
     """The robots whose true start differs from the spec's."""
 
 
 class Runner(Model):
-    """What a test does with the run."""
+    """A test's actions on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings for both the run and the emulator."""
@@ -106,13 +103,13 @@ class Script(Model):
     row: str = Field(default="", max_length=200)
     """Kind of fault that the script stands for."""
     emulation: Emulation = Emulation()
-    """How the emulated lab differs from the spec."""
+    """How the emulated lab differs from what the spec says."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )
     """The faults and their times."""
     runner: Runner = Runner()
-    """What a test does with the run."""
+    """A test's actions on the run."""
     expect: Expect | None = None
     """The result that a test expects of the run."""
 

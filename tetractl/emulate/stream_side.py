@@ -72,7 +72,7 @@ class EmulatedNetworkCamera:
                 camera._serve(self)
 
             def log_message(self, format: str, *args: object) -> None:
-                """Print nothing."""
+                """Do nothing, so that requests are not printed."""
 
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)

@@ -64,7 +64,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
 @pytest.mark.parametrize(
     ("fault", "at", "says"),
     [
-        ("light, share: 0.02", 2, "0 of 0 cells answer the field"),
+        ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
         ("off", 2, "the current driver does not answer"),
         ("light, share: 0.02", 6, "not tracked"),
     ],

@@ -126,7 +126,7 @@ def test_too_little_and_other_robots_are_refused():
         **{name: getattr(track, name) for name in Track.__dataclass_fields__}
         | {"names": ("a", "b", "c")}
     )
-    with pytest.raises(UsageError, match="other robots"):
+    with pytest.raises(UsageError, match="robots or length unit differ"):
         drives_of([track, other])
 
 
@@ -196,7 +196,7 @@ def test_csv_files_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("poses", "commands", "says"),
     [
-        (POSES.replace("x_mm", "x"), COMMANDS, "needs x_mm and y_mm"),
+        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
         (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
         (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
         (POSES, "time_s,direction_rad,log\n0,0.5,a\n", "poses and commands are needed"),

@@ -133,7 +133,7 @@ def answering(status, kind, body=b""):
 )
 def test_an_answer_that_is_no_stream_is_told(status, kind):
     server, source = answering(status, kind)
-    with pytest.raises(AbortError, match=f"is no MJPEG stream: it answers {status}"):
+    with pytest.raises(AbortError, match=f"is not an MJPEG stream: it answers {status}"):
         open_feed(source, VirtualClock(), 5.0)
     server.server_close()
 

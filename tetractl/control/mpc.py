@@ -117,7 +117,8 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Do one control step: decide u_(opt), or that the trial is over."""
-        phase = (self.k - self.began) % self.section.hold  # control periods since a plan's knot
+        # control periods since a plan's knot
+        phase = 0 if self.warm is None else (self.k - self.began) % self.section.hold
         if self.warm is not None and phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - phase) * self.section.period
@@ -191,18 +192,25 @@ class Mpc:
             return Outcome.STEPS_MAX
         if self.stuck:
             return Outcome.NOTHING_BETTER
-        if self.warm is None and self.k > 0 and float(gaps.sum()) <= self.accept:
-            return Outcome.NOTHING_BETTER  # at rest, and near enough
+        if self.warm is None and self.k > 0 and self.accept > 0:
+            if float(gaps.sum()) <= self.accept:
+                return Outcome.NOTHING_BETTER
+            least = min(least_length(problem), self.section.horizon_max)
+            if not self.moving and least > self._signals_left():
+                return Outcome.NOTHING_BETTER  # no time to come nearer
+            self.accept *= 1.0 if self.moving else 1 + ACCEPT_GROWTH
         wary = self.blocked and self.section.collision.stop_before_collision
         if wary and self.warm is not None and self._enters(problem, observation, self.warm):
+            self.leaving = False  # the way out ended too early
             return self._pause(problem)
         if self.leaving and self.warm is not None:
             return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
             stops = self.section.collision.stop_before_collision and self.leg == self.last_leg
-            if self.unheard and stops:
-                return self._pause(problem)  # to end at rest
-            return ended
+            if not stops or self.accept == 0:
+                return ended
+            delay = ended.delay_ns if isinstance(ended, End) else 0
+            return replace(self._pause(problem), delay_ns=delay)  # to end at rest
         plan = self._decide(problem)
         self.blocked = plan.obstacle_cost > 0
         if self.blocked and self.k > 0 and self.section.collision.stop_before_collision:
@@ -276,11 +284,13 @@ class Mpc:
             return None
         between = self.section.stop_between and self.leg == self.last_leg  # else nothing stops
         period = self.section.period if between else 0.0
-        if 0 < self.accept < float((gaps - problem.speed * period).sum()):
+        in_time = len(self.warm) + 2 <= self._signals_left()  # to go round
+        accept = self.accept if in_time else 0.0
+        if 0 < accept < float((gaps - problem.speed * period).sum()):
             return None  # at full speed no stop would be near enough
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
-        if 0 < self.accept < stopping.error:
+        if 0 < accept < stopping.error:
             return None
         if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
             return None
@@ -302,7 +312,9 @@ class Mpc:
         fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
         """
         section, step_key = self.section, mix(self.key, self.k)
-        wanted, most = list(candidates(self.warm, section.horizon_max)), section.evaluations_max
+        horizon, most = self._signals_left(), section.evaluations_max
+        wanted = list(candidates(self.warm, horizon))
+        wanted = [one for one in wanted if one[0] <= horizon] or wanted[:1]
         if most is not None:
             wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
         searcher = Searcher(
@@ -317,10 +329,10 @@ class Mpc:
         good_enough = section.optimizer.good_enough
         count = 0 if self.warm is None else len(self.warm)
         if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
-            searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
+            searcher.search_spread(least_length(problem), horizon, good_enough)
             if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
                 later = self._with_margins(problem, None)  # they are identified on the way
-                problem = searcher.search_thoroughly(later, section.horizon_max, good_enough)
+                problem = searcher.search_thoroughly(later, horizon, good_enough)
         else:
             enough = good_enough
             if enough is not None and self.accept > 0:
@@ -350,10 +362,17 @@ class Mpc:
         """Search longer sequences, as far as horizon, steps and the control period allow; the next
         step continues."""
         assert self.warm is not None
+        lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
+        self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
+
+    def _signals_left(self) -> int:
+        """Return the most signals of a plan: the horizon, and no more than the steps left if the
+        robots are to end near their targets."""
         section = self.section
-        most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
-        lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
-        self.resume = searcher.search_longer(lengths, section.period, ENOUGH * self.accept)
+        if section.accept_error == 0:
+            return section.horizon_max
+        phase = 0 if self.warm is None else (self.k - self.began) % section.hold
+        return min((section.steps_max + 1 - self.k + phase) // section.hold, section.horizon_max)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if they hear nothing for `silence` from some signal on,

@@ -142,8 +142,9 @@ class Plan:
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
     `estimate` is what the plan was made with, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
-    then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S. `leg` counts
-    the way-points passed; one more than all of them while the robots hold.
+    then not sent. With `pauses` all robots are stopped instead, `delay_ns` after the decision, and
+    stand for PAUSE_S. `leg` counts the way-points passed; one more than all of them while the
+    robots hold.
     """
 
     signals: Floats
@@ -157,6 +158,7 @@ class Plan:
     estimate: Estimate | None = None
     field_off: bool = False
     pauses: bool = False
+    delay_ns: int = 0
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":

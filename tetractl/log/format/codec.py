@@ -202,6 +202,7 @@ def encode_step(step: Step) -> pb.ControllerStep:
         path_y=plan.path[..., 1].ravel().tolist(),
         path_heading=plan.path[..., 2].ravel().tolist(),
         leg=plan.leg,
+        delay_ns=plan.delay_ns,
     )
 
 
@@ -233,6 +234,7 @@ def decode_step(
         field_off=command.field_off,
         pauses=command.stops,
         leg=message.leg,
+        delay_ns=message.delay_ns,
     )
     return Step(
         k=message.k,

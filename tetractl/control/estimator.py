@@ -65,11 +65,6 @@ class StateEstimator:
         """The estimate of the robots that are left."""
         return self.estimate and self.estimate.only(self.left)
 
-    @property
-    def heard(self) -> bool:
-        """Whether any robot is estimated to follow the last command that should act by now."""
-        return self.filter is None or self.filter.heard()
-
     def seen(
         self,
         observation: Observation,

@@ -10,7 +10,7 @@ Where each line of Algorithm 2 is:
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
             H first if an optimiser tells whether that is good enough  Searcher.search_all
-    12      feedback of the robots, once per step                           plan, _problem
+    12      feedback of the robots, once per step                           plan
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
@@ -18,12 +18,11 @@ Where each line of Algorithm 2 is:
 
 Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
 (`hold`), the state may be predicted over the dead time, the motion identified while the robots
-drive (`estimate`) and lost commands inferred with it, margins may follow the uncertainty
-(`collision.adaptive`), robots pause before an obstacle that no plan avoids
-(`stop_before_collision`), longer sequences be searched if no short one ends at the targets
-(`accept_error`), the stop come between two steps (`stop_between`), an optimiser may count costs as
-equally good, the searches of a step may be limited, and robots may pass way-points (`robots.via`)
-and stay at their targets (`hold`).
+drive (`estimate`), margins may follow the uncertainty (`collision.adaptive`), robots pause before
+an obstacle that no plan avoids and at the end (`stop_before_collision`), longer sequences be
+searched if no short one ends at the targets (`accept_error`), the stop come between two steps
+(`stop_between`), an optimiser may count costs as equally good, the searches of a step may be
+limited, and robots may pass way-points (`robots.via`) and stay at their targets (`hold`).
 """
 
 import time
@@ -39,10 +38,9 @@ from tetractl.control.delay import driven
 from tetractl.control.detour import (
     ACCEPT_GROWTH,
     ENOUGH,
-    LAST_LEAST_S,
-    LAST_S,
     best_stop,
     longer,
+    nearly_done,
     way_out,
 )
 from tetractl.control.estimator import StateEstimator
@@ -63,15 +61,13 @@ from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same
 
-RESTED_S = 2.0
-"""Time after a pause before there is another one because no safe plan was found [s]."""
+RESTED_S = 2.0  # after a pause before there is another one because no safe plan was found
 NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
 UNSURE = 2  # last signals of a plan that need not be
 KEPT = 0.2  # of their radius that robots then keep from what they could enter
+LATE = 2.0  # dead times that a stop may come late: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes of a leg after which the next leg begins."""
-LATE = 2.0
-"""Dead times that a stop may come late: it may be lost once."""
 
 
 class Mpc:
@@ -105,9 +101,9 @@ class Mpc:
         self.k, self.moving = 0, False
         self.leaving = False  # whether robots are, or were, led out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
+        self.left_over = 0.0  # total error that the last plan leaves
         self.began = 0  # k at which a plan was made from standing
         self.stuck = False  # whether nothing could move safely from standing
-        self.unheard = False  # whether a command ever reached no robot: then a stop may not, either
         self.resume = 0  # length from which to go on if the time for longer ones was up
 
     def plan(
@@ -117,18 +113,16 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Do one control step: decide u_(opt), or that the trial is over."""
-        # control periods since a plan's knot
-        phase = 0 if self.warm is None else (self.k - self.began) % self.section.hold
-        if self.warm is not None and phase == 0:
+        if self.warm is not None and self._phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
-        first_period = (self.section.hold - phase) * self.section.period
+        first_period = (self.section.hold - self._phase) * self.section.period
         known = self.estimator.seen(observation, last_command, earlier)
-        self.unheard |= not self.estimator.heard
         if (self.estimator.left != self.left).any():
             self._begin_leg()
         while True:
             targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
-            problem = self._problem(replace(known, targets=targets), first_period)
+            problem = replace(known, targets=targets, first_period=first_period)
+            problem = self._with_margins(problem, self.estimator.known)
             decision = (self._drive if self.held is None else self._stay)(problem, observation)
             if isinstance(decision, Plan):
                 self.moving = not decision.pauses
@@ -140,6 +134,11 @@ class Mpc:
                 self._begin_leg()
             else:
                 self.held, self.warm = (observation.sampled_ns, Outcome(decision)), None
+
+    @property
+    def _phase(self) -> int:
+        """Control periods since the signal under way began."""
+        return 0 if self.warm is None else (self.k - self.began) % self.section.hold
 
     @property
     def last_leg(self) -> int:
@@ -193,27 +192,25 @@ class Mpc:
         if self.stuck:
             return Outcome.NOTHING_BETTER
         if self.warm is None and self.k > 0 and self.accept > 0:
-            if float(gaps.sum()) <= self.accept:
-                return Outcome.NOTHING_BETTER
             least = min(least_length(problem), self.section.horizon_max)
-            if not self.moving and least > self._signals_left():
-                return Outcome.NOTHING_BETTER  # no time to come nearer
-            self.accept *= 1.0 if self.moving else 1 + ACCEPT_GROWTH
-        wary = self.blocked and self.section.collision.stop_before_collision
-        if wary and self.warm is not None and self._enters(problem, observation, self.warm):
-            self.leaving = False  # the way out ended too early
-            return self._pause(problem)
-        if self.leaving and self.warm is not None:
-            return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
+            in_time = self.moving or least <= self._signals_left()
+            if float(gaps.sum()) <= self.accept or not in_time:
+                return Outcome.NOTHING_BETTER
+        stops = self.section.collision.stop_before_collision
+        if self.warm is not None:
+            if stops and self.blocked and self._enters(problem, observation, self.warm):
+                self.leaving = False  # the way out ended too early
+                return self._pause(problem)
+            if self.leaving:
+                return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
-            stops = self.section.collision.stop_before_collision and self.leg == self.last_leg
-            if not stops or self.accept == 0:
+            if not stops or self.accept == 0 or self.leg < self.last_leg:
                 return ended
-            delay = ended.delay_ns if isinstance(ended, End) else 0
-            return replace(self._pause(problem), delay_ns=delay)  # to end at rest
+            delay_ns = ended.delay_ns if isinstance(ended, End) else 0
+            return replace(self._pause(problem), delay_ns=delay_ns)  # to end at rest
         plan = self._decide(problem)
-        self.blocked = plan.obstacle_cost > 0
-        if self.blocked and self.k > 0 and self.section.collision.stop_before_collision:
+        self.blocked, self.left_over = plan.obstacle_cost > 0, plan.target_cost
+        if stops and self.blocked and self.k > 0:
             if self.warm is None:
                 enters = self._enters(problem, observation, plan.signals)
                 apart = self.section.collision.separation
@@ -251,10 +248,6 @@ class Mpc:
         self.k += 1
         return replace(plan, estimate=self.estimator.estimate)
 
-    def _problem(self, known: Problem, first_period: float) -> Problem:
-        """Pose the problem where a direction decided now will act, for the robots as known."""
-        return self._with_margins(replace(known, first_period=first_period), self.estimator.known)
-
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Grow obstacles and separation by how far off course the robots may come, given the
         uncertainty of their motion, if the margin follows it; None if everything is known."""
@@ -278,21 +271,18 @@ class Mpc:
 
         No search is done for it, so the log has all that the end depends on.
         """
-        if self.warm is None:
-            return None
-        if len(self.warm) > 0 and self.section.accept_error == 0:
+        if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
             return None
         between = self.section.stop_between and self.leg == self.last_leg  # else nothing stops
         period = self.section.period if between else 0.0
         in_time = len(self.warm) + 2 <= self._signals_left()  # to go round
-        accept = self.accept if in_time else 0.0
+        accept = self.accept if in_time else max(self.accept, self.left_over)
         if 0 < accept < float((gaps - problem.speed * period).sum()):
             return None  # at full speed no stop would be near enough
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
-        if 0 < accept < stopping.error:
-            return None
-        if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
+        cost = evaluate(problem, self.warm[None]).total[0] if len(self.warm) else np.inf
+        if 0 < accept < stopping.error or float(cost) < stopping.error:
             return None
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
 
@@ -345,8 +335,7 @@ class Mpc:
             good = [search for search in searcher.found if searcher.good(search, accepted)]
         among = good or searcher.found
         best = among[choose(among, good_enough, count)]
-        last = max(LAST_LEAST_S, LAST_S * len(problem.a))
-        if self.warm is not None and best.length > count + 1 and count * problem.period <= last:
+        if self.warm is not None and best.length > count + 1 and nearly_done(problem, count):
             self.accept *= 1 + ACCEPT_GROWTH
         chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
@@ -366,13 +355,8 @@ class Mpc:
         self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
 
     def _signals_left(self) -> int:
-        """Return the most signals of a plan: the horizon, and no more than the steps left if the
-        robots are to end near their targets."""
-        section = self.section
-        if section.accept_error == 0:
-            return section.horizon_max
-        phase = 0 if self.warm is None else (self.k - self.began) % section.hold
-        return min((section.steps_max + 1 - self.k + phase) // section.hold, section.horizon_max)
+        """Return the most signals of a plan that ends within the steps."""
+        return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if they hear nothing for `silence` from some signal on,

@@ -39,8 +39,9 @@ class Collision(Model):
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a
     robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
-    are planned for again, and the trial ends if nothing can move safely. For robots that can
-    stand still."""
+    are planned for again, and the trial ends if nothing can move safely. With an `accept_error`
+    they pause at the end too, and go on if they then stand further from their targets. For robots
+    that can stand still."""
     silence: NonNegative = 0.0
     """Time for which robots may receive nothing and go on in the direction held [s]: plans
     are preferred that keep clear then, whenever it begins."""
@@ -108,8 +109,8 @@ class MpcFields(ControllerSection):
     accept_error: NonNegative = 0.0
     """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within it, longer
     sequences are searched, and the trial ends if stopping is within it and as good as any plan. A
-    smaller value makes trials longer. Each time the robots go round, a tenth more is accepted. 0 is
-    Algorithm 2, which ends only with its sequence."""
+    smaller value makes trials longer. Each time the robots go round, a tenth more is accepted, and
+    whatever is left where the steps end. 0 is Algorithm 2, which ends only with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -151,6 +152,11 @@ class MpcFields(ControllerSection):
         if most := self.optimizer.evaluations_max:
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
+
+    def signals_within(self, steps: int) -> int:
+        """Return the most signals of a plan with so many control steps left; Algorithm 2, which
+        accepts no error, begins plans that it cannot complete."""
+        return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
         """Return the numbers of the longest search: positions, velocities, bests and poses of its

@@ -30,12 +30,11 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock
 from tetractl.core.poses import Grey, Poses
-from tetractl.emulate.apriltag.renderer import CARD, Optics, Renderer
-from tetractl.emulate.network_camera import EmulatedNetworkCamera
-from tetractl.lab.cameras.apriltag.camera import AprilTagCamera
+from tetractl.emulate.apriltag.side import CARD, Optics, Renderer
+from tetractl.emulate.stream_side import EmulatedNetworkCamera
+from tetractl.lab.cameras.apriltag.camera import AprilTagCamera, Tracker
 from tetractl.lab.cameras.apriltag.detect import MODULES, refined
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
-from tetractl.lab.cameras.apriltag.track import Tracker
 from tetractl.lab.cameras.pictures.feed import Picture
 from tetractl.lab.cameras.pictures.source import decoded
 

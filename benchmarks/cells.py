@@ -152,7 +152,9 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
             bank.mean[rows, :2] = bank.mean[rows[0], :2] - bank.mean[rows[0], :2]
             bank.mean[rows, 2] = cells.heading[0]
             bank.mean[rows[1], 4:6] = bank.mean[rows[0], 4:6]
-            question = opened(bank, (0, 1), rows.tolist(), t)
+            alike = np.tile((cells.length[0], cells.width[0]), (2, 1))
+            places = bank.mean[rows, :3].copy()
+            question = opened(bank, (0, 1), rows.tolist(), places, alike, t)
         field = (math.cos(direction), math.sin(direction))
         cells.swim(field, STEP_S, random)
         bank.predict([(STEP_S, *field)])

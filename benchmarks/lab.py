@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
-from tetractl.emulate.optitrack.server_wire import pack_answer  # noqa: E402
+from tetractl.emulate.optitrack.natnet_server import pack_answer  # noqa: E402
 from tetractl.lab.cameras.optitrack.natnet_messages import NatNetFrame, RigidBody, Ticks, Version  # noqa: E402
 from tetractl.lab.cameras.optitrack.wire import HEADER, parse  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402

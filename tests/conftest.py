@@ -49,7 +49,6 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "cli/test_docs.py::test_every_example",
     "cli/test_docs.py::test_every_python_example",
     "cli/test_plugin",
-    "cli/test_solver_benchmark",
     "cli/test_study_dask",
     "emulated",
     "unit/control/kernels/test_cache",
@@ -62,7 +61,6 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
 )
 CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
     r"test_plant_contract.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"
-    r"|test_controller_contract.py::.*on a budget"
 )
 TURNS = ("cli/test_study", "emulated", "cli/test_docs", "cli", "plays", "")  # the longest first
 LANES = 2  # plays on real wires at a time: each has deadlines to keep

@@ -48,7 +48,7 @@ def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
 
 
 def parse_spec(text: str, *sets: str) -> LoadedSpec:
-    """Check a spec that is given as YAML; `sets` and errors are as in `load_spec`."""
+    """Check a spec given as YAML text; `sets` and errors are as in `load_spec`."""
     return load.parse_spec(text, "spec", sets)
 
 
@@ -116,7 +116,8 @@ def run_batch(
 
 
 def read_log(path: str | Path) -> TrialLog:
-    """Read the whole trial from its log; of a damaged log what is intact, see its `damage`.
+    """Read a trial from its log. Of a damaged log the intact part is read; see `damage` of the
+    trial.
 
     Raises LogError if nothing can be read.
     """
@@ -126,10 +127,10 @@ def read_log(path: str | Path) -> TrialLog:
 
 
 def read_batch(*paths: str | Path) -> "Batch":
-    """Read how trials ended, about a millisecond per log; paths are logs, folders or patterns.
+    """Read the results of trials, about a millisecond per log; paths are logs, folders or patterns.
 
-    The batch has `trials`, earlier `attempts` at them, and what is `damaged`. Trials of a study
-    that have no log are read from its rows. Raises UsageError for a path without a trial.
+    The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Trials of a study that
+    have no log are read from its rows. Raises UsageError for a path without a trial.
     """
     from tetractl.results.open_batch import open_batch
 
@@ -151,7 +152,7 @@ class TrialArrays:
     poses: Floats  # (M, N, 3) as measured
     valid: Bools  # (M, N) whether the robot was tracked
     truth: Floats  # (M, N, 3)
-    distance: Floats  # (M, N) of the measured position to the target
+    distance: Floats  # (M, N) from the measured position to the target
     step_time_s: Floats  # (K,) when each command was sent
     direction: Floats  # (K,) the common direction u, NaN while the field is off
     cost: Floats  # (K,) J of the chosen sequence, (7)
@@ -161,7 +162,7 @@ class TrialArrays:
 
 
 def to_arrays(trial: TrialLog) -> TrialArrays:
-    """Return the course of a trial as arrays."""
+    """Return poses, commands and decisions of a trial as arrays."""
     setup, steps = trial.start.setup, trial.steps
     unknown = np.full_like(trial.mocap, np.nan)
     return TrialArrays(
@@ -220,7 +221,9 @@ def summarise(batch: "Batch", name: str = "") -> "Group":
 
 
 def compare(*groups: "Group") -> "GroupComparison":
-    """Compare the total errors of every two groups; differences are the earlier minus the later."""
+    """Compare the total errors of every two groups; a difference is the earlier group minus the
+    later.
+    """
     from tetractl.results.contrast import contrast
 
     return contrast(groups)
@@ -232,7 +235,7 @@ def plot(
     *,
     file: str | Path | None = None,
 ) -> "Figure":
-    """Draw a matplotlib figure, and write it to a .png, .svg or .pdf file if one is named.
+    """Draw a matplotlib figure; if a .png, .svg or .pdf file is named, write it there.
 
     `kind` names a figure of `tetractl plot`; "trajectory", "errors", "arms", "ecdf" and "scatter"
     show several trials. Statistics and comparisons have one figure each, every trial a dot.
@@ -255,7 +258,9 @@ def plot(
 
 
 def verify(path: str | Path) -> "Verification":
-    """Compute every decision in a log again, and check the log against itself."""
+    """Compute every decision in a log again, and check that the log's records agree with each
+    other.
+    """
     from tetractl.replay import verify
 
     return verify.verify(Path(path))
@@ -285,14 +290,14 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
 
 @dataclass(frozen=True, slots=True)
 class _Watcher:
-    """A `RunObserver` that passes each result on."""
+    """A `RunObserver` that calls `on_result` for each trial."""
 
     on_result: Callable[[int, Result], object]
 
     def trial_started(self, task: "Task") -> None:
-        """Nothing is shown."""
+        """Do nothing."""
 
     def trial_ended(self, ending: "Ending") -> None:
-        """Pass the result on."""
+        """Call `on_result` with the trial's number and result."""
         if ending.result:
             self.on_result(ending.task.trial, ending.result)

@@ -4,7 +4,6 @@ import json
 
 import pytest
 from support import cli
-from support.paths import ROOT
 
 TWO = """
 name: two
@@ -38,10 +37,3 @@ def test_text_json_and_figure(tmp_path):
     assert found["most_alike"] == ["two", "one"]
     assert len(found["singular_values"]) == 4
     assert f"{found['mean_total_error']:.3f}" in done.stdout
-
-
-def test_one_robot_is_drawn_too(tmp_path):
-    spec = ROOT / "experiments/single_cell.yaml"
-    done = analyze(tmp_path, spec, "--plans", 1, "-o", "one.svg")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "one.svg").stat().st_size > 1000

@@ -16,7 +16,7 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 MEND = "see the difference with: python docs/console.py {} --write; git diff"
 
 
-def _name(page: Path) -> str:
+def _name(page):
     return str(page.relative_to(ROOT))
 
 
@@ -49,7 +49,7 @@ def test_every_example_prints_what_the_page_shows(page):
 def test_every_python_example_runs(page, tmp_path, monkeypatch):
     shutil.copytree(ROOT / "experiments", tmp_path / "experiments")
     monkeypatch.chdir(tmp_path)
-    names: dict[str, object] = {}
+    names = {}
     for program in console.programs(page.read_text("utf-8")):
         exec(program, names)
 
@@ -120,7 +120,7 @@ def test_completion_is_installed_into_the_users_shell(tmp_path):
     assert "tetractl" in (tmp_path / ".bashrc").read_text("utf-8")
 
 
-def _completion(instruction: str, typed: str) -> str:
+def _completion(instruction, typed):
     words = {"COMP_WORDS": typed, "COMP_CWORD": str(typed.count(" "))}
     done = subprocess.run(
         [TETRACTL],

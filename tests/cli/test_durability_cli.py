@@ -14,8 +14,7 @@ from support import cli
 from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
 
-from tetractl.log.read.reader import content_digest
-from tetractl.run.folder_lock import locked
+from tetractl.run.store import locked
 
 TETRACTL = Path(sys.executable).with_name("tetractl")
 SPEC = """
@@ -30,7 +29,7 @@ LOSS_S = 1.2
 
 
 @pytest.fixture(scope="module")
-def batch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def batch(tmp_path_factory):
     """A folder with a spec, and two trials of it in `logs`."""
     folder = tmp_path_factory.mktemp("batch")
     (folder / "quick.yaml").write_text(SPEC)
@@ -39,16 +38,16 @@ def batch(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture
-def logs(batch: Path, tmp_path: Path) -> Path:
+def logs(batch, tmp_path):
     shutil.copytree(batch / "logs", tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 
-def tetractl(folder: Path, command: str) -> cli.Done:
+def tetractl(folder, command):
     return cli.tetractl(folder, *shlex.split(command))
 
 
-def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:
+def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path):
     (tmp_path / "long.yaml").write_text(ENDLESS)
     command = "run long.yaml --out logs --quiet"
     first = subprocess.Popen(
@@ -77,40 +76,14 @@ def test_a_run_in_progress_keeps_its_folder_to_itself(tmp_path: Path) -> None:
 
 @pytest.mark.system
 @pytest.mark.parametrize("seed", range(5))
-def test_a_kill_costs_little(tmp_path: Path, seed: int) -> None:
+def test_a_kill_costs_little(tmp_path, seed):
     """A hundred kills in benchmarks/log.py. What this host is late is no loss of the log's."""
     with lateness() as host:
         killed = random_kill(tmp_path / "0.mcap", random.Random(seed), most_s=2.5)
     assert killed.lost_s <= LOSS_S + 2 * host.most_s
 
 
-def test_recover_repairs_a_torn_log(logs: Path) -> None:
-    whole = content_digest(logs / "trial-000.mcap")
-    data = (logs / "trial-000.mcap").read_bytes()
-    (logs / "trial-000.mcap").unlink()
-    (logs / "trial-000.mcap.part").write_bytes(data[:-1500])
-    done = tetractl(logs, "recover trial-000.mcap.part")
-    assert (done.returncode, "nothing is lost" in done.stdout) == (0, True)
-    assert content_digest(logs / "trial-000.recovered.mcap") == whole
-    stats = tetractl(logs, "stats . --format json")
-    assert json.loads(stats.stdout)["n_trials"] == 2
-
-
-def test_recover_says_what_is_lost(logs: Path) -> None:
-    data = (logs / "trial-000.mcap").read_bytes()
-    (logs / "torn.mcap").write_bytes(data[: data.index(b"\x04\0\0\0zstd") + 100])
-    done = tetractl(logs, "recover torn.mcap -o saved.mcap --json")
-    assert done.returncode == 3
-    found = json.loads(done.stdout)
-    assert (found["whole"], found["path"]) == (False, "saved.mcap")
-    assert any("the result and everything after" in lost for lost in found["damage"]["lost"])
-    for command in ("info", "verify", "replay", "stats", "plot -o x.svg"):
-        done = tetractl(logs, f"{command} saved.mcap")
-        assert done.returncode == 1, command
-        assert "recovered" in done.stdout + done.stderr or "damaged" in done.stdout + done.stderr
-
-
-def test_verify_says_which_of_the_two_it_did(logs: Path) -> None:
+def test_verify_says_which_of_the_two_it_did(logs):
     done = tetractl(logs, "verify .")
     assert done.returncode == 0
     assert done.stdout.count("ok: ") == done.stdout.count("re-computed, bit-identical") == 2
@@ -118,14 +91,14 @@ def test_verify_says_which_of_the_two_it_did(logs: Path) -> None:
     assert [(log["ok"], log["problems"]) for log in found["logs"]] == [(True, [])] * 2
 
 
-def test_verify_fails_on_what_it_cannot_read(logs: Path) -> None:
+def test_verify_fails_on_what_it_cannot_read(logs):
     (logs / "text.mcap").write_text("no log\n")
     done = tetractl(logs, "verify trial-000.mcap text.mcap")
     assert done.returncode == 1
     assert "text.mcap: FAILED: not an MCAP file" in done.stdout
 
 
-def test_a_trial_is_repeated_from_its_log(logs: Path) -> None:
+def test_a_trial_is_repeated_from_its_log(logs):
     done = tetractl(logs, "rerun trial-001.mcap --out again --quiet")
     assert done.returncode == 0
     assert "the content digests agree: " in done.stderr
@@ -134,8 +107,8 @@ def test_a_trial_is_repeated_from_its_log(logs: Path) -> None:
 
 
 @pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs OpenSSH")
-def test_a_log_is_signed_as_the_docs_say(logs: Path) -> None:
-    def keys(command: str, log: bytes = b"") -> int:
+def test_a_log_is_signed_as_the_docs_say(logs):
+    def keys(command, log=b""):
         words = ["ssh-keygen", *shlex.split(command)]
         return subprocess.run(words, cwd=logs, input=log, capture_output=True).returncode
 

@@ -23,7 +23,7 @@ trials: {count: 2, seed: 7}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A folder with `logs` of two trials."""
     place = tmp_path_factory.mktemp("export")
     (place / "quick.yaml").write_text(SPEC)
@@ -32,7 +32,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
-def test_tables_hold_what_the_logs_hold(folder: Path, kind: str):
+def test_tables_hold_what_the_logs_hold(folder, kind):
     done = tetractl(folder, "export", "logs", "-o", kind, "--format", kind)
     names = ("trials", "steps", "poses", "estimates", "events")
     assert done.returncode == 0, done.stderr
@@ -55,14 +55,14 @@ def test_tables_hold_what_the_logs_hold(folder: Path, kind: str):
         assert row["total_error_mm"] == log.result.total_error
 
 
-def test_parquet_keeps_the_types(folder: Path):
+def test_parquet_keeps_the_types(folder):
     tetractl(folder, "export", "logs", "-o", "poses.parquet", "--table", "poses")
     schema = parquet.read_schema(folder / "poses.parquet")
     types = {name: str(schema.field(name).type) for name in ("frame", "robot", "x_mm", "valid")}
     assert types == {"frame": "int64", "robot": "string", "x_mm": "double", "valid": "bool"}
 
 
-def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder: Path, tmp_path: Path):
+def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_path):
     (tmp_path / "a.mcap").write_bytes((folder / "logs" / "trial-000.mcap").read_bytes())
     (tmp_path / "b.mcap").write_bytes(b"nothing")
     done = tetractl(tmp_path, "export", "a.mcap", "b.mcap", "-o", "out")
@@ -72,7 +72,7 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder: Path, t
     assert len(pandas.read_csv(tmp_path / "out" / "trials.csv")) == 1
 
 
-def test_logs_of_different_experiments_are_exported_apart(folder: Path, tmp_path: Path):
+def test_logs_of_different_experiments_are_exported_apart(folder, tmp_path):
     (tmp_path / "other.yaml").write_text(SPEC.replace("name: two", "name: three"))
     assert tetractl(tmp_path, "run", "other.yaml", "--out", "logs", "--quiet").returncode == 0
     done = tetractl(tmp_path, "export", folder / "logs", "logs", "-o", "out")
@@ -82,7 +82,7 @@ def test_logs_of_different_experiments_are_exported_apart(folder: Path, tmp_path
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
-def test_a_full_disk_is_one_clear_line_and_leaves_no_table(folder: Path, tmp_path: Path):
+def test_a_full_disk_is_one_clear_line_and_leaves_no_table(folder, tmp_path):
     (tmp_path / "steps.csv.part").symlink_to("/dev/full")
     logs = folder / "logs"
     done = tetractl(tmp_path, "export", logs, "-o", "steps.csv", "--table", "steps")

@@ -5,9 +5,7 @@ import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import zstandard
@@ -27,19 +25,19 @@ from tetractl.log.read.salvage import scan
 SECONDS, MEMORY_MB = 30, 1000
 
 
-def chunk(data: bytes) -> bytes:
+def chunk(data):
     packed = zstandard.ZstdCompressor(level=19).compress(data)
     head = struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + b"\x04\0\0\0zstd"
     body = head + struct.pack("<Q", len(packed)) + packed
     return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
 
 
-def message(channel: int, data: bytes) -> bytes:
+def message(channel, data):
     body = struct.pack("<HIQQ", channel, 0, 0, 0) + data
     return bytes([Opcode.MESSAGE]) + struct.pack("<Q", len(body)) + body
 
 
-def before_the_end(contents: RawLog, path: Path, chunks: list[bytes]) -> Path:
+def before_the_end(contents, path, chunks):
     """A copy with further chunks behind its first, and no index."""
     data = contents.path.read_bytes()
     second = data.index(b"\x04\0\0\0zstd", data.index(b"\x04\0\0\0zstd") + 10) - 37
@@ -47,7 +45,7 @@ def before_the_end(contents: RawLog, path: Path, chunks: list[bytes]) -> Path:
     return path
 
 
-def steps_of_searches(contents: RawLog, path: Path) -> Path:
+def steps_of_searches(contents, path):
     """Steps that fit the run, each with very many small searches."""
     entry = next(entry for entry in contents.entries if entry.topic == STEP)
     step = ControllerStep.FromString(entry.data)
@@ -60,8 +58,8 @@ def steps_of_searches(contents: RawLog, path: Path) -> Path:
     return before_the_end(contents, path, [chunk(several)] * 30)
 
 
-def huge_spec(contents: RawLog, path: Path) -> Path:
-    def asks(text: str) -> str:
+def huge_spec(contents, path):
+    def asks(text):
         text = text.replace("particles: 100", "particles: 1000000")
         text = text.replace("iterations: 100", "iterations: 1000000")
         assert "particles: 1000000" in text
@@ -70,7 +68,7 @@ def huge_spec(contents: RawLog, path: Path) -> Path:
     return with_spec(contents, path, asks)
 
 
-def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Path:
+def with_spec(contents, path, change):
     records = []
     for record in contents.records:
         if isinstance(record, Attachment) and record.name == RESOLVED_SPEC:
@@ -80,7 +78,7 @@ def with_spec(contents: RawLog, path: Path, change: Callable[[str], str]) -> Pat
     return rewrite(changed, path, {})
 
 
-def far_pose(contents: RawLog, path: Path) -> Path:
+def far_pose(contents, path):
     entry = next(entry for entry in contents.entries if entry.topic == FRAMES)
     frame = CameraFrames.FromString(entry.data)
     frame.x[7] = 1e8
@@ -90,7 +88,7 @@ def far_pose(contents: RawLog, path: Path) -> Path:
 EVIL = "\x1b]0;owned\x07\x9b2J\u202e=cmd\r\n"
 
 
-def escapes(contents: RawLog, path: Path) -> Path:
+def escapes(contents, path):
     """Escape sequences in every text that a log has."""
     entries = {}
     for entry in contents.entries:
@@ -103,7 +101,7 @@ def escapes(contents: RawLog, path: Path) -> Path:
             step.searches[step.chosen].stopped = EVIL
             entries[entry] = entry._replace(data=step.SerializeToString())
 
-    def add(name: str, facts: dict[str, str]) -> dict[str, str]:
+    def add(name, facts):
         if name == RUN:
             return facts | {"spec_name": EVIL, "plant.fact": EVIL, f"plant.{EVIL}": "1"}
         if name == RESULT:
@@ -113,7 +111,7 @@ def escapes(contents: RawLog, path: Path) -> Path:
     return rewrite(contents, path, entries, add)
 
 
-def zeros_behind(contents: RawLog, path: Path) -> Path:
+def zeros_behind(contents, path):
     """What a power cut leaves on some file systems, 2 GB of it."""
     data = contents.path.read_bytes()
     with path.open("wb") as file:
@@ -122,14 +120,14 @@ def zeros_behind(contents: RawLog, path: Path) -> Path:
     return path
 
 
-def endless(contents: RawLog, path: Path) -> Path:
+def endless(contents, path):
     with path.open("wb") as file:
         file.write(contents.path.read_bytes())
         file.truncate(10**12)
     return path
 
 
-def only_in_the_summary(contents: RawLog, path: Path) -> Path:
+def only_in_the_summary(contents, path):
     """Regression: `recover` copied messages of a channel that it had not made."""
     extra = Entry("/only", 1, 1, b"data")
     first = contents.records.index(contents.entries[0])
@@ -145,7 +143,7 @@ def only_in_the_summary(contents: RawLog, path: Path) -> Path:
     return path
 
 
-def write_with(contents: RawLog, path: Path) -> None:
+def write_with(contents, path):
     from tetractl.log.write.sink import Sink
 
     sink = Sink(path)
@@ -167,15 +165,13 @@ SLOW = [zeros_behind, endless]
 
 
 @pytest.fixture(scope="module")
-def contents(tmp_path_factory: pytest.TempPathFactory) -> RawLog:
+def contents(tmp_path_factory):
     folder = tmp_path_factory.mktemp("log")
     return scan(write(trial(steps=12, robots=2, index=1), folder / "trial.mcap"))
 
 
 @pytest.mark.parametrize("builders", [QUICK, pytest.param(SLOW, marks=pytest.mark.system)])
-def test_a_log_costs_its_reader_little(
-    contents: RawLog, tmp_path: Path, builders: list[Callable[[RawLog, Path], Path]]
-) -> None:
+def test_a_log_costs_its_reader_little(contents, tmp_path, builders):
     """All in one process of its own, whose most memory is bounded."""
     paths = [build(contents, tmp_path / f"{build.__name__}.mcap") for build in builders]
     (tmp_path / "out").mkdir()
@@ -195,7 +191,7 @@ def test_a_log_costs_its_reader_little(
         assert float(memory) < MEMORY_MB, name
 
 
-def test_too_few_addresses_are_one_line() -> None:
+def test_too_few_addresses_are_one_line():
     """Regression: OpenBLAS asked for memory without end, in an import that no signal ends."""
     done = subprocess.run(
         ["bash", "-c", f"ulimit -v 400000; exec '{sys.executable}' -m tetractl stats x"],

@@ -3,7 +3,6 @@
 import json
 import shlex
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +14,7 @@ from tetractl.log.read.reader import read_trial
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
     write_trial(folder / "whole.mcap")
     write_torn(folder / "cut.mcap.part")
@@ -26,11 +25,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def tetractl(folder: Path, command: str) -> cli.Done:
+def tetractl(folder, command):
     return cli.tetractl(folder, *shlex.split(command))
 
 
-def test_it_says_what_is_in_a_log(folder: Path) -> None:
+def test_it_says_what_is_in_a_log(folder):
     done = tetractl(folder, "info whole.mcap")
     assert (done.returncode, done.stderr) == (0, "")
     trial = three_robots()
@@ -52,7 +51,7 @@ def test_it_says_what_is_in_a_log(folder: Path) -> None:
     assert "\x1b" not in done.stdout
 
 
-def test_json_holds_the_same(folder: Path) -> None:
+def test_json_holds_the_same(folder):
     done = tetractl(folder, "info whole.mcap --json")
     found = json.loads(done.stdout, parse_constant=pytest.fail)
     trial = three_robots()
@@ -79,7 +78,7 @@ def test_json_holds_the_same(folder: Path) -> None:
     assert found["size"] == (folder / "whole.mcap").stat().st_size
 
 
-def test_the_last_estimate_is_told_with_its_deviations(tmp_path: Path) -> None:
+def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
     made = random_trials.trial(robots=2, steps=6)
     estimate = made.steps[-1].plan.estimate
     assert estimate is not None
@@ -113,7 +112,7 @@ def test_the_last_estimate_is_told_with_its_deviations(tmp_path: Path) -> None:
         ("flipped.mcap", "the checksum of the data section does not match"),
     ],
 )
-def test_damage_is_told_and_fails(folder: Path, log: str, said: str) -> None:
+def test_damage_is_told_and_fails(folder, log, said):
     done = tetractl(folder, f"info {log}")
     assert done.returncode == 1
     assert said in done.stdout

@@ -8,7 +8,7 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.experiment.examples import example_names
+from tetractl.cli.init import example_names
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 
@@ -45,16 +45,6 @@ def test_the_lab_of_a_new_spec_can_be_used(tetractl):
     assert "cameras" in done.stdout.partition("# Limits")[2]
 
 
-def test_every_line_has_room_and_the_comments_name_the_file(tetractl, tmp_path):
-    for options in ([], ["--cells"], ["--lab"]):
-        name = "-".join(["x", *options]).replace("--", "")
-        tetractl("init", name, *options)
-        text = (tmp_path / f"{name}.yaml").read_text("utf-8")
-        assert max(map(len, text.splitlines())) <= 100
-        assert f"tetractl run {name}.yaml" in text
-        assert text.count("#") > 15
-
-
 def test_a_file_is_never_overwritten(tetractl, tmp_path):
     (tmp_path / "mine.yaml").write_text("my work\n")
     for name in ("mine", "mine.yaml"):
@@ -69,15 +59,6 @@ def test_a_file_is_never_overwritten(tetractl, tmp_path):
 def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
     assert tetractl("init", name).returncode == 0
     assert load_spec(tmp_path / f"{name}.yaml").experiment.name == name
-
-
-@pytest.mark.parametrize("name", ["", ".", "..", "a b", "-x.y", ".yaml", "a\nb", "n" * 65])
-def test_other_names_are_refused_in_a_line(tetractl, tmp_path, name):
-    result = tetractl("init", "--", name)
-    assert result.returncode == 2
-    assert "is no name of an experiment" in result.stderr
-    assert len(result.stderr.splitlines()) == 2
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):

@@ -39,11 +39,6 @@ def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path
     assert "dead_time=0.1" in page.read_text()
 
 
-def test_plotted_statistics_are_no_reason_for_a_warning(folder, tmp_path):
-    done = tetractl(folder, "stats", "out", "--plot", tmp_path / "out.png")
-    assert (done.returncode, done.stderr) == (0, f"wrote {tmp_path / 'out.png'}\n")
-
-
 def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
     """Half of a page or a picture stayed, under its final name."""
     file = tmp_path / "a.png"

@@ -14,11 +14,11 @@ TETRACTL = Path(sys.executable).with_name("tetractl")
 
 
 @pytest.fixture
-def log(tmp_path: Path) -> Path:
+def log(tmp_path):
     return made.write(made.trial(1, steps=3, frames=20), tmp_path / "trial-000.mcap")
 
 
-def test_a_trial_is_served_until_ctrl_c(log: Path):
+def test_a_trial_is_served_until_ctrl_c(log):
     process = subprocess.Popen(
         [TETRACTL, "open", log.name, "--no-browser", "--lichtblick", "http://127.0.0.1:1"],
         cwd=log.parent,

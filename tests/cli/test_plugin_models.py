@@ -23,7 +23,6 @@ import numpy as np
 from oracles import levenberg
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
-from tetractl.control.kernels.cache import folder
 from tetractl.control.kernels.levenberg import lay_out_polish, polish
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
@@ -41,7 +40,6 @@ _, z, _ = polish(work, found, 1e-3, 0.5, 5, 6, 2**62, np.empty((rows, rows)), hi
 search = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
 x, y = predict(problem, search.signals)[..., :2].T
 print(json.dumps({
-    "cache": str(folder()),
     "hits": int((reference.obstacle > 0).sum()),
     "worst": float(np.abs(compiled / reference.total - 1).max()),
     "polish": float(np.abs(history[: z + 1] - slow.history).max()),
@@ -73,9 +71,10 @@ def code(name):
     return found[1]
 
 
-@pytest.fixture
-def installed(tmp_path):
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory):
     """A folder with the spec, and how to run something there with the package installed."""
+    tmp_path = tmp_path_factory.mktemp("models")
     site = install(
         tmp_path / "site", "mine", "1.0", POINTS, pivot=code("pivot"), diamond=code("diamond")
     )
@@ -97,7 +96,7 @@ def installed(tmp_path):
 
 
 def test_planner_kernels_and_polish_honour_them(installed):
-    folder, run = installed
+    _, run = installed
     done = run("-c", PLAN)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -110,10 +109,6 @@ def test_planner_kernels_and_polish_honour_them(installed):
     assert found["cost"] <= 0.1
     again = json.loads(run("-c", PLAN).stdout)
     assert again == found
-    module = folder / "site" / "diamond.py"
-    module.write_text(module.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
-    kept = "from tetractl.control.kernels.cache import folder; print(folder())"
-    assert run("-c", kept).stdout.strip() not in ("", found["cache"])
 
 
 def test_checks_plant_log_and_pictures_honour_them(installed):
@@ -144,6 +139,15 @@ def test_checks_plant_log_and_pictures_honour_them(installed):
     drawn = json.loads(done.stdout)
     assert drawn["corners"] == 8  # of the block: four below and four above
     assert drawn["filled"] > 20
+
+
+def test_an_edited_shape_is_compiled_again(installed):
+    folder, run = installed
+    kept = "from tetractl.control.kernels.cache import folder; print(folder())"
+    before = run("-c", kept).stdout.strip()
+    module = folder / "site" / "diamond.py"
+    module.write_text(module.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
+    assert run("-c", kept).stdout.strip() not in ("", before)
 
 
 DRAWN = """

@@ -75,9 +75,7 @@ def site(tmp_path_factory):
     options = "--quiet --no-deps --no-build-isolation --no-index --disable-pip-version-check"
     pip = [sys.executable, "-m", "pip", "install", *options.split()]
     done = subprocess.run(
-        [*pip, "--target", folder / "installed", source],
-        capture_output=True,
-        text=True,
+        [*pip, "--target", folder / "installed", source], capture_output=True, text=True
     )
     assert done.returncode == 0, done.stderr
     return folder / "installed"

@@ -2,10 +2,9 @@
 
 import json
 import re
-from pathlib import Path
 
 import pytest
-from support.chromium import Page, chromium, needs_chromium
+from support.chromium import chromium, needs_chromium
 from support.cli import tetractl
 
 SPEC = """
@@ -24,7 +23,7 @@ reference: {source: somewhere, n: 20, mean: 300, std: 100}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """A folder with `logs` of three trials and their `report.html`."""
     place = tmp_path_factory.mktemp("report")
     (place / "quick.yaml").write_text(SPEC)
@@ -35,23 +34,28 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def statistics(folder: Path) -> dict:
+def statistics(folder):
     return json.loads(tetractl(folder, "stats", "logs", "--format", "json").stdout)
 
 
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
 @pytest.fixture
-def page(folder: Path, tmp_path: Path):
-    with chromium(tmp_path / "profile") as browser:
-        browser.open(folder / "report.html")
-        yield browser
-        assert browser.errors == []
+def page(folder, browser):
+    browser.open(folder / "report.html")
+    yield browser
+    assert browser.errors == []
 
 
-def text(page: Page, name: str) -> str:
+def text(page, name):
     return page.run(f"document.getElementById('{name}').textContent")
 
 
-def test_the_page_needs_nothing_beside_it(folder: Path):
+def test_the_page_needs_nothing_beside_it(folder):
     html = (folder / "report.html").read_text()
     assert not re.search(r"(src|href)=\"(?!data:|#)", html)
     assert "https://" not in re.sub(r"<pre>.*?</pre>", "", html, flags=re.DOTALL)
@@ -60,14 +64,14 @@ def test_the_page_needs_nothing_beside_it(folder: Path):
 
 
 @pytest.mark.system
-def test_the_same_logs_give_the_same_page(folder: Path):
+def test_the_same_logs_give_the_same_page(folder):
     assert tetractl(folder, "report", "logs", "-o", "again.html").returncode == 0
     assert (folder / "again.html").read_text() == (folder / "report.html").read_text()
 
 
 @needs_chromium
 @pytest.mark.system
-def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
+def test_the_page_shows_the_numbers_of_stats(page, statistics):
     inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))
     assert inside == statistics
     rows = page.run(
@@ -91,7 +95,7 @@ def test_the_page_shows_the_numbers_of_stats(page: Page, statistics: dict):
 
 @needs_chromium
 @pytest.mark.system
-def test_it_plays_and_scrubs_and_steps(page: Page):
+def test_it_plays_and_scrubs_and_steps(page):
     assert text(page, "step") in ("–", "0")
     page.run(
         "document.getElementById('rate').value = '10';"
@@ -125,7 +129,7 @@ def test_it_plays_and_scrubs_and_steps(page: Page):
 
 @needs_chromium
 @pytest.mark.system
-def test_what_is_drawn_moves_with_the_time(page: Page):
+def test_what_is_drawn_moves_with_the_time(page):
     shot = "document.getElementById('scene').toDataURL()"
     start = page.run(shot)
     page.key("End")
@@ -137,9 +141,7 @@ def test_what_is_drawn_moves_with_the_time(page: Page):
 @needs_chromium
 @pytest.mark.system
 @pytest.mark.parametrize("width", [390, 1280])
-def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(
-    folder: Path, page: Page, width: int
-):
+def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(folder, page, width):
     page.open(folder / "report.html", width, 844)
     assert page.run("document.documentElement.scrollWidth") <= width
     covered = """(() => {
@@ -158,7 +160,7 @@ def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(
 
 
 @pytest.mark.system
-def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path: Path):
+def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path):
     (tmp_path / "quick.yaml").write_text(SPEC)
     (tmp_path / "study.yaml").write_text(
         "name: delays\nbase: quick.yaml\ntrials: {count: 2}\n"

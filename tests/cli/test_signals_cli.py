@@ -228,7 +228,7 @@ ENDING = {  # every command that ends by itself and needs no lab, and its exit c
     "verify logs": 0,
     "stats logs": 0,
     "stats logs --format csv": 0,
-    "analyze spec.yaml": 0,
+    "analyze spec.yaml --plans 1": 0,
     "study study.yaml --out arms --jobs 2": 0,
     "identify logs": 0,
     "lab stop --port nowhere": 1,

@@ -123,29 +123,6 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
         assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
 
 
-def test_arms_without_logs_are_compared_as_those_with_logs_are(whole, tmp_path):
-    write(tmp_path)
-    assert (
-        study("study.yaml", "--out", "out", "--logs", "none", "--jobs", 1, cwd=tmp_path).returncode
-        == 0
-    )
-    assert not list(tmp_path.rglob("*.mcap"))
-    folder, _ = whole
-    printed = []
-    for where in (folder, tmp_path):
-        found = tetractl("stats", "out", "--format", "csv", cwd=where)
-        assert found.returncode == 0, found.stderr
-        printed.append(found.stdout)
-    assert printed[0] == printed[1]
-    one = tetractl("stats", "out/few-dead_time=0-a=3", cwd=tmp_path)
-    assert "5 of 5 trials complete" in one.stdout
-    two = tetractl("stats", "out/few-dead_time=0-a=3", "out/many-dead_time=0-a=3", cwd=tmp_path)
-    assert "few-dead_time=0-a=3 against many-dead_time=0-a=3" in two.stdout
-    with_it = tetractl("stats", "out/few-dead_time=0-a=3", "--against", "out", cwd=tmp_path)
-    assert (with_it.returncode, with_it.stdout) == (2, "")
-    assert "out: is the folder of a study" in with_it.stderr
-
-
 def test_shares_of_one_arm_are_one_batch(tmp_path):
     write(tmp_path, "name: one\nbase: spec.yaml\ntrials: {count: 5, seed: 7}\n")
     for share in ("1/2", "2/2"):

@@ -35,14 +35,14 @@ run spec.yaml --out empty.yaml | empty.yaml: not a folder
 run spec.yaml --out logs | logs: holds logs already | name another folder with --out
 run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with another spec or seed
 run spec.yaml --resume | --resume needs --out
-run spec.yaml --port 1 | --port belongs to --serve
+run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 serve spec.yaml --paused | only a LOG is played back
 serve LOG --rate 0 | --rate must be above 0
 rerun LOG --seed 3 | No such option
 study study.yaml --shard 3/2 | --shard 3/2: must be i/n
 study study.yaml --logs some | --logs some: must be all, failed, sample:N or none
-study study.yaml nowhere | --merge and the folders of the shares go together
+study study.yaml nowhere | --merge needs the folders of the shares
 study study.yaml --merge nowhere -o out | nowhere: holds no trial of this study
 study study.yaml --trial many -o out | --trial many: must be ARM/N
 study study.yaml --trial dead_time=0.1/9 -o out | it has no row in
@@ -82,7 +82,7 @@ export missing -o x | missing: no such file or folder
 identify | LOG
 identify logs --yes | No such option
 identify logs poses.csv | logs and CSV files cannot be identified together
-design spec.yaml --yes | --logs and --yes belong to --plant
+design spec.yaml --yes | --logs and --yes need --plant
 design lab.yaml --plant lab | there is no terminal to ask at | add --yes
 redrive LOG --plant lab --yes | lab
 what-if logs | --set
@@ -90,12 +90,12 @@ what-if LOG --set plant.dead_time=0 | only what is under 'controller' can be rep
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1
-kinds --set x=1 | --set belongs to --check
-init Käse | 'Käse' is no name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
+kinds --set x=1 | --set needs --check
+init Käse | 'Käse' cannot be the name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
 init --lab --cells | --lab and --cells
 init no/first | no/first.yaml: cannot be written: No such file or directory
 init spec | spec.yaml: is there already | give another NAME
-init mine --example three_m3pi | --example writes a file as it is shipped
+init mine --example three_m3pi | --example cannot be combined with other options
 init --example three_m3p | there is no example 'three_m3p'; did you mean 'three_m3pi'?
 validate | SPEC
 schema -o no/such/new.json | no/such/new.json: no such file or folder

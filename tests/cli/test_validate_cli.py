@@ -1,7 +1,6 @@
 """`tetractl validate` and `tetractl schema`, as a user starts them."""
 
 import json
-import shutil
 from functools import partial
 
 import pytest
@@ -48,26 +47,6 @@ def test_all_problems_of_all_bad_specs_are_printed(tetractl, tmp_path):
     assert two.startswith("two.yaml:2:1: not valid YAML")
 
 
-def test_missing_files_and_folders_are_bad_specs(tetractl):
-    result = tetractl("validate", "none.yaml", ".")
-    assert result.returncode == 2
-    assert result.stdout.splitlines() == [
-        "none.yaml: there is no such file",
-        ".: is a folder; name a YAML file in it",
-    ]
-
-
-def test_settings_are_checked_with_the_spec(tetractl):
-    spec = EXPERIMENTS / "three_m3pi.yaml"
-    assert tetractl("validate", spec, "--set", "robots.green.a=5").returncode == 0
-    result = tetractl("validate", spec, "--set", "controller.optimizer.particels=5")
-    assert result.returncode == 2
-    assert result.stdout == (
-        "--set controller.optimizer.particels=5: controller.optimizer.particels: unknown key; "
-        "did you mean 'particles'?\n"
-    )
-
-
 def test_json_holds_summaries_and_problems(tetractl, tmp_path):
     (tmp_path / "bad.yaml").write_text("name: 5\n", encoding="utf-8")
     result = tetractl("validate", EXPERIMENTS / "single_cell.yaml", "bad.yaml", "--json")
@@ -92,9 +71,3 @@ def test_schema_is_printed_or_written(tetractl, tmp_path):
     assert json.loads(printed.stdout)["title"] == "Experiment"
     assert tetractl("schema", "-o", "new.json").returncode == 0
     assert (tmp_path / "new.json").read_text("utf-8") == printed.stdout
-
-
-def test_the_example_of_the_help_works(tetractl, tmp_path):
-    shutil.copytree(EXPERIMENTS, tmp_path / "experiments")
-    specs = sorted(path.relative_to(tmp_path) for path in tmp_path.glob("experiments/*.yaml"))
-    assert tetractl("validate", *specs).returncode == 0

@@ -1,5 +1,6 @@
 """Cells that a trial finds and steers through synthetic pictures, emulated, in virtual time."""
 
+import json
 import re
 
 import numpy as np
@@ -123,6 +124,13 @@ def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_ag
         done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words)
         assert done.returncode == 0, done.stderr
         magnets = np.sort(dish.cells.a[dish.cells.a > 0])
+        again = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words)
+        assert again.returncode == 0, again.stderr
+    items = json.loads(again.stdout)
+    assert items["unit"] == "um"
+    assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])
+    errors = [choice["error"] for choice in items["choices"] if choice["error"] is not None]
+    assert errors == sorted(errors)
     listed = re.findall(r"cell \d+: a (-?[\d.]+) ± [\d.]+ rad/s, speed [\d.]+ ± [\d.]+ um/s$",
                         done.stdout, re.MULTILINE)  # fmt: skip
     assert len(listed) >= 2

@@ -124,7 +124,7 @@ def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
 @pytest.mark.parametrize(
     ("words", "code", "says"),
     [
-        (["stop"], 2, "name a SPEC or a --port"),
+        (["stop"], 2, "give either a SPEC or --port"),
         (["stop", "--port", "nowhere"], 1, "nowhere: there is no such port"),
         (["stop", "--port", "x", "--mode", "loud"], 2, "--mode"),
         (["check", str(SPEC.with_name("three_m3pi.yaml"))], 2, "has no lab"),
@@ -137,6 +137,18 @@ def test_bad_usage_is_one_clear_line(tmp_path, words, code, says):
     assert done.returncode == code
     assert done.stderr.startswith("error: ")
     assert says in done.stderr
+
+
+def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
+    def compiled(*_):
+        raise AssertionError("compiled")
+
+    monkeypatch.setattr("tetractl.control.build.warm_up", compiled)
+    done = tetractl(
+        tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--set", "lab.actuator.port=nowhere"
+    )
+    assert done.returncode == 1
+    assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
 
 
 def test_lab_options_of_run_are_checked(tmp_path):

@@ -22,9 +22,8 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.core.trial import Result
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
-from tetractl.plant.disturbances.planning_time import PlanningTimeSection
-from tetractl.plant.disturbances.radio import RadioSection
-from tetractl.plant.disturbances.start_error import StartErrorSection
+from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
+from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.simulation import SimSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial

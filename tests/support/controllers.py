@@ -14,12 +14,8 @@ SMALL: dict[str, dict[str, Any]] = {
 PSO, MULTISTART = SMALL["pso"], SMALL["multistart"]
 assert SMALL.keys() == set(OPTIMIZERS.builtin), "a further optimiser joins the contract by an entry"
 
-ON_A_BUDGET = {
-    f"{name}, on a budget": {"optimizer": SMALL[name], "evaluations_max": 300} for name in SMALL
-}
 MPC: dict[str, dict[str, Any]] = {
     **{name: {"optimizer": optimizer} for name, optimizer in SMALL.items()},
-    **ON_A_BUDGET,
     "pso, relative stop": {"optimizer": PSO | {"stop": {"type": "relative"}}, "motion": "exact"},
     "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}, "motion": "arc"},
     "pso, swept": {"optimizer": PSO, "collision": {"test": "swept", "margin": 20, "walls": True}},

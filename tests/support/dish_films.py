@@ -13,6 +13,7 @@ from tetractl.film.field_file import FieldRecord
 from tetractl.film.follow import follow
 
 REACH_UM = 25.0  # a cell is found by what is shown within half a body of it
+TOGETHER_UM = 40.0  # bodies nearer to each other than this are one blob
 GAP = 3  # pictures out of sight, after which a cell may have another number
 
 cv2.setNumThreads(1)
@@ -100,7 +101,7 @@ class Score:
                 if i not in pairs:
                     continue
                 cell, body = cells[pairs[i]], made.body[k, i]
-                if cell.merged:
+                if cell.merged or together(made.body[k, :, :2], i):
                     when[i] = k
                     continue
                 if not (events and i in (divides, made.body.shape[1] - 1)):
@@ -116,6 +117,12 @@ class Score:
                     off = (cell.heading - made.heading[k, i] + math.pi) % (2 * math.pi) - math.pi
                     self.heading += [] if events and i == rests else [off]
         return self
+
+
+def together(places, i):
+    """Whether a cell's body is in one blob with another one's."""
+    gaps = np.linalg.norm(np.nan_to_num(places, nan=1e6) - places[i], axis=1)
+    return np.sort(gaps)[1:].min(initial=np.inf) < TOGETHER_UM
 
 
 def matched(places, cells, last):

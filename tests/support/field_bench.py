@@ -9,7 +9,7 @@ from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Timeline
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver_protocol import FieldCommand, encode_command
+from tetractl.lab.actuators.field.driver import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
 
 LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)

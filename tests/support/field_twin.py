@@ -3,7 +3,7 @@
 from tetractl.core.errors import WireError
 from tetractl.emulate.firmware import CoreEvent
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.driver_protocol import (
+from tetractl.lab.actuators.field.driver import (
     VERSION,
     DriverStatus,
     FieldFlag,

@@ -11,10 +11,7 @@ import numpy as np
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.audit import audit
 
-SLAVES = (
-    "wheels.watchdog=null",
-    *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)),
-)
+SLAVES = ("wheels.watchdog=null", *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)))
 UNEVEN = """
 emulation:
   camera: {version: '4.3'}

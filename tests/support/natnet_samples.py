@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from tetractl.emulate.optitrack.server_wire import pack_modeldef, packed_body, section, suffix
+from tetractl.emulate.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     MessageKind,

@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 
 from support.paths import ROOT
 
-from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee
-from tetractl.lab.actuators.xbee import framing
+from tetractl.lab.actuators.xbee.frames import encode
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     BodyName,
     EchoResponse,
@@ -75,7 +75,7 @@ def serial_bytes() -> list[bytes]:
         xbee.TransmitStatus(1, 0),
         xbee.Transmit16(0, 0xFFFF, 0, command),
     ]
-    both = [b"".join(framing.encode(f, escaped) for f in received) for escaped in (False, True)]
+    both = [b"".join(encode(f, escaped) for f in received) for escaped in (False, True)]
     wheels = slave.encode_wheels(64, -127) + slave.SIGNATURE_REQUEST + slave.BATTERY_REQUEST
     heads = (b"\0\x3f", b"\1\7", b"\0\x20", b"\0\1")
     return [a + b for a, b in zip(heads, (*both, command + reply, wheels), strict=True)]

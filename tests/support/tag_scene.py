@@ -7,9 +7,9 @@ import numpy as np
 from support.needs_opencv import cv2
 
 from tetractl.core.poses import Poses
-from tetractl.emulate.apriltag.renderer import Optics, Renderer
+from tetractl.emulate.apriltag.side import Optics, Renderer
+from tetractl.lab.cameras.apriltag.camera import Tracker
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
-from tetractl.lab.cameras.apriltag.track import Tracker
 
 MM = 1e-3
 NAMES = ("green", "blue", "red")

@@ -29,7 +29,7 @@ from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast, slave
-from tetractl.lab.actuators.xbee import framing
+from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, encode
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
@@ -155,16 +155,12 @@ def natnet(data: bytes) -> None:
 def serial(data: bytes) -> None:
     """One byte for the mode, one for where reads are cut, then what comes from the port."""
     mode, cut, stuff = data[:1] or b"\0", (data[1:2] or b"\1")[0] % 64 + 1, data[2:]
-    decoder, splitter, program = (
-        framing.Decoder(bool(mode[0] & 1)),
-        cobs.Splitter(),
-        SlaveDecoder(),
-    )
+    decoder, splitter, program = (Decoder(bool(mode[0] & 1)), cobs.Splitter(), SlaveDecoder())
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]
         for frame in decoder.feed(piece):
-            assert framing.Decoder(False).feed(framing.encode(frame, False)) == [frame]
-        assert len(decoder._buffer) <= 2 * (framing.CONTENT_MAX + 3) + 1
+            assert Decoder(False).feed(encode(frame, False)) == [frame]
+        assert len(decoder._buffer) <= 2 * (CONTENT_MAX + 3) + 1
         for frame in splitter.feed(piece):
             for decode in (broadcast.decode_reply, broadcast.decode_command):
                 with only(WireError):
@@ -322,7 +318,7 @@ TARGETS = {
     "serial": Target(serial, seeds.serial_bytes),
 }
 if find_spec("cv2"):
-    from tetractl.emulate.network_camera import BOUNDARY, coded, part
+    from tetractl.emulate.stream_side import BOUNDARY, coded, part
     from tetractl.lab.cameras.pictures.feed import Picture
     from tetractl.lab.cameras.pictures.multipart import Multipart
     from tetractl.lab.cameras.pictures.source import decoded

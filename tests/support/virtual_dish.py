@@ -19,9 +19,9 @@ from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.errors import AbortError
 from tetractl.emulate.emulated_lab import EmulatedLab
-from tetractl.emulate.network_camera import BOUNDARY, coded, part
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options
+from tetractl.emulate.stream_side import BOUNDARY, coded, part
 from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.cells.camera import CellCamera

@@ -27,7 +27,7 @@ HOST_CLOCKS = (
     "tetractl.core.clock",
     "tetractl.experiment.lab_section",
     "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.stop_sequence",
+    "tetractl.lab.actuators.m3pi.serial_protocols",
     "tetractl.plant.lab_plant",
 )
 Address = tuple[str, int]
@@ -223,10 +223,14 @@ class MemorySerial:
         self._clock, self._heard = clock, heard
         self._port = None
 
+    @staticmethod
+    def require(name, device):
+        if str(name) not in MemoryPort.ports:
+            raise AbortError(f"{name}: there is no such port")
+
     def open(self, alone=True):
-        self._port = MemoryPort.ports.get(str(self._name))
-        if self._port is None:
-            raise AbortError(f"{self._name}: there is no such port")
+        self.require(self._name, self._device)
+        self._port = MemoryPort.ports[str(self._name)]
         if self._port.near is not None and alone:
             raise PortHeldError(str(self._name))
         self._port.near = self
@@ -294,6 +298,7 @@ def virtual_wires(network, clock):
             ("tetractl.emulate.field.PseudoPort", MemoryPort),
             ("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial),
             ("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial),
+            ("tetractl.lab.serial_port.require_port", MemorySerial.require),
         ):
             stack.enter_context(mock.patch(name, value))
         device = f"{__name__}:VirtualCamera"

@@ -7,8 +7,7 @@ import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.core.ellipse import ellipse
-from tetractl.core.table.numbers import fixed
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import Column, Table, fixed
 
 OF_PLANS = (
     "fewest_signals",
@@ -26,7 +25,7 @@ SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
 
 
 def tables(found: Analysis) -> list[Table]:
-    """Return the tables of an analysis; `advice` belongs below them."""
+    """Return the tables of an analysis; print the line from `advice` below them."""
     setup, here, unit = found.setup, found.steering, found.setup.unit
     reaching = 0 if here is None else len(here.errors)
     names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
@@ -86,7 +85,9 @@ def tables(found: Analysis) -> list[Table]:
 
 
 def _maps(found: Analysis) -> list[Table]:
-    """Return the predicted errors of robots more or less alike, and of fewer."""
+    """Return the tables of predicted errors over the least difference of a and over the number of
+    robots.
+    """
     if not found.by_gap:
         return []
     unit = found.setup.unit
@@ -120,7 +121,7 @@ def _percent(share: float) -> str:
 
 
 def as_json(found: Analysis) -> dict[str, Any]:
-    """Return an analysis as the items of a JSON object; what is not known is None."""
+    """Return an analysis as the items of a JSON object; unknown values are None."""
     setup, here, noise = found.setup, found.steering, found.noise
     robots: list[dict[str, Any]] = [
         {"name": name, "a": setup.a[i], "speed": setup.speed[i]}

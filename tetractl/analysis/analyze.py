@@ -13,11 +13,11 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-"""Smallest relative differences of a that are mapped."""
+"""Smallest relative differences of a for which an error is predicted."""
 TOO_ALIKE = 0.2
-"""Below this difference a greater one is sought."""
+"""If the smallest relative difference of a is below this, a greater one is sought."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Relative differences to the other robot that are tried for one of the two most alike."""
+"""Relative differences of a that are tried between the two robots most alike."""
 WORTH = 0.8
 """A change must reduce the predicted error to at most this fraction."""
 AS_GOOD = 1.1
@@ -26,7 +26,7 @@ AS_GOOD = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The advice to give a robot another a [rad/s], and the predicted mean total error then."""
+    """The advice to give a robot another a [rad/s], with the mean total error predicted for it."""
 
     robot: str
     old: float
@@ -38,15 +38,15 @@ class Change:
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
-    `steering` is along those of the `plans` searched that reach the targets, None if none does;
+    `steering` analyses those of the `plans` searched that reach the targets, None if no plan does;
     errors of robots for which no plan was found are NaN. `left_out` lists disturbances of the plant
-    that are not in the predictions. A plan reaches the targets if its cost is within the
-    `tolerance` of the optimiser or of what is accepted [length unit]. `alike` are the two robots
-    whose a differ least, and `gap` by how much, relative to the smaller; None and inf for one
-    robot. `by_gap` pairs smallest relative differences with errors: the robots keep their order and
-    the geometric mean of their a, and each a is that factor above the next. `by_count` pairs a
-    number of robots, the first of the spec, with the error. `change` is the advice if two robots
-    are too alike and another a helps; `looked` is whether one was sought.
+    that are not in the predictions. A plan reaches the targets if its cost is at most `tolerance`
+    [length unit], from the optimiser or the accepted error. `alike` are the two robots whose a
+    differ least, and `gap` by how much, relative to the smaller; None and inf for one robot.
+    `by_gap` pairs smallest relative differences with errors: the robots keep their order and the
+    geometric mean of their a, and each a is that factor above the next. `by_count` pairs a number
+    of robots, the first of the spec, with the error. `change` is the advice if two robots are too
+    alike and another a helps; `looked` is whether one was sought.
     """
 
     setup: Setup
@@ -113,7 +113,9 @@ def analyze(
 
 
 def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
-    """Return the least relative difference of two a, and the robots, the smaller a first."""
+    """Return the least relative difference of a between two robots, and the two, the smaller a
+    first.
+    """
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
         return float("inf"), None
@@ -123,16 +125,16 @@ def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
-    """Return the robots with each a 1 + gap times the next one below, round the same mean."""
+    """Return the robots with each a 1 + gap times the next lower, and the same geometric mean."""
     rank = np.argsort(np.argsort(setup.a, kind="stable"))
     middle = np.exp(np.log(setup.a).mean())
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
 def best_change(changes: list[Change], error: float) -> Change | None:
-    """Return the smallest of the changes that are about as good as the best, None if none helps.
+    """Return the smallest change that is about as good as the best, None if no change helps.
 
-    NaN errors are those of robots for which there is no plan.
+    An error is NaN if no plan was found for the robots.
     """
     most = math.inf if math.isnan(error) else WORTH * error
     least = min((one.error for one in changes if one.error <= most), default=None)
@@ -143,7 +145,9 @@ def best_change(changes: list[Change], error: float) -> Change | None:
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield robots of the two most alike, and an a that makes all robots differ more."""
+    """Yield pairs of a robot, one of the two most alike, and an a that makes all robots differ
+    more.
+    """
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

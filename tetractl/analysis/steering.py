@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, mean_errors
-from tetractl.analysis.linear import linearise
+from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.control.mpc import MpcSection
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan
@@ -24,8 +23,8 @@ from tetractl.run.task import trial_seeds
 class Planned:
     """A plan of the robots at their starts, and the problem that it solves.
 
-    `reaches` is whether its cost is good enough for the optimiser, or accepted by the controller;
-    `shortest` is the fewest signals whose cost is, None for none.
+    `reaches` is whether its cost is good enough for the optimiser, or accepted by the controller.
+    `shortest` is the fewest signals with such a cost, None if no length has one.
     """
 
     plan: Plan
@@ -35,10 +34,10 @@ class Planned:
 
 
 def planner(experiment: Experiment) -> MpcSection:
-    """Return the model predictive control that the experiment is analysed with.
+    """Return the section of the model predictive control that an experiment is analysed with.
 
-    It is the spec's own if it has one, with the multistart optimiser, which has a tolerance,
-    and without limits; else the default one.
+    This is the spec's own, or else the default, with the multistart optimiser, which has a
+    tolerance, and without limits.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
@@ -55,8 +54,9 @@ def planner(experiment: Experiment) -> MpcSection:
 
 
 def tolerance(section: MpcSection) -> float:
-    """Return the cost up to which a plan reaches the targets [length unit]: good enough for the
-    optimiser, or accepted."""
+    """Return the cost up to which a plan reaches the targets [length unit]: the optimiser's
+    tolerance, or the accepted error.
+    """
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
@@ -103,7 +103,8 @@ class Steering:
     def error(self) -> float:
         """The predicted mean total error with feedback, the median of the plans.
 
-        A controller leaves a plan along which robots are hard to hold for a better one.
+        The median, because a controller changes to a better plan if robots are hard to hold along
+        one.
         """
         return float(np.median(self.errors))
 
@@ -111,8 +112,9 @@ class Steering:
 def steering(
     section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
-    """Analyse the robots of a setup along those plans, of the given number of trials, that reach
-    the targets; None if none does."""
+    """Analyse the robots of a setup along the first plans of `trials` trials that reach the
+    targets; None if no plan does.
+    """
     found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not found:
         return None
@@ -145,7 +147,7 @@ def steering(
 
 
 def _each(covariance: Floats) -> Floats:
-    """Return the covariance of each robot's end, (N, 2, 2), of that of all, (2N, 2N)."""
+    """Return the covariance of each robot's end, (N, 2, 2), from the joint one, (2N, 2N)."""
     count = len(covariance) // 2
     robots = np.arange(count)
     return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]

@@ -12,7 +12,7 @@ def main() -> None:
     """
     import signal
 
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # ends the process silently
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # for now, Ctrl-C ends the process silently
 
     import atexit
     import sys
@@ -46,7 +46,7 @@ def _address_limit() -> float:
     """Return the most bytes that the process may address."""
     try:
         import resource
-    except ImportError:  # not everywhere
+    except ImportError:  # Windows has no such module
         return float("inf")
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return float("inf") if limit == resource.RLIM_INFINITY else limit

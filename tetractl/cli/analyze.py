@@ -11,10 +11,15 @@ from tetractl.core.errors import Exit
 
 
 def analyze(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="Experiment to analyse.")],
+    spec: Annotated[
+        Path, typer.Argument(metavar="SPEC", help="Spec file of the experiment to analyse.")
+    ],
     sets: Sets = None,
     plans: Annotated[
-        int, typer.Option(min=1, max=1000, metavar="N", help="Plans searched for each result.")
+        int,
+        typer.Option(
+            min=1, max=1000, metavar="N", help="Number of plans to search for each result."
+        ),
     ] = 5,
     form: Annotated[
         Literal["text", "json"], typer.Option("--format", help="Output format.")
@@ -22,23 +27,25 @@ def analyze(
     as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="Figure to draw: .png, .svg or .pdf."),
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="File of the figure to draw: .png, .svg or .pdf."
+        ),
     ] = None,
 ) -> int:
     """Tell whether the robots of a spec can be steered together, and how well; nothing is run.
 
     Along good plans, by the multistart optimiser, it predicts the mean total error under the noise
     that the spec's simulated plant assumes (errors of a and speed, the walk of the headings, the
-    noise of the measurement), the shortest plan that reaches, the ellipse of each end, and what the
-    error would be with robots more or less alike, and with fewer. If two robots are too alike,
-    it looks for a better a.
+    noise of the measurement), the shortest plan that reaches the targets, the ellipse of each
+    robot's end, and the error with robots more or less alike, and with fewer robots. If two robots
+    are too alike, it looks for a better a.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
 

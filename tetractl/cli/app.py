@@ -22,7 +22,6 @@ from tetractl.cli import (
     init,
     kinds,
     lab,
-    open_log,
     plot,
     recover,
     redrive,
@@ -43,7 +42,7 @@ from tetractl.cli import (
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.text import printable
 
-PLAIN = (  # what typer writes of a bad value, and how errors of specs are worded
+PLAIN = (  # typer's words for a bad value, and those that errors of specs use
     ("Input should be a valid integer, unable to parse string as an integer", "is no whole number"),
     ("Input should be a valid number, unable to parse string as a number", "is no number"),
     ("Input should be greater than or equal to", "must be at least"),
@@ -54,11 +53,13 @@ PLAIN = (  # what typer writes of a bad value, and how errors of specs are worde
 )
 
 
-_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # within a paragraph that is no list
+_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a line break within a paragraph that is no list
 
 
 class _Plain:
-    """A command whose help has whole paragraphs, choices and placeholders, not Python types."""
+    """A command whose help shows unbroken paragraphs, and choices or placeholders in place of
+    Python types.
+    """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
@@ -125,7 +126,7 @@ COMMANDS = {
     "plot": plot.plot,
     "report": report.report,
     "export": export.export,
-    "open": open_log.open_logs,
+    "open": serve.open_logs,
     "serve": serve.serve,
     "verify": verify.verify,
     "what-if": what_if.what_if,
@@ -149,12 +150,12 @@ def run_app() -> int:
     """Run the command that the arguments name; return one of the codes of `Exit`."""
     try:
         code = app(standalone_mode=False)
-        sys.stdout.flush()  # here, so that what fails is handled below
+        sys.stdout.flush()  # here, so that an error of the stream is handled below
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit
     except TyperException as error:
-        if error.format_message():  # else help was printed, for lack of a command
+        if error.format_message():  # empty if help was printed because no command was given
             complain(_plainly(error.format_message()), _usage_hint(error))
         return Exit.USAGE
     except (typer.Abort, KeyboardInterrupt):
@@ -165,7 +166,7 @@ def run_app() -> int:
     except SystemExit as end:
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        return Exit.DONE  # the same, as another exception of typer's
+        return Exit.DONE  # also a closed pipe, as typer reports it
     except FileNotFoundError as error:
         complain(f"{error.filename}: no such file or folder")
         return Exit.USAGE
@@ -177,7 +178,7 @@ def run_app() -> int:
 
 
 def _plainly(message: str) -> str:
-    """Return typer's message on a bad option, worded as errors of specs are."""
+    """Return typer's message on a bad option, in the words that errors of specs use."""
     for theirs, ours in PLAIN:
         message = message.replace(theirs, ours)
     return re.sub(r"^'(--?[\w-]+)':", r"\1:", message)

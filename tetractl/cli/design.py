@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.identify import AsJson, refuse_existing, show_found, write
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.identify import refuse_existing, show_found, write
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, UsageError
 
@@ -18,10 +18,10 @@ if TYPE_CHECKING:
 
 
 def design(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     seconds: Annotated[
-        float, typer.Option(min=1, max=120, metavar="S", help="Duration of the motion.")
+        float, typer.Option(min=1, max=120, metavar="S", help="Duration of the motion [s].")
     ] = 10.0,
     plant: Annotated[
         PlantChoice | None,
@@ -60,7 +60,7 @@ def design(
     from tetractl.replay.redrive import sequence_spec
 
     if plant is None and (logs is not None or yes):
-        raise UsageError("--logs and --yes belong to --plant")
+        raise UsageError("--logs and --yes need --plant")
     refuse_existing(out)
     loaded = load(spec, sets or [])
     if plant is not None:
@@ -92,8 +92,10 @@ def design(
 
 
 def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
-    """Print a motion: its directions, and the predicted deviations of a fit to it."""
-    from tetractl.core.table.data import json_text
+    """Print a motion's directions, and the predicted standard deviations of values identified from
+    it.
+    """
+    from tetractl.core.table.table_files import json_text
 
     setup = loaded.experiment.setup
     if as_json:

@@ -6,30 +6,31 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import Logs, progress
 from tetractl.core.errors import Exit, UsageError
 
 
 def export(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     output: Annotated[
         Path,
         typer.Option(
             "-o",
             "--out",
             metavar="DIR|FILE",
-            help="Folder for all tables, or one file, .csv or .parquet, for the --table named.",
+            help="Folder for all tables; or a .csv or .parquet file for the one named by --table.",
         ),
     ],
     table: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="trials, steps, poses, estimates or events.  \\[all]"),
+        typer.Option(
+            metavar="NAME",
+            help="Write only this table: trials, steps, poses, estimates or events.  \\[all]",
+        ),
     ] = None,
     format_name: Annotated[
-        str | None, typer.Option("--format", metavar="NAME", help="csv or parquet.  \\[csv]")
+        str | None,
+        typer.Option("--format", metavar="NAME", help="File format: csv or parquet.  \\[csv]"),
     ] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.

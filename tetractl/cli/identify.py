@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial
+from tetractl.cli.options import AsJson, open_trial
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -21,10 +21,9 @@ NewFile = Annotated[
         "-o",
         "--out",
         metavar="FILE",
-        help="YAML file to write, which a spec names as `identified`.",
+        help="YAML file to write the values to; a spec uses it by its field `identified`.",
     ),
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 
 
 def identify(
@@ -40,17 +39,16 @@ def identify(
 ) -> int:
     """Identify a, speed, heading bias, dead time and noise, with 95 % intervals.
 
-    Logs are pooled: all of the same robots, simulated or of a lab. The true poses in a simulation's
-    log are not used. The dead time counts from the sending of a direction.
+    All logs, simulated or from a lab, must be of the same robots; their data is pooled. The true
+    poses in a simulation's log are not used. The dead time counts from the sending of a direction.
 
     `tetractl design SPEC` proposes a motion from which much can be identified.
 
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
     """
     from tetractl.log.read.find import find_logs
-    from tetractl.replay.identification.csv_tracks import csv_tracks
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import track_of
+    from tetractl.replay.identification.tracks import csv_tracks, track_of
 
     refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
@@ -77,25 +75,25 @@ def identify(
 
 
 def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
-    """Print what was found, and write it as a file for specs if one is named."""
-    from tetractl.core.table.data import json_text
+    """Print the identified values; if a file is named, write them to it for use in specs."""
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.experiment.identified import identified_yaml
-    from tetractl.replay.identification import report
+    from tetractl.replay.identification.identify import identified, tables
 
     if as_json:
         print(json_text(found))
     else:
-        print_tables(report.tables(found))
+        print_tables(tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        write(out, identified_yaml(report.identified(found, when)))
+        write(out, identified_yaml(identified(found, when)))
         if not as_json:
             print(f"wrote {out}; name it in the spec: identified: {out.name}")
 
 
 def refuse_existing(out: Path | None) -> None:
-    """Raise UsageError for a file that would be overwritten."""
+    """Raise UsageError if the output file exists already."""
     if out is not None and out.exists():
         raise UsageError(f"{out}: exists already", "name another with --out")
 

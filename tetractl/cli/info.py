@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
-SHOWN = 240  # characters of a line; --json has all
+SHOWN = 240  # characters of a line that are shown; --json has the whole line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
 
 def info(
     log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
 
@@ -105,7 +106,7 @@ def _events(found: "Overview") -> "Iterator[str]":
 
 
 def _estimate(found: "Overview") -> dict[str, str]:
-    """Return the last estimate, one line per robot; each value with its standard deviation."""
+    """Return the last estimate, one line per robot, each value with its standard deviation."""
     estimate, unit = found.estimate, found.run.get("unit", "")
     if estimate is None:
         return {}
@@ -126,7 +127,7 @@ def _estimate(found: "Overview") -> dict[str, str]:
 
 
 def _deviating(value: float, std: float) -> str:
-    """Write a value with its standard deviation, to two digits of that."""
+    """Return a value with its standard deviation as text, to two digits of the deviation."""
     digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
     digits = min(max(digits, 0), 9)
     return f"{value:.{digits}f} +- {std:.{digits}f}"

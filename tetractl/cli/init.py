@@ -8,6 +8,54 @@ from typing import Annotated
 import typer
 
 from tetractl.core.errors import Exit, UsageError
+from tetractl.experiment.yaml.document import parse_document, read_text
+from tetractl.experiment.yaml.problems import did_you_mean
+
+FOLDER = "experiments"
+NAMED = ("base", "identified")
+"""Fields that name another file, by its path from the file."""
+
+
+def shipped_folder() -> Path:
+    """Return the folder of the examples: in the source tree, or shipped inside the package."""
+    here = Path(__file__).resolve()
+    for folder in (here.parents[1] / FOLDER, here.parents[2] / FOLDER):
+        if (folder / "three_m3pi.yaml").is_file():
+            return folder
+    raise UsageError("the examples are missing from this installation")
+
+
+def example_names() -> list[str]:
+    """Return the names of the examples: paths in their folder, without `.yaml`."""
+    folder = shipped_folder()
+    files = sorted(folder.rglob("*.yaml"))
+    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
+
+
+def example_files(name: str) -> dict[str, str]:
+    """Return an example and the files that it names: path in their folder, and text.
+
+    Raises UsageError if there is no such example.
+    """
+    known, folder = example_names(), shipped_folder()
+    name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
+    if name not in known:
+        guess = did_you_mean(name, known)
+        top = ", ".join(one for one in known if "/" not in one)
+        raise UsageError(
+            f"there is no example '{name}'{guess}", f"there are {top}, studies/, faults/"
+        )
+    found: dict[str, str] = {}
+    waiting = [folder / f"{name}.yaml"]
+    while waiting:
+        file = waiting.pop()
+        text = read_text(file)
+        found[file.relative_to(folder).as_posix()] = text
+        data = parse_document(text, str(file)).data
+        named = [(file.parent / data[key]).resolve() for key in NAMED if key in data]
+        waiting += [one for one in named if one.relative_to(folder).as_posix() not in found]
+    return found
+
 
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
 
@@ -16,12 +64,15 @@ def init(
     name: Annotated[
         str | None,
         typer.Argument(
-            metavar="[NAME]", help="Name of the experiment, and of its file.  \\[experiment]"
+            metavar="[NAME]",
+            help="Name of the experiment and of the file to write.  \\[experiment]",
         ),
     ] = None,
-    lab: Annotated[bool, typer.Option("--lab", help="Add a lab of m3pi robots.")] = False,
+    lab: Annotated[
+        bool, typer.Option("--lab", help="Add a lab of m3pi robots to the spec.")
+    ] = False,
     cells: Annotated[
-        bool, typer.Option("--cells", help="Two cells, in um, in place of robots.")
+        bool, typer.Option("--cells", help="Write a spec of two cells, in um, in place of robots.")
     ] = False,
     example: Annotated[
         str | None,
@@ -42,17 +93,23 @@ def init(
     """
     if example is not None:
         if name is not None or lab or cells:
-            raise UsageError("--example writes a file as it is shipped", "give it alone")
+            raise UsageError(
+                "--example cannot be combined with other options: it writes a file as shipped",
+                "give --example alone",
+            )
         return _example(example)
     from tetractl.core.text import printable
 
     name = "experiment" if name is None else name
     if lab and cells:
-        raise UsageError("--lab and --cells: the lab is one of robots", "give one of the two")
+        raise UsageError(
+            "--lab and --cells exclude each other: the lab has robots, not cells",
+            "give one of the two",
+        )
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
     if not NAME.fullmatch(path.stem):
         raise UsageError(
-            f"'{printable(name, 80)}' is no name of an experiment",
+            f"'{printable(name, 80)}' cannot be the name of an experiment",
             "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
     kind = "cells" if cells else "lab" if lab else "robots"
@@ -62,21 +119,20 @@ def init(
 
 
 def _example(name: str) -> int:
-    from tetractl.experiment.examples import FOLDER, example_files
 
     files = example_files(name)
     for inner in files:
         (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
     for number, (inner, text) in enumerate(files.items()):
         path = Path(FOLDER) / inner
-        if number and path.exists():  # what another example brought
+        if number and path.exists():  # a file that another example wrote
             continue
         _write(path, text, "move it away, or edit it as it is")
     return Exit.DONE
 
 
 def _write(path: Path, text: str, hint: str) -> None:
-    """Write a file that is not there, and print its name."""
+    """Write a file that does not exist yet, and print its name."""
     try:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)

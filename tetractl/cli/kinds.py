@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit, UsageError
 
 
@@ -13,37 +14,41 @@ def kinds(
         str | None,
         typer.Option(
             metavar="MODULE:NAME",
-            help="Check a motion, or the section of a shape, optimiser, camera or actuator.",
+            help="Check your own motion, or section of a shape, optimiser, camera or "
+            "actuator, given as module:NAME.",
         ),
     ] = None,
     sets: Annotated[
         list[str] | None,
         typer.Option(
-            "--set", metavar="FIELD=VALUE", help="With --check: a field of it; may be repeated."
+            "--set",
+            metavar="FIELD=VALUE",
+            help="With --check: set a field of the kind; may be repeated.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
-    """List every kind there is: optimisers, shapes, cameras, sweeps, statistics, figures and so on.
+    """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
+    on.
 
     Each line holds the interface, the `type`, the package that provides it, and its code.
     Exits with 2 if an installed package is broken.
 
-    With --check it tests one that you write: its NumPy functions against its compiled ones and
-    their derivatives, its bounds, and that it repeats. Exits with 1 if something is wrong. A
-    camera is opened if it can be; an actuator is not, and nothing moves.
+    With --check it tests a kind of your own: its NumPy functions against its compiled ones and
+    their derivatives, its bounds, and that equal seeds give equal results. Exits with 1 if
+    something is wrong. A camera is opened if possible; an actuator is not, and nothing moves.
 
     Example: tetractl kinds --check pivot:PIVOT
     """
     if check is None and sets:
-        raise UsageError("--set belongs to --check")
+        raise UsageError("--set needs --check")
     return _list(as_json) if check is None else _check(check, sets or [], as_json)
 
 
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import REGISTRIES
     from tetractl.core.registry import PluginError
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
 
     problems: dict[str, str] = {}
     rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
@@ -76,7 +81,7 @@ def _list(as_json: bool) -> int:
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.init import template
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.text import printable
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value

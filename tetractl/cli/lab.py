@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate, lab_survey
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -21,19 +21,17 @@ if TYPE_CHECKING:
 
 HELP = "Check, calibrate, stop or emulate the lab of a spec."
 
-Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
-
 
 def check(
     spec: Spec,
     sets: Sets = None,
-    json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
+    as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
     """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
 
-    Exit code 0 means that a run could start now. What only a person knows, such as
-    the firmware of an unknown radio, is asked; without a terminal it takes --yes.
+    Exit code 0 means that a run could start now. Questions that only a person can answer, such as
+    the firmware of an unknown radio, are asked; without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
@@ -50,7 +48,7 @@ def check(
         rig.start_anywhere()
     with rig:
         found = inspect(rig)
-    if json:
+    if as_json:
         print(dumps(findings.as_json(found), indent=2, allow_nan=False))
     else:
         findings.print_findings(found)
@@ -58,7 +56,7 @@ def check(
 
 
 def _agreed(questions: "Sequence[str]") -> bool:
-    """Return whether a person at the terminal answers yes to every question."""
+    """Return whether the operator at the terminal answers yes to every question."""
     import sys
 
     if questions and not sys.stdin.isatty():
@@ -73,24 +71,28 @@ def stop(
     ] = None,
     sets: Sets = None,
     port: Annotated[
-        str | None, typer.Option(metavar="PORT", help="An m3pi radio's port, in place of a spec.")
+        str | None,
+        typer.Option(metavar="PORT", help="Serial port of an m3pi radio, in place of a spec."),
     ] = None,
-    baud: Annotated[int, typer.Option(metavar="N", help="Its rate, with --port.")] = 57600,
+    baud: Annotated[int, typer.Option(metavar="N", help="With --port: its baud rate.")] = 57600,
     mode: Annotated[
-        str, typer.Option(metavar="MODE", help="api2, api1 or transparent, with --port.")
+        str,
+        typer.Option(
+            metavar="MODE", help="With --port: mode of the radio, api2, api1 or transparent."
+        ),
     ] = "api2",
 ) -> int:
-    """Stop every robot in reach for good, by the spec's actuator or an m3pi radio's port.
+    """Stop every robot in radio reach permanently, by the spec's actuator or an m3pi radio's port.
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. Needs no camera. A run that has the port is ended: stops are sent past it, it is
-    asked twice to end, then killed. Exit code 1 if another program keeps the port.
+    --port. Needs no camera. A run that uses the port is ended: stops are sent on the same port, the
+    run is asked twice to end, then killed. Exit code 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
     if (spec is None) == (port is None):
-        raise UsageError("name a SPEC or a --port")
+        raise UsageError("give either a SPEC or --port")
     from tetractl.lab.serial_port import PortHeldError, stop_beside
 
     if spec is not None:
@@ -113,11 +115,11 @@ def calibrate(
     sets: Sets = None,
     output: Annotated[
         Path,
-        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the calibration to write."),
+        typer.Option("-o", "--out", metavar="FILE", help="YAML file to write the calibration to."),
     ] = Path("calibration.yaml"),
     robot: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Only this robot; may be repeated.  [all]"),
+        typer.Option(metavar="NAME", help="Calibrate only this robot; may be repeated.  [all]"),
     ] = None,
     limit: Annotated[
         int,
@@ -125,24 +127,24 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="Greatest output, for m3pi the wheel count, of 127.",
+            help="Greatest output to drive with; for m3pi the wheel count, up to 127.",
         ),
     ] = 45,
     micrometer: Annotated[
         str | None,
         typer.Option(
             metavar="C,R,C,R,UM",
-            help="Columns and rows of two places in a microscope's picture (px), and how far they "
-            "are from each other along the spec's x axis (um).",
+            help="Column and row of two places in a microscope's picture (px), and their "
+            "distance along the spec's x axis (um).",
         ),
     ] = None,
     yes: Yes = False,
 ) -> int:
-    """Measure what the actuator needs to know of each robot, by moving it a little; or a
-    microscope's scale and rotation, by two marks of a stage micrometer.
+    """Measure the actuator's values of each robot by moving it a little; or a microscope's scale
+    and rotation from two marks of a stage micrometer.
 
-    m3pi robots: wheels, wheel distance and heading offset. They move one after another, each on
-    some 0.3 m; space or Esc stops them. A microscope: the two places may as well be those of one
+    m3pi robots: wheels, wheel distance and heading offset. They move one after another, each within
+    about 0.3 m; space or Esc stops them. A microscope: the two places may also be those of one
     speck before and after the stage moved; nothing is moved or opened. Name the file in the spec as
     `lab.calibration`.
 
@@ -152,7 +154,7 @@ def calibrate(
 
     from tetractl.cli.streams import hung_up_unread
     from tetractl.run.interrupt import interrupted_once
-    from tetractl.view.terminal.stopkey import SAYS, StopKey
+    from tetractl.view.terminal.keys import SAYS, StopKey
 
     if output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")
@@ -184,7 +186,10 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
     except ValueError:
         a = b = c = d = um = math.nan
     if not (math.isfinite(a + b + c + d) and 0 < um < math.inf):
-        raise UsageError(f"--micrometer {text}: needs five numbers, such as 112,540,901,548,2000")
+        raise UsageError(
+            f"--micrometer {text}: needs five numbers, two places [px] and a distance [um], "
+            "such as 112,540,901,548,2000"
+        )
     return (a, b), (c, d), um
 
 

@@ -1,4 +1,4 @@
-"""`tetractl lab emulate`."""
+"""`tetractl lab emulate`: runs an emulated lab for another process to connect to."""
 
 import sys
 from pathlib import Path
@@ -6,54 +6,67 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.cli.options import Sets
+from tetractl.cli.options import Sets, Spec
 from tetractl.core.errors import Exit
 
 
 def emulate(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     script: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Faults and true properties, a YAML file."),
+        typer.Option(
+            metavar="FILE", help="YAML file of scripted faults and of the devices' true properties."
+        ),
     ] = None,
     address: Annotated[
-        str, typer.Option(metavar="IP", help="Address of this computer to serve from.")
+        str, typer.Option(metavar="IP", help="Local address to serve from.")
     ] = "127.0.0.1",
     command_port: Annotated[
         int | None,
         typer.Option(
-            min=0, max=65535, metavar="N", help="UDP port for commands; 0 for any.  [spec]"
+            min=0,
+            max=65535,
+            metavar="N",
+            help="The camera server's UDP port for commands; 0 for any free port.  [spec]",
         ),
     ] = None,
     data_port: Annotated[
         int | None,
-        typer.Option(min=0, max=65535, metavar="N", help="UDP port of frames; 0 for any.  [spec]"),
+        typer.Option(
+            min=0,
+            max=65535,
+            metavar="N",
+            help="UDP port to send frames to; 0 for any free port.  [spec]",
+        ),
     ] = None,
     port_link: Annotated[
         Path | None,
         typer.Option(
-            metavar="PATH", help="Name of the actuator's serial port.  [spec: lab.actuator.port]"
+            metavar="PATH",
+            help="Path to create for the actuator's serial port.  [spec: lab.actuator.port]",
         ),
     ] = None,
     record: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Write what truly happened, as JSON lines."),
+        typer.Option(metavar="FILE", help="File for the true poses and events, as JSON lines."),
     ] = None,
     replace_after: Annotated[
         float | None,
         typer.Option(
             min=0.1,
             metavar="S",
-            help="Put robots back on their starts after they stood still for S seconds.",
+            help="Put robots back on their starts once they have stood still for S seconds.",
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(metavar="N", help="Seed of jitter and loss.")] = 1,
+    seed: Annotated[
+        int, typer.Option(metavar="N", help="Seed of the random jitter and losses.")
+    ] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
 ) -> int:
     """Emulate the lab of an experiment: its camera, its actuator on a pseudo-terminal, robots.
 
-    NO HARDWARE is involved. It runs in real time until Ctrl-C, and says `ready` when others can
+    NO HARDWARE is involved. It runs in real time until Ctrl-C, and prints `ready` when programs can
     connect.
 
     Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
@@ -84,7 +97,7 @@ def emulate(
     for number in SIGNALS:
         signal.signal(number, end)
     with emulation:
-        gc.freeze()  # what was loaded is not collected again, so no long collection delays a frame
+        gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
     print("the emulation has ended", file=sys.stderr)
     return Exit.DONE

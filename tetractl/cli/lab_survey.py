@@ -1,35 +1,49 @@
-"""`tetractl lab survey`."""
+"""`tetractl lab survey`: finds the cells of a dish and proposes which to steer."""
 
 import sys
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import Sets, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 
-NORMAL = 1.96  # deviations of a 95 % interval
+if TYPE_CHECKING:
+    from tetractl.experiment.choice import FoundCell
+
+NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 
 
 def survey(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     sets: Sets = None,
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="FILE", help="YAML file of the trial to write."),
+        typer.Option(
+            "-o", "--out", metavar="FILE", help="YAML file to write a spec for trials to."
+        ),
     ] = None,
     plans: Annotated[
-        int, typer.Option(min=1, max=100, metavar="N", help="Plans for each choice of cells.")
-    ] = 2,
+        int,
+        typer.Option(
+            min=1,
+            max=1000,
+            metavar="N",
+            help="Plans to search for each of the best choices of cells.",
+        ),
+    ] = 48,
     yes: Yes = False,
+    as_json: AsJson = False,
 ) -> int:
     """Find the cells of a dish, see how each answers the field, and propose which to steer.
 
     The field turns for `robots.seconds` of the spec. Every cell with a magnet is listed with 95 %
     intervals; choices of cells are ranked by the error that `tetractl analyze` predicts, with the
-    noise of the spec's simulation. -o writes a spec by which a trial finds the best ones again, by
-    their a and speed.
+    noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
+    by their a and speed.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
@@ -41,6 +55,7 @@ def survey(
     from tetractl.core.clock import MonotonicClock
     from tetractl.core.files import save_whole
     from tetractl.core.protocols import LabSupervision
+    from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import document_of
     from tetractl.experiment.plants import lab_of, on_plant
     from tetractl.experiment.yaml.core_yaml import dump
@@ -52,7 +67,10 @@ def survey(
     experiment = on_plant(loaded, "lab").experiment
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
-        raise UsageError(f"{spec}: names its robots", "a survey needs robots: {choose: N, ...}")
+        raise UsageError(
+            f"{spec}: lists its robots, so there are none to choose",
+            "a survey needs robots: {choose: N, ...}",
+        )
     if output is not None and output.exists():
         raise UsageError(f"{output}: exists already", "name another with --out")
     require_confirmation(yes)
@@ -62,26 +80,26 @@ def survey(
         with rig:
             cells = turn_field(rig, choice, experiment.trials.seed, LabSupervision())
             rig.loop.stop()
-    for cell in cells:
-        magnet = "" if cell.magnetised else ", does not answer the field"
-        near = "" if cell.free else ", was near the edge: do not rely on a"
-        print(
-            f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
-            f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
-        )
-    for one, two in alike(cells):
-        print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")
+    pairs = list(alike(cells))
+    if not as_json:
+        _print_cells(cells, pairs, unit)
 
     def done(count: int, of: int) -> None:
-        print(f"choice {count} of {of}", file=sys.stderr)
+        print(f"prediction {count} of {of}", file=sys.stderr)
 
     found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
-    for one in found:
-        numbers = ", ".join(str(cell.number) for cell in one.cells)
-        error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "no plan reaches"
-        print(f"cells {numbers}: predicted mean total error {error}")
+    if as_json:
+        choices = [{"cells": [c.number for c in one.cells], "error": one.error} for one in found]
+        numbers = [[one.number, two.number] for one, two in pairs]
+        listed = [{**asdict(cell), "magnetised": cell.magnetised} for cell in cells]
+        print(json_text({"unit": unit, "cells": listed, "alike": numbers, "choices": choices}))
+    else:
+        for one in found:
+            numbers = ", ".join(str(cell.number) for cell in one.cells)
+            error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "no plan reaches"
+            print(f"cells {numbers}: predicted mean total error {error}")
     if not found or not np.isfinite(found[0].error):
-        print("no choice of these cells can be steered to the targets")
+        print("no choice of these cells can be steered to the targets", file=sys.stderr)
         return Exit.FAILED
     if output is not None:
         data = document_of(loaded.text, str(spec), sets or []).data
@@ -90,3 +108,18 @@ def survey(
         save_whole(output, dump(data).encode())
         print(f"wrote {output}: a trial of it finds these cells again", file=sys.stderr)
     return Exit.DONE
+
+
+def _print_cells(
+    cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
+) -> None:
+    """Print each cell with 95 % intervals, and the pairs that turn too much alike."""
+    for cell in cells:
+        magnet = "" if cell.magnetised else ", does not answer the field"
+        near = "" if cell.free else ", was near the edge: do not rely on a"
+        print(
+            f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
+            f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+        )
+    for one, two in pairs:
+        print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")

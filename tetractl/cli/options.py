@@ -16,10 +16,19 @@ if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.run.plausibility import PlacedWarning
 
+Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
+Log = Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")]
+Logs = Annotated[
+    list[Path],
+    typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
 Sets = Annotated[
     list[str] | None,
     typer.Option(
-        "--set", metavar="PATH=VALUE", help="Replace a value of the spec; may be repeated."
+        "--set",
+        metavar="PATH=VALUE",
+        help="Replace a value of the spec, as field=value; may be repeated.",
     ),
 ]
 Yes = Annotated[
@@ -30,7 +39,7 @@ Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 if a sp
 
 
 def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
-    """Return a spec, with one line on stderr for each name in it that has changed."""
+    """Load a spec; print one line on stderr for each outdated name in it."""
     from tetractl.experiment.load import load_spec
 
     loaded = load_spec(path, sets)
@@ -50,7 +59,7 @@ def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...
 
 
 def open_trial(path: Path) -> "TrialLog":
-    """Return the trial of a log, with what is damaged in it on stderr."""
+    """Return the trial of a log; print its damage on stderr."""
     from tetractl.log.read.reader import read_trial
 
     log = read_trial(path)
@@ -73,7 +82,9 @@ def refuse(found: "Sequence[PlacedWarning]") -> None:
     """Raise UsageError if there are warnings, as `--strict` asks."""
     if found:
         count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
-        raise UsageError(f"the spec has {count}, and --strict allows none; nothing was run")
+        raise UsageError(
+            f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
+        )
 
 
 def require_confirmation(yes: bool) -> None:
@@ -87,8 +98,9 @@ def require_confirmation(yes: bool) -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal; yields the function to call with the numbers done and of
-    all."""
+    """Show a progress bar on a terminal; yields a function to call with the number done and the
+    total.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -103,6 +115,6 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
 
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Print on stderr that code is compiled; with `quiet` only on a terminal."""
+    """Print on stderr that code is being compiled; with `quiet` only if that is a terminal."""
     if not quiet or sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)

@@ -6,16 +6,14 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial, progress
+from tetractl.cli.options import Logs, open_trial, progress
 from tetractl.core.errors import Exit, UsageError
 
 VIDEO = "video"
 
 
 def plot(
-    logs: Annotated[
-        list[Path], typer.Argument(metavar="LOG...", help="Trial logs: files, folders or globs.")
-    ],
+    logs: Logs,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -27,7 +25,7 @@ def plot(
         ),
     ] = None,
     kind: Annotated[
-        str, typer.Option(metavar="NAME", help="The figure, one of those above.")
+        str, typer.Option(metavar="NAME", help="The figure to draw, one of those above.")
     ] = "trajectory",
 ) -> int:
     """Draw a figure of a trial and print the name of its file.
@@ -36,14 +34,14 @@ def plot(
     convergence: cost over the iterations, its Figure 3.
     swarm: particles of the first search, its Figure 2.
     error: distances to the targets over time.
-    errors: those of several trials, with their median.
+    errors: errors of several trials over time, with their median.
     arms: the medians of several folders over time.
     ecdf: fraction of each folder's trials that ended with at most an error.
     scatter: where the robots of several trials ended.
     estimate: the controller's estimates of a, speed and so on over time.
     timing: solve time of each control step.
     video: a film of the trial.
-    Other packages may add figures.
+    Installed packages may add figures.
 
     The same log gives the same bytes. MP4 films need ffmpeg.
 

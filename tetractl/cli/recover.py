@@ -1,4 +1,4 @@
-"""`tetractl recover`: a damaged log back into a complete file."""
+"""`tetractl recover`: copies what is intact of a damaged log to a complete file."""
 
 import json
 import sys
@@ -8,16 +8,17 @@ from typing import Annotated
 
 import typer
 
+from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
 
 def recover(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, a .part too.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial; a .part file too.")],
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print a JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 

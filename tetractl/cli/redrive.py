@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import Yes, open_trial
+from tetractl.cli.options import Log, Yes, open_trial
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit
 
@@ -14,20 +14,24 @@ if TYPE_CHECKING:
     from tetractl.core.table.table import Table
     from tetractl.replay.redrive import Apart
 
-ROWS = 12  # of the table of distances
+ROWS = 12  # rows of the table of distances
 
 
 def redrive(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")],
+    log: Log,
     plant: Annotated[
-        PlantChoice, typer.Option(help="Drive a simulation, or the robots of the log's lab.")
+        PlantChoice,
+        typer.Option(help="sim: drive a simulation. lab: drive the robots of the log's lab."),
     ] = PlantChoice.SIM,
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", metavar="DIR", help="Folder for the new log."),
+        typer.Option("-o", "--out", metavar="DIR", help="Folder for the log of the new trial."),
     ] = None,
     picture: Annotated[
-        Path | None, typer.Option("--plot", metavar="FILE", help="Draw both paths.")
+        Path | None,
+        typer.Option(
+            "--plot", metavar="FILE", help="File of a figure of both paths: .png, .svg or .pdf."
+        ),
     ] = None,
     yes: Yes = False,
 ) -> int:
@@ -60,7 +64,7 @@ def redrive(
     print_tables([_table(apart)])
     print(f"log in {path}")
     if picture is not None:
-        from tetractl.view.figures.redriven import redriven_figure
+        from tetractl.view.figures.trajectory import redriven_figure
         from tetractl.view.style import save
 
         save(redriven_figure(was, again, apart), picture)
@@ -69,11 +73,10 @@ def redrive(
 
 
 def _table(apart: "Apart") -> "Table":
-    """Return the distances at a few times, then the largest and the last of each robot."""
+    """Return the table of each robot's distances: at a few times, then the largest and the last."""
     import numpy as np
 
-    from tetractl.core.table.numbers import fixed
-    from tetractl.core.table.table import Column, Table
+    from tetractl.core.table.table import Column, Table, fixed
 
     last = max(len(apart.time_s) - 1, 0)
     rows = np.unique(np.linspace(0, last, ROWS).astype(int))[: len(apart.time_s)]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import open_trial
+from tetractl.cli.options import Logs, open_trial
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -14,15 +14,13 @@ if TYPE_CHECKING:
 
 
 def replay(
-    logs: Annotated[
-        list[str], typer.Argument(metavar="LOG...", help="Logs of trials, folders or globs.")
-    ],
+    logs: Logs,
     rate: Annotated[
         float | None,
         typer.Option(
             metavar="R",
-            help="Seconds of the trial per second (1). Without a terminal the lines come at once "
-            "unless this is given.",
+            help="Speed: seconds of the trial per second (1). Without a terminal all lines "
+            "are printed at once unless this is given.",
         ),
     ] = None,
     start: Annotated[
@@ -32,7 +30,9 @@ def replay(
         float | None, typer.Option(metavar="S", help="Stop at this second of the trial.")
     ] = None,
     loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
-    paused: Annotated[bool, typer.Option("--paused", help="Wait for a key at first.")] = False,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Start paused, until a key is pressed.")
+    ] = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -42,7 +42,7 @@ def replay(
     E e previous and next event; Home End; + - twice and half the rate;
     p n previous and next trial; ? all keys; q quit.
 
-    Without a terminal it prints one line a control step and event.
+    Without a terminal it prints one line per control step and event.
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
@@ -50,13 +50,15 @@ def replay(
     from tetractl.log.read.find import find_logs
 
     if rate is not None and not 0 < rate < float("inf"):
-        raise UsageError(f"--rate must be above 0, and is {rate:g}")
+        raise UsageError(f"--rate must be above 0, not {rate:g}")
     paths, wall = find_logs(logs), MonotonicClock()
     screen = is_terminal()
     if paused and not screen:
-        raise UsageError("--paused needs a terminal, whose keys go on")
+        raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not screen and len(paths) > 1:
-        raise UsageError("--loop without a terminal needs one log: no other would be played")
+        raise UsageError(
+            "--loop without a terminal takes one log: the others would never be played"
+        )
     try:
         if screen:
             return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)
@@ -76,12 +78,11 @@ def _on_screen(
     from rich.console import Console
 
     from tetractl.log.read.reader import read_trial
-    from tetractl.replay.player import Playback, Player, span
-    from tetractl.replay.recording import Recording
+    from tetractl.replay.player import Playback, Player, Recording, span
     from tetractl.view.terminal.replay_screen import play
 
     def opened(index: int) -> Player:
-        """Return a player of another trial, which goes on at the rate of the one before."""
+        """Return a player of another trial, at the rate of the previous player."""
         nonlocal player, damaged
         recording = Recording(read_trial(paths[index]))
         damaged |= recording.log.damage is not None
@@ -113,9 +114,8 @@ def _as_text(
     loop: bool,
 ) -> int:
     from tetractl.core.text import printable
-    from tetractl.replay.player import span
-    from tetractl.replay.recording import Recording
-    from tetractl.view.terminal.replay_text import print_lines
+    from tetractl.replay.player import Recording, span
+    from tetractl.view.terminal.replay_screen import print_lines
 
     damaged = False
     for path in paths:
@@ -128,7 +128,7 @@ def _as_text(
 
 
 def is_terminal() -> bool:
-    """Whether a person at a terminal can press keys and see a screen."""
+    """Return whether input and output are a terminal, with keys and a screen."""
     import os
 
     dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")

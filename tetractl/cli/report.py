@@ -6,17 +6,20 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import Logs, progress
 from tetractl.core.errors import Exit, UsageError
 
 
 def report(
-    logs: Annotated[
-        list[Path],
-        typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
-    ],
+    logs: Logs,
     output: Annotated[
-        Path, typer.Option("-o", "--out", metavar="FILE", help="Page to write, overwritten.")
+        Path,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="FILE",
+            help="HTML file to write; an existing one is overwritten.",
+        ),
     ] = Path("report.html"),
     title: Annotated[
         str | None, typer.Option(metavar="TEXT", help="Title of the page.  \\[experiment's name]")

@@ -1,11 +1,10 @@
 """`tetractl rerun`: run the trial of a log again, and compare the two logs."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import Yes
+from tetractl.cli.options import Log, Yes
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,
@@ -20,10 +19,10 @@ from tetractl.core.errors import Exit
 
 
 def rerun(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")],
+    log: Log,
     plant: Annotated[
         PlantChoice,
-        typer.Option(help="Simulate, or drive the robots of the log's lab."),
+        typer.Option(help="sim: simulate. lab: drive the robots of the log's lab."),
     ] = PlantChoice.SIM,
     yes: Yes = False,
     unattended: Unattended = False,
@@ -36,8 +35,8 @@ def rerun(
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
 
-    A simulated trial repeats: the exit code is 1 if the two logs differ in content. The trial of a
-    lab's log is simulated too; only with --plant lab do robots move.
+    A simulated trial repeats exactly: the exit code is 1 if the two logs differ in content. The
+    trial of a log from a lab is simulated too; robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """

@@ -1,11 +1,10 @@
 """`tetractl run`: run the trials of an experiment."""
 
-from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import Sets, Strict, Yes, refuse, warn
+from tetractl.cli.options import Sets, Spec, Strict, Yes, refuse, warn
 from tetractl.cli.serving import Port, Serve, wanted_port
 from tetractl.cli.trials import (
     DryRun,
@@ -20,25 +19,32 @@ from tetractl.core.errors import UsageError
 
 
 def run(
-    spec: Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")],
+    spec: Spec,
     trials: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="Number of trials.  \\[spec: trials.count]"),
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(min=0, metavar="S", help="Root seed.  \\[spec: trials.seed]"),
+        typer.Option(
+            min=0, metavar="S", help="Root seed of all random draws.  \\[spec: trials.seed]"
+        ),
     ] = None,
     sets: Sets = None,
     plant: Annotated[
         PlantChoice | None,
-        typer.Option(help="Simulate, or drive the robots of the spec's lab.  \\[spec: plant.type]"),
+        typer.Option(
+            help="sim: simulate. lab: drive the robots of the spec's lab.  \\[spec: plant.type]"
+        ),
     ] = None,
     yes: Yes = False,
     unattended: Unattended = False,
     out: Out = None,
     jobs: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Trials at a time, each in its process.")
+        int,
+        typer.Option(
+            min=1, metavar="N", help="Number of trials run at a time, each in its own process."
+        ),
     ] = 1,
     resume: Annotated[
         bool, typer.Option("--resume", help="Run only the trials that DIR still lacks.")
@@ -53,11 +59,12 @@ def run(
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
 
     In the lab a person at the terminal is shown where robots must stand and starts them by Enter;
-    without a terminal it takes --yes.
+    without a terminal, give --yes.
 
     With --serve a simulated trial takes as long as a real one.
 
-    Ctrl-C finishes the step, stops the robots and closes the log; a second one does so at once.
+    Ctrl-C finishes the step, stops the robots and closes the log; a second Ctrl-C does not wait for
+    the step.
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
@@ -65,7 +72,7 @@ def run(
     from tetractl.experiment.plants import on_plant
 
     if resume and out is None:
-        raise UsageError("--resume needs --out", "name the folder of the batch to go on with")
+        raise UsageError("--resume needs --out", "name the folder of the batch to continue")
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]

@@ -8,9 +8,13 @@ import typer
 
 def schema(
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FILE", help="Write it to a file.")
+        Path | None,
+        typer.Option("-o", "--out", metavar="FILE", help="File to write the schema to."),
     ] = None,
-    study: Annotated[bool, typer.Option("--study", help="Print the schema of a study.")] = False,
+    study: Annotated[
+        bool,
+        typer.Option("--study", help="Print the schema of a study in place of that of a spec."),
+    ] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.
 

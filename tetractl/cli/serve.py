@@ -1,5 +1,7 @@
-"""`tetractl serve`: a trial in a log viewer."""
+"""`tetractl serve` and `tetractl open`: a trial in a log viewer, logs in the browser."""
 
+import sys
+import threading
 import webbrowser
 from contextlib import suppress
 from pathlib import Path
@@ -7,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from tetractl.cli.options import warn_of_damage
+from tetractl.cli.options import Logs, warn_of_damage
 from tetractl.cli.serving import (
     LICHTBLICK,
     PORT,
@@ -26,23 +28,31 @@ SPECS = (".yaml", ".yml")
 
 def serve(
     what: Annotated[
-        Path, typer.Argument(metavar="LOG|SPEC", help="The log of a trial, or a spec to run.")
+        Path,
+        typer.Argument(metavar="LOG|SPEC", help="The log of a trial to play, or a spec to run."),
     ],
     rate: Annotated[
-        float, typer.Option(metavar="R", help="Of a LOG: seconds of the trial per second.")
+        float,
+        typer.Option(metavar="R", help="With a LOG: speed, in seconds of the trial per second."),
     ] = 1.0,
     start: Annotated[
-        float, typer.Option(metavar="S", help="Of a LOG: begin at this second of the trial.")
+        float, typer.Option(metavar="S", help="With a LOG: begin at this second of the trial.")
     ] = 0.0,
     until: Annotated[
-        float | None, typer.Option(metavar="S", help="Of a LOG: end at this second of the trial.")
+        float | None, typer.Option(metavar="S", help="With a LOG: end at this second of the trial.")
     ] = None,
-    loop: Annotated[bool, typer.Option(help="Of a LOG: begin again at its end.")] = True,
+    loop: Annotated[bool, typer.Option(help="With a LOG: begin again at its end.")] = True,
     paused: Annotated[
-        bool, typer.Option("--paused", help="Of a LOG: wait for the viewer or a key at first.")
+        bool,
+        typer.Option(
+            "--paused", help="With a LOG: start paused, until the viewer or a key plays it."
+        ),
     ] = False,
     port: Annotated[
-        int, typer.Option(min=0, max=65535, metavar="N", help="TCP port; 0 is any that is free.")
+        int,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
+        ),
     ] = PORT,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
@@ -50,7 +60,7 @@ def serve(
     """Show a trial in Foxglove or Lichtblick by a live WebSocket, until Ctrl-C.
 
     It is served on this machine's loopback address under a random path; nothing is uploaded. The
-    browser opens Lichtblick if it answers, else Foxglove. A layout for the viewer's menu
+    browser opens Lichtblick if it runs here, otherwise Foxglove. A layout for the viewer's menu
     "Layouts", "Import from file" is served too.
 
     A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a
@@ -65,20 +75,22 @@ def serve(
         from tetractl.cli.run import run
 
         if (rate, start, until, loop, paused) != (1.0, 0.0, None, True, False):
-            raise UsageError("only a LOG is played back", "leave out the options of a LOG")
+            raise UsageError(
+                "only a LOG is played back",
+                "leave out the options for playback, or give a LOG in place of the SPEC",
+            )
         return run(what, serve=True, port=port)
     if not 0 < rate < float("inf"):
-        raise UsageError(f"--rate must be above 0, and is {rate:g}")
+        raise UsageError(f"--rate must be above 0, not {rate:g}")
     from tetractl.log.read.find import find_log
 
     with websockets_needed():
-        from tetractl.serve.feeds import ServedReplay
+        from tetractl.serve.live import ServedReplay
     from tetractl.cli.replay import is_terminal
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
-    from tetractl.replay.player import Player, span
-    from tetractl.replay.recording import Recording
+    from tetractl.replay.player import Player, Recording, span
     from tetractl.run.interrupt import interrupted_once
     from tetractl.serve.server import FOXGLOVE, LoopbackServer
 
@@ -111,3 +123,47 @@ def serve(
         else:
             served.play(wall)
     return Exit.FAILED if recording.log.damage else Exit.DONE
+
+
+def open_logs(
+    logs: Logs,
+    port: Annotated[
+        int,
+        typer.Option(
+            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
+        ),
+    ] = 0,
+    browser: Browser = True,
+    viewer: Viewer = LICHTBLICK,
+) -> int:
+    """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
+
+    The page and the logs named, and nothing else, are served on this machine's loopback address
+    under a random path; nothing is uploaded. If Lichtblick runs here, two more addresses are
+    printed: one opens the first log there, the other is a layout for its menu "Layouts", "Import
+    from file", which frames the arena, shows the scene and plots error, J, solve time and estimate.
+
+    Example: tetractl open trial-000.mcap
+    """
+    from tetractl.log.read.find import find_logs
+    from tetractl.report.page import report
+    from tetractl.run.interrupt import interrupted_once
+    from tetractl.serve.server import LoopbackServer
+
+    found = find_logs(logs)
+    html, unread = report(logs, None, lambda done, total: None)
+    for problem in unread:
+        print(f"warning: {problem}", file=sys.stderr)
+    named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
+    server = LoopbackServer(port, html.encode(), layout_of(found), named)
+    in_viewer = answers(viewer)  # imported first: Ctrl-C during an import would be lost
+    with suppress(KeyboardInterrupt), interrupted_once(), server:
+        print_forwarding(server)
+        print(server.page_url, flush=True)
+        if in_viewer:
+            first = link(viewer, "remote-file", server.log_url(next(iter(named))))
+            print(f"in Lichtblick: {first}\n  its layout: {server.layout_url}", flush=True)
+        if browser:
+            webbrowser.open(server.page_url)
+        threading.Event().wait()
+    return Exit.FAILED if unread else Exit.DONE

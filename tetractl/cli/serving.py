@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from tetractl.serve.server import LoopbackServer
 
 PORT = 8765
-"""Where Foxglove and Lichtblick look for a WebSocket by default."""
+"""TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 LICHTBLICK = "http://localhost:8080"
-"""Where Lichtblick answers when it is started on this machine as its manual says."""
+"""Address of Lichtblick if it is started on this machine as its manual says."""
 
 Serve = Annotated[
     bool,
@@ -32,30 +32,32 @@ Port = Annotated[
         min=0,
         max=65535,
         metavar="N",
-        help=f"With --serve: its TCP port; 0 is any that is free.  \\[{PORT}]",
+        help=f"With --serve: TCP port of the server; 0 for any free port.  \\[{PORT}]",
     ),
 ]
 Browser = Annotated[bool, typer.Option(help="Open the browser; otherwise only print the address.")]
-Viewer = Annotated[str, typer.Option("--lichtblick", metavar="URL", help="Address of Lichtblick.")]
+Viewer = Annotated[
+    str, typer.Option("--lichtblick", metavar="URL", help="Address at which Lichtblick runs.")
+]
 
 
 def wanted_port(serve: bool, port: int | None) -> int | None:
-    """Return the port to serve at, None for not at all; UsageError for a port without --serve."""
+    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
     if port is not None and not serve:
-        raise UsageError("--port belongs to --serve")
+        raise UsageError("--port needs --serve")
     return PORT if serve and port is None else port
 
 
 @contextmanager
 def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
-    """Serve the trials that call the observers of this block; none for no port."""
+    """Yield the observers that serve the trials run inside the block; none if `port` is None."""
     if port is None:
         yield []
         return
     with websockets_needed():
         from tetractl.serve.live import Viewers
     from tetractl.core.clock import MonotonicClock
-    from tetractl.serve.feeds import ServedRun
+    from tetractl.serve.live import ServedRun
     from tetractl.serve.server import LoopbackServer
 
     viewers = Viewers(name)
@@ -71,7 +73,7 @@ def print_forwarding(server: "LoopbackServer") -> None:
 
 
 def link(viewer: str, kind: str, address: str) -> str:
-    """Return the address at which `viewer` opens the data source of a kind at `address`."""
+    """Return the link with which `viewer` opens a data source of the given kind at `address`."""
     return f"{viewer.rstrip('/')}/?{urlencode({'ds': kind, 'ds.url': address})}"
 
 
@@ -90,7 +92,7 @@ def layout_of(logs: list[Path]) -> bytes:
 
 
 def answers(url: str) -> bool:
-    """Whether a web server answers at an address within a second."""
+    """Return whether a web server answers at an address within a second."""
     from http.client import HTTPException
     from urllib.request import urlopen
 
@@ -103,7 +105,7 @@ def answers(url: str) -> bool:
 
 @contextmanager
 def websockets_needed() -> Iterator[None]:
-    """Turn the failed import of an extra that is not installed into a UsageError."""
+    """Raise UsageError if the import in the block fails because the extra is not installed."""
     try:
         yield
     except ModuleNotFoundError as error:

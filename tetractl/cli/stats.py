@@ -1,4 +1,4 @@
-"""`tetractl stats`: statistics of batches, and how they compare."""
+"""`tetractl stats`: statistics of batches, and comparisons between them."""
 
 import sys
 from collections.abc import Sequence
@@ -33,23 +33,23 @@ def stats(
         list[str] | None,
         typer.Option(
             metavar="PATH",
-            help="Log, folder or quoted glob of one more batch, with which alone the others are"
-            " compared; may be repeated.",
+            help="Log, folder or quoted glob of a baseline batch: the others are compared "
+            "with this batch only; may be repeated.",
         ),
     ] = None,
     plot: Annotated[
         Path | None,
-        typer.Option(metavar="FILE", help="Draw the batches too, as .png, .svg or .pdf."),
+        typer.Option(metavar="FILE", help="File of a figure of the batches: .png, .svg or .pdf."),
     ] = None,
 ) -> int:
     """Print statistics of batches: errors with intervals, the published result, comparisons.
 
-    Every two batches are compared, or each with that of --against: paired if their seeds match,
-    with tests corrected for their number. A study's trials without logs are read from its rows.
+    Every two batches are compared, or each with the baseline of --against: paired if their seeds
+    match, with tests corrected for the number of comparisons. A study's trials without logs are
+    read from its rows.
 
-    Trials that were aborted or interrupted are listed and counted, but stay out of the means; so
-    are attempts that --resume set aside.
-    Exits with 1 if a log is damaged.
+    Trials that were aborted or interrupted, and attempts that --resume set aside, are listed and
+    counted but left out of the means. Exits with 1 if a log is damaged.
 
     Example: tetractl stats logs/exact --against logs/euler --plot comparison.pdf
 
@@ -75,8 +75,7 @@ def stats(
 
 def show(found: "GroupComparison", form: str) -> None:
     """Print groups and their comparisons to stdout."""
-    from tetractl.core.table.data import json_text
-    from tetractl.core.table.table_files import csv_text
+    from tetractl.core.table.table_files import csv_text, json_text
     from tetractl.core.table.terminal_table import TEXTS, print_tables
     from tetractl.results.items import as_items, data_table
     from tetractl.results.tables import tables

@@ -1,8 +1,8 @@
 """Standard output and error, written by threads, so that no terminal or pipe delays a run.
 
-A terminal that is gone or stands still, a pipe that is not read and a full disk cost only what is
-printed: it is lost, and the command goes on. A command that moves robots is ended, by
-`hung_up_unread`, once what it prints has no reader any more.
+If a terminal has closed or stopped taking text, a pipe is not read, or the disk is full, only the
+output is lost, and the command goes on. A command that moves robots is ended, by `hung_up_unread`,
+once its output has no reader any more.
 """
 
 import io
@@ -21,19 +21,21 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-MESSAGES_S = 1.0  # a stderr that takes nothing for so long gets nothing more until it does
-TERMINAL_S = 10.0  # the same for results on a terminal; a pipe's reader may take any time,
+MESSAGES_S = (
+    1.0  # output is dropped once stderr has taken nothing for this long, until it takes some again
+)
+TERMINAL_S = 10.0  # the same for stdout on a terminal; a pipe's reader may take any time,
 INTERRUPTED_S = 2.0  # but not once the command is to end
 PIECE = 4096  # bytes written at a time, so that slow progress is seen as progress
-POLL_S = 0.2  # how often it is asked whether the readers are gone
+POLL_S = 0.2  # between two checks whether a reader is left
 GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class PatientWriter(io.RawIOBase):
-    """Writes bytes to a file descriptor, and waits while the descriptor takes them.
+    """Writes bytes to a file descriptor; waits if it is slow, but not if it is stuck.
 
-    If it takes none for `patience_s`, bytes are dropped, without waiting, until it takes some
-    again. What the descriptor refuses is lost too; if `tells`, the OSError is raised once.
+    If the descriptor takes nothing for `patience_s`, bytes are dropped, without waiting, until it
+    takes some again. Bytes that it refuses are lost too; if `tells`, the OSError is raised once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -43,8 +45,10 @@ class PatientWriter(io.RawIOBase):
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
-        self._queued = b""  # by a write that a signal interrupted: its buffer writes it again
-        self._moved_s = 0.0  # when the descriptor last took something, or had nothing to take
+        self._queued = (
+            b""  # queued by a write that a signal interrupted: the buffer repeats that write
+        )
+        self._moved_s = 0.0  # when the descriptor last took bytes, or the queue was empty
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()
 
@@ -53,17 +57,17 @@ class PatientWriter(io.RawIOBase):
         return self._descriptor
 
     def isatty(self) -> bool:
-        """Return whether it is a terminal."""
+        """Return whether the descriptor is a terminal."""
         return os.isatty(self._descriptor)
 
     def writable(self) -> bool:
-        """Return that it can be written to."""
+        """Return True: the stream can be written to."""
         return True
 
     def write(self, data: "ReadableBuffer", /) -> int:
-        """Write bytes, or drop them; return how many were given."""
+        """Write or drop bytes; return the number given, as if all were written."""
         piece = bytes(data)
-        if sys.is_finalizing():  # the thread has ended, and may have left the lock locked
+        if sys.is_finalizing():  # the writing thread has ended, perhaps while it held the lock
             return len(piece)
         with self._changed:
             new = piece.removeprefix(self._queued)
@@ -74,17 +78,19 @@ class PatientWriter(io.RawIOBase):
         return len(piece)
 
     def urge(self, data: bytes) -> None:
-        """Queue bytes without waiting and without a lock, as the handler of a signal must."""
+        """Queue bytes without waiting or locking: safe in a signal handler."""
         self._pieces.put((data, 0))
 
     def finish(self) -> None:
-        """Wait until everything is written, or for `patience_s` in which nothing could be."""
+        """Wait until everything is written, or until nothing could be written for `patience_s`."""
         with self._changed:
             self._queue(b"", 1)
             self._tell()
 
     def _queue(self, piece: bytes, count: int) -> None:
-        """Queue a piece that counts as `count` bytes, and wait for it; the lock is held."""
+        """Queue a piece that counts as `count` bytes, and wait until it is written; the caller
+        holds the lock.
+        """
         if self._done >= self._put:
             self._moved_s = time.monotonic()
         self._put += count
@@ -92,7 +98,7 @@ class PatientWriter(io.RawIOBase):
         self._pieces.put((piece, count))
         self._queued = piece
         while self._done < put and not self._stuck():
-            self._changed.wait(0.1)  # so often, because `patience_s` may be lowered meanwhile
+            self._changed.wait(0.1)  # a short wait, because `patience_s` may be lowered meanwhile
 
     def _tell(self) -> None:
         if self._tells and self._failure is not None:
@@ -119,13 +125,15 @@ class PatientWriter(io.RawIOBase):
         """Return how many bytes the descriptor took."""
         try:
             return os.write(self._descriptor, piece)
-        except BlockingIOError:  # another user set the terminal so
+        except BlockingIOError:  # another program made the terminal non-blocking
             select.select([], [self._descriptor], [], MESSAGES_S)
             return 0
 
 
 class Output(io.TextIOWrapper):
-    """A text stream on a `PatientWriter`; what its encoding lacks is written as an escape."""
+    """A text stream on a `PatientWriter`; characters that its encoding lacks are written as
+    escapes.
+    """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
         self.writer = PatientWriter(descriptor, patience_s, tells)
@@ -137,8 +145,7 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write what is buffered, as far as the descriptor takes it; OSError for a stream that
-        `tells`."""
+        """Write the buffer as far as the descriptor takes it; OSError if the stream `tells`."""
         self.flush()
         self.writer.finish()
 
@@ -146,7 +153,7 @@ class Output(io.TextIOWrapper):
 def open_streams() -> Output:
     """Replace `sys.stdout` and `sys.stderr` by patient streams; return the latter.
 
-    A standard descriptor that is closed is opened on the null device: no log may get its number.
+    A closed standard descriptor is opened on the null device, so that no log gets its number.
     """
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
@@ -158,10 +165,10 @@ def open_streams() -> Output:
 
 
 def settle() -> None:
-    """Write or drop what the standard streams still hold, while their threads run.
+    """Write or drop what the standard streams have buffered, while their threads still run.
 
-    A buffer keeps what it could not write, and the interpreter's end, when no thread runs any more,
-    would write it again.
+    A buffer keeps what it could not write; at the interpreter's end, when the threads have ended,
+    it would be written again.
     """
     for stream in (sys.stdout, sys.stderr) * 2:  # a failure is raised once, then the rest is lost
         with suppress(OSError, ValueError):
@@ -173,7 +180,7 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
     It takes no lock and does not wait.
     """
-    results, messages = sys.stdout, sys.stderr  # now: a live view replaces them
+    results, messages = sys.stdout, sys.stderr  # bound now, because a live view replaces them later
 
     def shorten() -> None:
         if isinstance(results, Output):
@@ -188,8 +195,9 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[None]:
     """If `robots` move, send this process SIGHUP once neither stdout nor stderr has a reader.
 
-    Only a pipe, a socket or a terminal has one: if both are files, nothing is sent. If
-    `unattended`, SIGHUP is ignored instead, as by `nohup`. Main thread only, before `watch`.
+    Only a pipe, a socket or a terminal has a reader: if both streams are files, no signal is sent.
+    If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
+    before `watch`.
     """
     read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None

@@ -24,7 +24,7 @@ def study(
     file: Annotated[Path, typer.Argument(metavar="STUDY", help="The study, a YAML file.")],
     folders: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[DIR]...", help="Only with --merge: folders of its shares."),
+        typer.Argument(metavar="[DIR]...", help="With --merge: folders of the study's shares."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -35,43 +35,58 @@ def study(
     jobs: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="N", help="Trials at a time, each in its process.  \\[processors]"
+            min=1,
+            metavar="N",
+            help="Number of trials run at a time, each in its own process.  \\[processors]",
         ),
     ] = None,
     logs: Annotated[
         str,
-        typer.Option(metavar="all|failed|sample:N|none", help="Trials whose logs are kept."),
+        typer.Option(metavar="all|failed|sample:N|none", help="Which trials keep their logs."),
     ] = "all",
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="Stop at the first trial that fails.")
     ] = False,
     rerun_outdated: Annotated[
-        bool, typer.Option("--rerun-outdated", help="Run the trials of outdated code again.")
+        bool,
+        typer.Option(
+            "--rerun-outdated",
+            help="Run again the trials with outdated rows, written by other code.",
+        ),
     ] = False,
     shard: Annotated[
         str | None,
-        typer.Option(metavar="I/N", help="Run only the I-th of N shares, in a folder of its own."),
+        typer.Option(
+            metavar="I/N",
+            help="Run only the I-th of N shares of the trials, in that share's own folder.",
+        ),
     ] = None,
     merge: Annotated[
-        bool, typer.Option("--merge", help="Run nothing: collect the trials of the folders DIR.")
+        bool,
+        typer.Option(
+            "--merge", help="Run nothing: merge the rows of the shares in the folders DIR."
+        ),
     ] = False,
     cluster: Annotated[
         str | None,
-        typer.Option(metavar="ADDRESS", help="Run on the Dask cluster of this scheduler."),
+        typer.Option(
+            metavar="ADDRESS", help="Run on the Dask cluster with the scheduler at this address."
+        ),
     ] = None,
     trial: Annotated[
         str | None,
         typer.Option(
-            metavar="ARM/N", help="Run one trial again, to its log, and check it against its row."
+            metavar="ARM/N",
+            help="Run one trial again, write its log, and check the log against the row.",
         ),
     ] = None,
     slurm: Annotated[
         int | None,
         typer.Option(
-            min=1, metavar="N", help="Run nothing: print a job script for Slurm, of N shares."
+            min=1, metavar="N", help="Run nothing: print a Slurm job script that runs N shares."
         ),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print failures only.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and a figure per swept field.
 
@@ -81,14 +96,13 @@ def study(
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
     from tetractl.study.load_study import load_study
-    from tetractl.study.options import Logs, Shard, lacking
+    from tetractl.study.options import Logs, Shard, job_script, lacking
     from tetractl.study.row_store import Store
-    from tetractl.study.slurm import job_script
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
     if merge != bool(folders):
-        raise UsageError("--merge and the folders of the shares go together")
+        raise UsageError("--merge needs the folders of the shares, and folders need --merge")
     if sum([shard is not None, merge, trial is not None, slurm is not None]) > 1:
         raise UsageError("--shard, --merge, --trial and --slurm exclude each other: give one")
     rule, share = Logs.parse(logs), Shard.parse(shard) if shard else Shard()
@@ -101,7 +115,7 @@ def study(
     store = Store(folder, loaded.arms)
     with store.opened():
         if trial is not None:
-            from tetractl.study.repeat import repeat
+            from tetractl.study.options import repeat
 
             print(repeat(loaded, store, trial))
             return Exit.DONE
@@ -128,7 +142,7 @@ def _run(
     jobs: int | None,
     quiet: bool,
 ) -> bool:
-    """Run trials; return whether a signal stopped them."""
+    """Run the trials that are lacking; return whether a signal stopped them."""
     from contextlib import nullcontext, suppress
     from functools import partial
 
@@ -147,7 +161,7 @@ def _run(
     if cluster is None and tasks:
         named = {arm.controller: arm for arm in loaded.arms}
         for arm in named.values():
-            with suppress(TetractlError):  # its trials say so themselves
+            with suppress(TetractlError):  # each trial's own error reports the failure
                 warm_up(arm.spec.experiment, partial(announce_compiling, quiet))
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
@@ -172,8 +186,9 @@ def _conclude(
     how: str,
     stopped: bool = False,
 ) -> int:
-    """Write tables and figures, print the errors, and say which trials are lacking and `how` to run
-    them; return the exit code."""
+    """Write tables and figures, print the errors, the trials that are lacking and `how` to run
+    them; return the exit code.
+    """
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.study.arm_table import arms_table, counted_rows, write_tables
     from tetractl.study.figure import write_figures
@@ -197,6 +212,6 @@ def _conclude(
 
 
 def _listed(outdated: "Mapping[str, int]", most: int = 4) -> str:
-    """Return the arms with trials of outdated code, the first few by name."""
+    """Return text that lists the arms with outdated rows, the first few by name."""
     more = f" and {len(outdated) - most} more arms" if len(outdated) > most else ""
     return ", ".join(f"{name} ({n})" for name, n in list(outdated.items())[:most]) + more

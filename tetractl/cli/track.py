@@ -1,4 +1,4 @@
-"""`tetractl track`: the cells of a film."""
+"""`tetractl track`: follows the cells of a film."""
 
 import sys
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import progress
+from tetractl.cli.options import AsJson, progress
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -22,39 +22,52 @@ def track(
     ],
     field: Annotated[
         Path | None,
-        typer.Option(metavar="CSV", help="The field's direction over time: time_s, direction_rad."),
+        typer.Option(
+            metavar="CSV",
+            help="CSV file of the field's direction over time, with columns time_s and "
+            "direction_rad.",
+        ),
     ] = None,
     scale: Annotated[
         float | None,
         typer.Option(
-            min=0.05, max=100, metavar="UM", help="Micrometres per pixel; guessed from the bodies."
+            min=0.05,
+            max=100,
+            metavar="UM",
+            help="Micrometres per pixel; by default guessed from the cells' size.",
         ),
     ] = None,
     rate: Annotated[
         float | None,
         typer.Option(
-            min=0.1, max=2000, metavar="HZ", help="Pictures per second, if not the film's."
+            min=0.1,
+            max=2000,
+            metavar="HZ",
+            help="Pictures per second, if the film's own rate is wrong or lacking.",
         ),
     ] = None,
     y_down: Annotated[
-        bool, typer.Option("--y-down", help="The directions of the field count clockwise.")
+        bool, typer.Option("--y-down", help="Directions in the --field file count clockwise.")
     ] = False,
     out: Annotated[
         Path | None,
         typer.Option(
-            "-o", "--out", metavar="DIR", help="Write tables, a log and the film with the tracks."
+            "-o",
+            "--out",
+            metavar="DIR",
+            help="Folder for the tables, a log and the film with the tracks drawn in.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
 
-    With the field's direction over time also a, heading bias, and whether the cell has a magnet.
-    Nothing is steered. Exits with 1 if no cell swims in it.
+    If the field's direction over time is given, also a, heading bias, and whether the cell has a
+    magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.film.field_file import read_field
     from tetractl.film.film_tables import as_items, cell_table
@@ -63,7 +76,7 @@ def track(
     from tetractl.film.pictures import open_film
 
     if y_down and field is None:
-        raise UsageError("--y-down belongs to --field")
+        raise UsageError("--y-down needs --field")
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out}: exists already", "name another with --out")
     directions = None if field is None else read_field(field, y_down)

@@ -1,6 +1,7 @@
-"""Runs trials for `run`, `rerun` and commands that drive a plant; shows them, and stops them."""
+"""Runs, displays and stops the trials of `run`, `rerun` and other commands that drive a plant."""
 
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
@@ -20,18 +21,60 @@ if TYPE_CHECKING:
 
     from rich.console import Console
 
-    from tetractl.core.protocols import Observer
+    from tetractl.core.protocols import LabSupervision, Observer
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.batch import Report
+    from tetractl.run.batch import Report, TrialStore
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.store import LogStore
+    from tetractl.run.task import Task
+
+
+def run_in_lab(
+    tasks: "list[Task]",
+    store: "TrialStore",
+    unit: str,
+    console: "Console",
+    interrupt: "Interrupt",
+    live: bool,
+    yes: bool,
+    served: "Sequence[Observer]" = (),
+    unattended: bool = False,
+) -> "Report":
+    """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
+
+    A person at the terminal starts each trial, unless `yes`. If `unattended`, the robots are not
+    stopped when the terminal closes.
+    """
+    from rich.console import Console
+
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.run.batch import run_batch
+    from tetractl.run.executors import Here
+    from tetractl.view.terminal.keys import SAYS, StopKey
+    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
+
+    quiet, console = console, Console(stderr=True)  # messages on safety are always printed
+    emergency, entered = threading.Event(), threading.Event()
+    with StopKey(emergency.set, entered.set, unattended) as key:
+        says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
+        console.print(says, style="bold", highlight=False)
+        watch = LabWatch(console, quiet, unit, live and key.listening)
+        prompt = None if yes or not key.listening else TerminalPrompt(console, entered)
+
+        @contextmanager
+        def supervision(trial: int) -> "Iterator[LabSupervision]":
+            yield LabSupervision(emergency, prompt, lambda: interrupt.requested)
+
+        executor = Here(interrupt, [watch, *served], supervision)
+        return run_batch(tasks, store, executor, watch, fail_fast=True)
+
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
 class PlantChoice(StrEnum):
-    """The plant of a run."""
+    """A plant named by --plant: the simulation or the lab of a spec."""
 
     SIM = "sim"
     LAB = "lab"
@@ -44,19 +87,24 @@ Out = Annotated[
     ),
 ]
 DryRun = Annotated[
-    bool, typer.Option("--dry-run", help="Print the spec, its limits and what would be run.")
+    bool,
+    typer.Option(
+        "--dry-run", help="Run nothing: print the spec, its limits and what would be run."
+    ),
 ]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No live view, no progress.")]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", help="Show neither a live view nor progress.")
+]
 Unattended = Annotated[
     bool,
     typer.Option(
         "--unattended",
-        help="Lab only, with --yes: go on if the terminal, or every reader of the output, "
-        "is gone; else that stops the robots.",
+        help="Lab only, with --yes: go on if the terminal or every reader of the output is "
+        "gone, which otherwise stops the robots.",
     ),
 ]
 Json = Annotated[
-    bool, typer.Option("--json", help="Print the statistics as `stats --format json` does.")
+    bool, typer.Option("--json", help="Print the statistics as JSON, like `stats --format json`.")
 ]
 
 
@@ -76,7 +124,7 @@ def run_command(
 ) -> tuple[int, Path]:
     """Run the trials of a spec, or `only` one, and print the statistics; or say what would be run.
 
-    Return the exit code and the folder. `port` is where the trials are served, None for nowhere.
+    Return the exit code and the folder. The trials are served at `port`, unless it is None.
     """
     from rich.console import Console
 
@@ -86,9 +134,9 @@ def run_command(
     experiment = loaded.experiment
     in_lab = not experiment.plant.simulated
     if in_lab and jobs > 1:
-        raise UsageError("--jobs: the lab runs one trial at a time")
+        raise UsageError("--jobs is for simulations: the lab runs one trial at a time")
     if unattended and not (in_lab and yes):
-        raise UsageError("--unattended: only the lab has robots to watch", "add --plant lab --yes")
+        raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
     folder = out or default_folder(experiment.name, datetime.now(UTC))
     store = LogStore(folder, experiment)
@@ -146,12 +194,13 @@ def stoppable(
 ) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an interrupt that signals set inside the block.
 
-    In the lab the loss of every reader of the output is one of them, unless `unattended`.
+    In the lab, unless `unattended`, losing every reader of the output sends such a signal.
     """
     from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt, leave_on_signals
 
+    experiment.plant.require_devices()  # before a minute of compiling
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # again, after everything is printed
@@ -171,7 +220,8 @@ def run_trials(
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
 ) -> "Report":
-    """Run trials with their displays, `served` included; in the lab with the operator's stop.
+    """Run trials with their displays and the `served` observers; in the lab with the operator's
+    stop.
 
     The first trial that fails ends the run.
     """
@@ -182,8 +232,6 @@ def run_trials(
     tasks = batch_tasks(loaded, trials)
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
     if not loaded.experiment.plant.simulated:
-        from tetractl.cli.lab_run import run_in_lab
-
         unit = loaded.experiment.units.length
         return run_in_lab(tasks, store, unit, console, interrupt, live, yes, served, unattended)
     if live:
@@ -199,7 +247,7 @@ def run_trials(
 
 
 def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
-    """Print what a run would do; as YAML throughout, so that it can be kept as a spec."""
+    """Print what a run would do, all as YAML, so that the text is a valid spec."""
     from tetractl.experiment.load import resolved_yaml
     from tetractl.run.task import log_path
     from tetractl.run.trial_limits import limits
@@ -218,7 +266,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
 def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
-    Raises the error that kept a trial from an outcome.
+    Raises the error of a trial that reached no outcome.
     """
     from tetractl.cli.streams import first_signal_callback
     from tetractl.run.task import log_path

@@ -7,22 +7,24 @@ from typing import Annotated, Any
 
 import typer
 
-from tetractl.cli.options import Strict, load, warn
+from tetractl.cli.options import AsJson, Strict, load, warn
 from tetractl.core.errors import Exit
 
 
 def validate(
-    specs: Annotated[list[Path], typer.Argument(metavar="SPEC", help="Specs to check.")],
+    specs: Annotated[list[Path], typer.Argument(metavar="SPEC", help="Spec files to check.")],
     sets: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="PATH=VALUE", help="Replace a value of every spec first."),
+        typer.Option(
+            "--set", metavar="PATH=VALUE", help="Replace a value of every spec before the check."
+        ),
     ] = None,
     strict: Strict = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Check specs and report every problem at its line.
 
-    What is valid but cannot work, or not as meant, is a warning on stderr.
+    Valid values that cannot work, or not as intended, cause a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
     """

@@ -3,29 +3,28 @@
 import json
 from collections.abc import Iterator
 from dataclasses import asdict
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
+from tetractl.cli.options import AsJson, Logs
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
 
-SHOWN = 20  # problems of one log
+SHOWN = 20  # problems of one log that are printed
 
 
 def verify(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    logs: Logs,
+    as_json: AsJson = False,
 ) -> int:
     """Compute every control decision again from the log alone, and check the log against itself.
 
-    A simulation is run again as well, and what viewers show is compared with the records.
+    A simulation is run again as well, and the messages for viewers are compared with the records.
 
-    On the machine that wrote a log every number must come out with the same bits. Elsewhere the
-    costs of the logged plans are evaluated again; the output says which of the two was done. Exits
-    with 1 if anything differs, and names the first step and field that do.
+    On the machine that wrote a log, every number must be the same to the last bit. On another
+    machine, the costs of the logged plans are evaluated again; the output says which of the two was
+    done. If anything differs, exits with 1 and names the first step and field that differ.
 
     Example: tetractl verify logs/batch
     """

@@ -19,7 +19,8 @@ def warm(
     specs: Annotated[
         list[Path] | None,
         typer.Argument(
-            metavar="[SPEC|STUDY]...", help="Specs and studies.  \\[what `tetractl init` writes]"
+            metavar="[SPEC|STUDY]...",
+            help="Specs and studies to compile for.  \\[the specs that `tetractl init` writes]",
         ),
     ] = None,
     sets: Sets = None,
@@ -45,7 +46,7 @@ def warm(
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
         began_s = perf_counter()
         with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):
-            for experiment in experiments:  # the first compiles most, others may add a little
+            for experiment in experiments:  # the first spec compiles most, others may add a little
                 warm_up(experiment, lambda text: None)
         print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
     print(f"kept in {cache_folder()}", file=sys.stderr)
@@ -53,7 +54,9 @@ def warm(
 
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
-    """Yield what will be run: specs, one arm of each controller of studies, or the templates."""
+    """Yield the experiments to compile for: specs, an arm per controller of each study, or the
+    templates.
+    """
     from tetractl.cli.init import template
     from tetractl.experiment.load import parse_spec
     from tetractl.study.load_study import is_study, load_study

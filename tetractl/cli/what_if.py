@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from tetractl.cli.options import AsJson, Logs
 from tetractl.core.errors import Exit
 
 if TYPE_CHECKING:
@@ -19,25 +20,25 @@ SAYS = (
 
 
 def what_if(
-    logs: Annotated[list[str], typer.Argument(metavar="LOG", help="Logs, folders or globs.")],
+    logs: Logs,
     sets: Annotated[
         list[str],
         typer.Option(
             "--set",
             metavar="PATH=VALUE",
-            help="Replace a value of the controller; may be repeated.",
+            help="Replace a value of the controller, as field=value; may be repeated.",
         ),
     ],
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON object.")] = False,
+    as_json: AsJson = False,
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
 
-    For each control step: the direction, its change, and how far apart the predicted ends are. That
-    is a prediction, not closed loop.
+    Printed for each control step: the direction, its change, and the distance between the two
+    predicted ends. This is an open-loop prediction: the robots do not follow the other controller.
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
-    from tetractl.core.table.data import json_text
+    from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
@@ -62,9 +63,8 @@ def what_if(
 
 
 def _tables(found: "WhatIf", title: str) -> "list[Table]":
-    """Return the steps of a prediction side by side with the recorded ones."""
-    from tetractl.core.table.numbers import fixed
-    from tetractl.core.table.table import Column, Table
+    """Return tables of the predicted decisions next to the recorded ones."""
+    from tetractl.core.table.table import Column, Table, fixed
 
     unit, steps, three = found.unit, found.steps, fixed(3)
     columns = (

@@ -16,7 +16,8 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
-    """Compile, or load from the cache, what the controller runs; `announce` says if it takes long.
+    """Compile, or load from the cache, what the controller runs; `announce` is called if compiling
+    takes long.
 
     What is compiled depends on the kinds that the spec names, and is kept on disk for the next run
     of any spec that names the same.
@@ -39,7 +40,9 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
 
 
 def compiled_for(experiment: Experiment) -> str:
-    """Return the kinds of a spec that decide what is compiled: "mpc, multistart, exact, circle"."""
+    """Return the kinds of a spec that decide what is compiled, such as "mpc, multistart, exact,
+    circle".
+    """
     control = experiment.controller
     optimizer = getattr(getattr(control, "optimizer", None), "type", None)
     shapes = sorted({obstacle.type for obstacle in experiment.obstacles})

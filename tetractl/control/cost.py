@@ -14,7 +14,7 @@ robots are to stay `within` R of their targets, also beyond the paper,
 
     f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d > 1) = 1 + STRAY (d - 1),
 
-which is R times the shares of time outside, summed, and a little for how far.
+which is R times the sum of the robots' shares of time outside, plus a small cost of the distance.
 """
 
 from dataclasses import dataclass
@@ -76,7 +76,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> None:
-    """Fill a path, whose first poses are known, under directions (L, ..., 1 or N)."""
+    """Fill in the rest of a path from its first poses, under directions (L, ..., 1 or N)."""
     x, y, heading = path[..., 0], path[..., 1], path[..., 2]
     shape = path.shape[1:-1]
     if motion.turn is None or motion.strides is None:
@@ -96,7 +96,9 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
         sums[0] = along[0]
         for i, term in enumerate(terms):
             sums[1 + i :: len(terms)] = term
-        along[:] = np.add.accumulate(sums)[:: len(terms)]  # in the order in which steps add
+        along[:] = np.add.accumulate(sums)[
+            :: len(terms)
+        ]  # the same order of additions as step by step
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

@@ -8,13 +8,13 @@ from tetractl.core.problem import Problem
 
 
 def bearing(problem: Problem) -> float:
-    """Return the direction from all robots towards all targets, the mean gap's [rad]."""
+    """Return the direction from all robots towards all targets, that of their mean gap [rad]."""
     gaps = problem.targets - problem.poses.xy
     return float(np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum()))
 
 
 def interpolate(knots: Floats, length: int) -> Floats:
-    """Return sequences (length, P) that are linear between knots (K, P), evenly spread.
+    """Return sequences (length, P) that are linear between evenly spread knots (K, P).
 
     The first signal is the first knot and the last one the last; K is at most `length`.
     """

@@ -17,8 +17,9 @@ Held = tuple[int, int, Floats]
 
 @dataclass(slots=True)
 class Sent:
-    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) says for which it is
-    inferred to have arrived."""
+    """A direction u [rad] sent to N robots at `sent_ns`; `arrived` (N,) is True for those that are
+    inferred to have received it.
+    """
 
     sent_ns: int
     u: float
@@ -29,8 +30,8 @@ class Predictor:
     """The directions sent so far, each of which acts `dead_time_s` after it was sent.
 
     Before the first one acts the robots stand still. A robot that did not receive a direction
-    follows the one before. `before` (N,) [rad] is what the robots held before the recent ones, NaN
-    for one that stands.
+    follows the one before. `before` (N,) [rad] are the directions held before the recent ones, NaN
+    for a robot that stands.
     """
 
     def __init__(self, dead_time_s: float, count: int) -> None:
@@ -45,7 +46,7 @@ class Predictor:
         return round(self.dead_time_s * SECOND)
 
     def sent(self, sent_ns: int, u: float) -> None:
-        """Add a direction, assumed to arrive."""
+        """Add a direction, assuming that every robot receives it."""
         self.recent.append(Sent(sent_ns, u, np.ones(self._count, dtype=np.bool_)))
 
     def held(self, since: int, until: int) -> list[Held]:
@@ -83,7 +84,7 @@ def driven(
 ) -> tuple[Floats, Floats, Floats]:
     """Return x, y and heading (..., N) after times (..., 1) or one time [s] from `start`.
 
-    Robots follow `direction` (N,) [rad], NaN for one that stands.
+    Robots follow `direction` (N,) [rad], NaN for a robot that stands.
     """
     stands = np.isnan(direction)
     moving = np.where(stands, 0.0, seconds)

@@ -2,10 +2,10 @@
 
 Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
 cannot be corrected any more: three robots have six coordinates. If no length of H - 1, H, H + 1
-ends within an accepted total error, longer sequences are searched afresh, which lead the robots
-round and back. The trial ends if stopping is as good as any plan, at the best moment of the
-coming control period; and if no plan was found that keeps clear of all obstacles, no way out of
-the corner either, and a robot is about to enter one.
+ends within an accepted total error, longer sequences are searched from scratch, which lead the
+robots round and back. The trial ends if stopping, at the best moment of the coming control period,
+is as good as any plan. It also ends if neither a plan that keeps clear of all obstacles nor a way
+out of the corner was found and a robot is about to enter an obstacle.
 """
 
 from collections.abc import Iterator
@@ -23,13 +23,13 @@ from tetractl.core.problem import Problem
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
-LAST_S = 0.7  # of a plan, a robot: going round raises the accepted error only there [s]
-LAST_LEAST_S = 2.0  # the same, for few robots [s]
-OUT_SIGNALS = 8  # of a way out of a corner
-OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # directions that it begins with [rad]
-OUT_RATES = np.linspace(-6.0, 6.0, 13)  # at which they change [rad/s]
-FINAL_ROOM = 0.2  # weight of the clearance at the end against that on the path
-MOMENTS = 40  # of the coming control period that are tried for the stop
+LAST_S = 0.7  # last part of a plan, per robot, in which going round raises the accepted error [s]
+LAST_LEAST_S = 2.0  # least length of that part, for few robots [s]
+OUT_SIGNALS = 8  # signals of a way out of a corner
+OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # its first directions [rad]
+OUT_RATES = np.linspace(-6.0, 6.0, 13)  # its rates of change [rad/s]
+FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
+MOMENTS = 40  # moments of the coming control period that are tried for the stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,9 @@ class StopForecast:
 
 
 def longer(count: int, most: int) -> Iterator[int]:
-    """Yield lengths above that of the plan under way and one more, up to `most` signals."""
+    """Yield growing lengths that exceed the present plan's by more than one, up to `most`
+    signals.
+    """
     length = count + 2
     while length <= most:
         yield length
@@ -80,5 +82,5 @@ def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
     room = margins.room(path[..., 0], path[..., 1], apart)  # (OUT_SIGNALS + 1, B)
     least = room.min(axis=0)
     best = int(np.argmax(least + FINAL_ROOM * room[-1]))
-    outside = room[0, best] < 0  # already inside: then no deeper
+    outside = room[0, best] < 0  # a robot already inside must not go deeper
     return signals[best] if least[best] > 0 or (outside and least[best] >= room[0, best]) else None

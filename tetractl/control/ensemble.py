@@ -1,13 +1,13 @@
 """Feedback Ensemble Control: a rotating field and straight motion by turns; section I of the paper.
 
-It has two modes. While the field rotates, the robots turn after it, each lagging by as much as its
-a makes it, until they head so that the control Lyapunov function
+It has two modes. While the field rotates, the robots turn after it, each with a lag that depends on
+its a, until they have headings for which the control Lyapunov function
 
     V = sum_i || s_i - tar_i ||
 
-would fall without a field. Then the field is off, and the robots go straight on until V would rise.
-The paper describes the algorithm of its authors' earlier work in these words and gives no numbers;
-the parameters here are therefore this module's, and obstacles play no part in it.
+would fall without a field. The field is then switched off, and the robots drive straight until V
+would rise. The paper describes its authors' earlier algorithm in these words, without numbers; the
+parameters are this module's choice. Obstacles are ignored.
 """
 
 import time
@@ -37,23 +37,27 @@ from tetractl.model.obstacles import Obstacles
 
 class EnsembleSection(ControllerSection):
     """Feedback Ensemble Control: the field rotates until the sum of distances to the targets can
-    fall, then it is off while that falls. Obstacles are not avoided; simulations only."""
+    fall, then is off as long as the sum falls. Obstacles are not avoided; simulations only.
+    """
 
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
     """Angular velocity of the rotating field, in units of the robots' least a: up to 1 every robot
-    follows it with a lag of its own, beyond that the slower ones cannot."""
+    follows with a constant lag; above 1 the slowest cannot.
+    """
     fall: Fraction = 0.3
     """The field is switched off if, over the coming control period, the sum of distances would fall
-    by more than this fraction of the robots' summed path lengths, by which it falls if every robot
-    heads for its target."""
+    by more than this fraction of the robots' summed path lengths, the fall if every robot heads for
+    its target.
+    """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """Turns of the field without such a moment after which the trial ends, at the least sum
-    of distances during them."""
+    """Turns of the field without such a moment, after which the trial ends at the least sum of
+    distances     during a turn.
+    """
 
     def problem(self, setup: Setup) -> Problem:
-        """Return the problem whose cost the log states, for robots at their starts."""
+        """Return the problem used to compute the logged cost, for robots at their starts."""
         return plain_problem(setup, self.period, Obstacles.of(setup.obstacles))
 
     def build(
@@ -74,9 +78,13 @@ class Ensemble:
         self.section, self._key = section, key
         self._problem = section.problem(setup)
         self._delay_ns = round(section.dead_time * SECOND)
-        self._acting: deque[tuple[int, float | None]] = deque()  # since [ns], u or no field
-        self._phase: float | None = None  # of the field while it rotates [rad]
-        self._turned = 0.0  # since the field was switched on [rad]
+        self._acting: deque[tuple[int, float | None]] = (
+            deque()
+        )  # time of effect [ns]; u, or None for no field
+        self._phase: float | None = (
+            None  # direction of the rotating field [rad], None while it is off
+        )
+        self._turned = 0.0  # angle since the field was switched on [rad]
         self._k = 0
 
     def plan(
@@ -85,7 +93,7 @@ class Ensemble:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome:
-        """Go on rotating the field, or switch it off, or end the trial."""
+        """Rotate the field further, switch it off, or end the trial."""
         section = self.section
         problem = replace(self._problem, poses=self._when_acting(observation))
         gaps = problem.poses.distances(problem.targets)
@@ -121,7 +129,7 @@ class Ensemble:
         self._turned += step
 
     def _decide(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
-        """Return the plan of one control period, which ends at given poses."""
+        """Return the plan of one control period, with the given poses at its end."""
         path = np.stack([problem.poses.array(), end.array()])
         costs = costs_along(problem, path[:, None])
         cost = float(costs.total[0])
@@ -138,7 +146,7 @@ class Ensemble:
         )
 
     def _when_acting(self, observation: Observation) -> Poses:
-        """Return the poses where a decision on a frame acts, a dead time after its exposure."""
+        """Return the poses at which a decision acts: one dead time after the frame was exposed."""
         now, poses = observation.sampled_ns, observation.poses
         until = now + self._delay_ns
         while len(self._acting) > 1 and self._acting[1][0] <= now:
@@ -154,7 +162,7 @@ class Ensemble:
 def _ahead(problem: Problem, poses: Poses, u: float | None, seconds: float) -> Poses:
     """Return the poses after a time [s] under a direction u [rad], or without a field.
 
-    No robot turns if the direction is its heading.
+    Without a field, robots follow their own headings and so do not turn.
     """
     towards = poses.heading if u is None else np.array(u)
     return Poses(

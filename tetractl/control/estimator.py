@@ -1,8 +1,8 @@
 """Estimates the robots' state at a control step from frames and commands alone.
 
 Given every frame and every command of a trial, in order, it returns where the robots will be when
-the direction decided now acts, and how they move: as the spec says, from the newest frame, or as a
-bank of filters identifies them while they drive.
+the direction decided now acts, and how they move: with the spec's values, from the newest frame, or
+with values that a bank of filters identifies while the robots drive.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,20 +15,20 @@ from tetractl.control.filter import FilterBank, Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
-from tetractl.core.losses import Losses, LossRule
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Bools, Floats, Observation
 from tetractl.core.problem import Problem
+from tetractl.core.tour import Losses, LossRule
 
 REMEMBERED = SECOND  # ns for which commands are remembered after they stopped acting
 
 
 class StateEstimator:
-    """The robots of one trial as far as known.
+    """Estimates the state and motion of the robots in one trial.
 
-    `problem` has a and speed of the spec. With a `prior` they are identified; robots that
-    `drive_first`, in a square, from when they follow the first direction. Those that are
-    lost by the `loss` rule, `losses.lost`, are left out of what is returned.
+    `problem` has a and speed of the spec. With a `prior` both are identified; if the robots
+    `drive_first`, in a square, only from the moment when they follow the first direction. Robots
+    that are lost by the `loss` rule, `losses.lost`, are left out of every result.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class StateEstimator:
 
     @property
     def dead_time_s(self) -> float:
-        """The dead time, as given or as identified [s]."""
+        """The dead time, given or identified [s]."""
         known = None if self.estimate is None else self.estimate.dead_time
         return self.predictor.dead_time_s if known is None else known
 
@@ -62,7 +62,7 @@ class StateEstimator:
 
     @property
     def known(self) -> Estimate | None:
-        """The estimate of the robots that are left."""
+        """The latest estimate of the robots that are not lost, None without one."""
         return self.estimate and self.estimate.only(self.left)
 
     def seen(
@@ -71,8 +71,9 @@ class StateEstimator:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Problem:
-        """Add how the direction before was sent, and the frames since; return the problem of the
-        robots where the next direction will act."""
+        """Add the previous step's command and the frames since; return the problem with the robots
+        where they will be when the next direction acts.
+        """
         if last_command is not None:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
@@ -88,7 +89,7 @@ class StateEstimator:
         return replace(self.problem, poses=poses).only(self.left)
 
     def sent(self, command: Command) -> None:
-        """Add how a direction was sent."""
+        """Add a direction with the time at which it was sent and the robots that received it."""
         if not command.field_off:
             u = np.nan if command.direction is None else command.direction
             self._last_sent = None if command.direction is None else command.sent_ns
@@ -114,16 +115,17 @@ class StateEstimator:
         return self.predictor.held(self._newest_ns, until)
 
     def held_at_action(self, observation: Observation) -> Floats:
-        """Return the directions [rad] that the robots left hold when one decided on a frame will
-        act, NaN for a robot that stands."""
+        """Return the directions [rad] that the robots left hold when a direction decided on a frame
+        will act, NaN for a robot that stands.
+        """
         return self.held(self.acts(observation) + 1)[-1][2][self.left]
 
     def acts(self, observation: Observation) -> int:
         """Return when a direction decided on a frame will act [ns].
 
-        A dead time that is given counts from the exposure of the frame. One that is identified
-        counts from the sending, a control period after the one before or as soon as the frame was
-        received: what planning and a late frame take is no part of it.
+        A given dead time counts from the exposure of the frame. An identified one counts from the
+        sending, which is a control period after the previous one or as soon as the frame was
+        received; it does not include the time for planning or for a late frame.
         """
         if self.filter is None:
             return observation.sampled_ns + self.predictor.delay_ns

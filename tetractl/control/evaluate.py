@@ -1,4 +1,4 @@
-"""J of many sequences at once, for optimisers, and where one leads: compiled, behind one call."""
+"""Compiled functions for optimisers: J of many sequences at once, and the path of one sequence."""
 
 from collections.abc import Callable
 

@@ -16,16 +16,15 @@ a and v are followed by their logarithms, and all parameters drift as random wal
 forgets what it learnt long ago.
 
 A robot is not sure to do what it was sent. Its hypotheses, each with a filter and a weight of its
-own, are that it follows the latest direction, or one of two before it, because those since got
-lost; and that it is stuck and stands. A pose that fits none of them is an outlier, until none has
-fitted for a while: then the pose is taken from the camera.
+own, are that it follows the latest direction, or one of the two before because later ones got lost,
+and that it is stuck and stands still. A pose that fits no hypothesis is an outlier; after a while
+without a fit, the camera's pose is taken as it is.
 
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
 robots. A bank of filters has one tau each, of a grid; their likelihoods decide between them, and
-around the likely ones the grid becomes finer. Frames are followed some 30 ms apart, and the newest
-of a control step: wheels answer a command within tens of milliseconds and not at once, and from
-frames that are closer together the beginning of the answer gives too short a dead time and too
-small an a.
+around the likely ones the grid becomes finer. The filter uses frames about 30 ms apart, and each
+control step's newest frame: wheels respond over tens of milliseconds, and with frames closer
+together the start of the response would give too short a dead time and too small an a.
 """
 
 import math
@@ -40,15 +39,15 @@ from tetractl.core.commands import Command
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
-GRID_STEP_S = 0.02  # of the dead times at first
-FINEST_S = 0.005  # and at last
+GRID_STEP_S = 0.02  # spacing of the dead times at first
+FINEST_S = 0.005  # and after refinement
 REACH = 3.0  # deviations of the prior that the grid covers
 UNLIKELY = 25.0  # difference of the ln of a likelihood by which a dead time is dropped
-KEPT = 64  # commands remembered after they acted
+KEPT = 64  # number of commands remembered after they acted
 POSITION_NOISE_S = 0.005  # noise of a measured position, in seconds of travel, if not given [s]
 HEADING_NOISE = 0.01  # of a measured heading, if not given [rad]
 SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] ...
-WALK = 0.1  # ... and of the heading [rad/sqrt(s)], before anything is seen
+WALK = 0.1  # ... and of the heading [rad/sqrt(s)], at first
 DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
 SPACING_S = 0.03  # least time between two frames that are followed [s]
 FLOW_DRIFT = 0.05  # of each component of the flow, as a fraction of its prior deviation
@@ -57,10 +56,10 @@ FLOW_DRIFT = 0.05  # of each component of the flow, as a fraction of its prior d
 class Prior(NamedTuple):
     """The prior on N robots: means and standard deviations.
 
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] with relative deviations, dead time [s]; the
-    mean heading bias and marker bias [rad] and flow [length unit/s] are 0. `position_noise`
-    [length unit] and `heading_noise` [rad] are of a measurement, 0 if not known. The helix has
-    a frequency [Hz] and a radius [length unit], 0 for none.
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative deviations, the dead time [s] an
+    absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are 0.
+    `position_noise` [length unit] and `heading_noise` [rad] are those of one measurement, 0 if
+    unknown. The helix has a frequency [Hz] and a radius [length unit], 0 for none.
     """
 
     a: Floats
@@ -93,16 +92,18 @@ class Prior(NamedTuple):
 
 
 def _kernel() -> Any:
-    """Import and return the compiled filter, which checking a spec does not need."""
+    """Import and return the compiled filter: imported late, because checking a spec does not need
+    it.
+    """
     from tetractl.control.kernels import filter as kernel
 
     return kernel
 
 
 class FilterBank:
-    """The estimate of N robots during one trial.
+    """The bank of filters that identifies N robots during one trial.
 
-    Robots that `drive_first`, in a square, are followed from when they follow the first direction.
+    If the robots `drive_first`, in a square, the filters start when the first direction acts.
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
@@ -124,7 +125,7 @@ class FilterBank:
         self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix)
         self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
         self._last: Observation | None = None  # the frame followed last
-        self._from_ns: int | None = None if drive_first else 0  # robots are followed from here on
+        self._from_ns: int | None = None if drive_first else 0  # the filters start here
         self._noisy = False  # whether robots that stand were measured at different poses
         low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
         high = prior.dead_time + REACH * prior.dead_time_std
@@ -163,7 +164,7 @@ class FilterBank:
         )
 
     def sent(self, command: Command) -> None:
-        """Note how a direction, or a stop, was sent."""
+        """Add a direction or a stop with the time at which it was sent."""
         if command.field_off:
             return
         when = command.sent_ns / SECOND
@@ -178,7 +179,7 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Follow the robots to a frame, through earlier frames at intervals of SPACING_S."""
+        """Update the filters to a frame, through earlier frames at intervals of SPACING_S."""
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
@@ -191,8 +192,9 @@ class FilterBank:
         self._select()
 
     def restart(self, robots: Iterable[int]) -> None:
-        """Forget what is known of robots that are others now; they are where the last frame has
-        them."""
+        """Reset the filters of robots that were replaced by others, at their poses in the last
+        frame.
+        """
         for i in robots:
             assert self._last is not None, "only a robot of an earlier frame can be another one"
             first = self._first_bank(self._bank.tau)
@@ -204,7 +206,9 @@ class FilterBank:
                 _kernel().place(self._bank, b, i, self._model, self._last.poses.array()[i])
 
     def _place(self, frame: Observation) -> None:
-        """Take the poses from a frame, of robots that follow the last command that acts by then."""
+        """Take the poses from a frame; robots then follow the last command that acts by its
+        exposure.
+        """
         now, bank = frame.sampled_ns / SECOND, self._bank
         for i in range(len(self.prior.a)):
             pose = frame.poses.array()[i]
@@ -222,8 +226,10 @@ class FilterBank:
         same = (last == now).all(axis=1)
         if not len(self._when) and frame.valid.any() and not same.all():
             self._noisy = True
-        frozen = len(same) > 1 and same.all()  # never do all robots stop between two frames
-        seen = frame.valid & ~(same & (self._noisy | frozen))  # noise never shows the same twice
+        frozen = len(same) > 1 and same.all()  # all robots never stop between two frames
+        seen = frame.valid & ~(
+            same & (self._noisy | frozen)
+        )  # with noise, no two poses are the same
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
             self._bank, self._model, self._step, since, until, self._when, self._u, now, seen
@@ -253,7 +259,9 @@ class FilterBank:
         self._bank = self._around(best, tau)
 
     def _around(self, best: int, tau: Floats):
-        """Return a bank of these dead times, each a copy of the nearest filter."""
+        """Return a bank with these dead times [s], each filter a copy of the nearest present
+        one.
+        """
         bank = self._bank
         source = [int(np.argmin(np.abs(bank.tau - one))) for one in tau]
         made = bank._make(np.ascontiguousarray(column[source]) for column in bank)
@@ -261,7 +269,7 @@ class FilterBank:
         return made._replace(tau=tau)
 
     def dead_time(self) -> tuple[float, float]:
-        """Return the dead time and its deviation [s]."""
+        """Return the dead time and its standard deviation [s]."""
         bank = self._bank
         weight = np.exp(bank.score - bank.score.max())
         weight /= weight.sum()
@@ -269,8 +277,9 @@ class FilterBank:
         return mean, math.sqrt(float(weight @ (bank.tau - mean) ** 2) + (self._step / 4) ** 2)
 
     def _likely(self) -> tuple[int, Floats, Floats, Floats]:
-        """Return the likely filter, and of each robot's likely hypothesis state (N, SIZE),
-        covariance and direction (N,)."""
+        """Return the likeliest filter, and each robot's likeliest hypothesis: state (N, SIZE),
+        covariance and direction (N,).
+        """
         bank = self._bank
         best = int(np.argmax(bank.score))
         slots = np.argmax(bank.weight[best], axis=1)
@@ -283,7 +292,7 @@ class FilterBank:
         )
 
     def estimate(self) -> Estimate:
-        """Return the parameters of the robots and their deviations."""
+        """Return the parameters of the robots and their standard deviations."""
         _, z, cov, _ = self._likely()
         std = np.sqrt(np.maximum(cov[:, range(11), range(11)], 0.0))
         a, speed = self.prior.a * np.exp(z[:, 3]), self.prior.speed * np.exp(z[:, 4])

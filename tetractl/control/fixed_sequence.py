@@ -1,5 +1,6 @@
-"""Shared by controllers: the problem of the logged cost if nothing is searched, the record of
-signals that no search found, and the assembly of a decision."""
+"""Shared by controllers: the problem that defines the logged cost if there is no search, the search
+record of given signals, and the assembly of a plan.
+"""
 
 from collections.abc import Callable
 
@@ -30,12 +31,12 @@ def plain_problem(setup: Setup, period: float, obstacles: Region, swept: bool = 
 
 
 def given_search(problem: Problem, signals: Floats) -> Search:
-    """Return the record of given signals (L,) [rad]: one evaluation of their cost."""
+    """Return a search record of given signals (L,) [rad], with one evaluation of their cost."""
     return search_of(signals, float(evaluate(problem, signals[None]).total[0]))
 
 
 def search_of(signals: Floats, cost: float) -> Search:
-    """Return the record of given signals (L,) [rad] of a known cost."""
+    """Return a search record of given signals (L,) [rad] whose cost is known."""
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
@@ -46,7 +47,9 @@ def make_plan(
     step_key: int,
     foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
 ) -> Plan:
-    """Assemble the decision from its searches, with the predicted path and the terms of (7)."""
+    """Return the plan of a control step from its searches, with the predicted path and the terms of
+    (7).
+    """
     best = searches[chosen]
     ahead = foreseen(problem, best.signals)
     return Plan(

@@ -1,9 +1,9 @@
-"""The search for directions that hold robots near their targets which cannot stand still.
+"""The search for directions that keep robots which cannot stand still near their targets.
 
-A field that rotates at W, below the least a, holds every robot on a circle of radius v / W; one
-that turns back lets it run back. Sequences of both kinds and of any other are searched for the
-least time outside, `Problem.within`: rotations first, then normal steps about the best so far, half
-of them independent and half of them adding up, that shrink from round to round.
+A field that rotates at W, below the least a, keeps each robot on a circle of radius v / W; a field
+that turns back makes robots drive back. The search minimises the time outside `Problem.within`: it
+tries rotations first, then random normal steps about the best sequence so far, half of them
+independent and half cumulative, which shrink from round to round.
 """
 
 import math
@@ -19,12 +19,14 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.problem import Problem
 from tetractl.experiment.controller import OptimizerSection
 
-AHEAD_S = 4.0  # of the plan: one or two circles
-PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # of a rotation's first direction
-RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])  # of rotations [least a]
+AHEAD_S = 4.0  # duration of the plan: one or two circles
+PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first direction of a rotation
+RATES = np.array(
+    [-1.25, -0.95, -0.75, 0.75, 0.95, 1.25]
+)  # rates of rotations, in units of the least a
 SAMPLES, ROUNDS = 128, 6
-SPREAD, SHRINK = 0.6, 0.8  # rad, and from one round to the next
-ADDING = 0.4  # ratio of the spread of steps that add up to that of independent ones
+SPREAD, SHRINK = 0.6, 0.8  # deviation of a step at first [rad], and its ratio from round to round
+ADDING = 0.4  # ratio of the spread of cumulative steps to that of independent ones
 
 
 class CircleSearch(OptimizerSection):
@@ -35,18 +37,18 @@ class CircleSearch(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Rounds of samples."""
+        """Number of rounds of samples in one search."""
         return ROUNDS
 
     @property
     def evaluations_min(self) -> int:
-        """The rotations, the plan before and one round."""
+        """Evaluations of the rotations, the previous plan and one round."""
         return len(PHASES) * len(RATES) + 1 + SAMPLES
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; `warm` is continued as it turned last."""
+        """Search sequences of `length` signals; `warm` is extended at its last rate of turning."""
         progress, times = Progress(length, limits), problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
@@ -67,5 +69,7 @@ class CircleSearch(OptimizerSection):
 
 
 def signals_ahead(period: float) -> int:
-    """Return how many signals a plan of the hold has, each held for the given number of seconds."""
+    """Return how many signals, each held for the given number of seconds, a plan of the hold
+    has.
+    """
     return max(2, math.ceil(AHEAD_S / period))

@@ -16,19 +16,23 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""Under a limit, each horizon of step 0 gets this many times the least evaluations of a search."""
-GROWTH = 1.2  # ratio of one length to the next: after step 0 ...
+"""Under a limit, each horizon of step 0 may use this many times the least evaluations of a
+search.
+"""
+GROWTH = 1.2  # ratio of a length to the one before: after step 0 ...
 SPREAD = 1.3  # ... and at step 0
 FINE = 0.05  # fraction of a length to which the shortest one is determined
-SIGNALS = 6  # signals per robot that several robots take at least: each has two coordinates
+SIGNALS = 6  # least signals per robot for several robots: each robot has two coordinates
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
-"""Lengths that are searched thoroughly at step 0 if none of the others is good enough, and the
-factor from one to the next."""
+"""Number of lengths searched thoroughly at step 0 if no other length is good enough, and the ratio
+of each length to the one before.
+"""
 SEARCH_S = 0.005
-"""Time of a control period for each search of a longer sequence [s]: what such a search takes, and
-as much again for the rest of the step."""
+"""Part of a control period reserved for each search of a longer sequence [s]: twice the duration of
+such a search, to leave time for the rest of the step.
+"""
 Candidate = tuple[int, Floats | None]
-"""A length to try, and the u_gb^0 to start from."""
+"""A length to try, and the u_gb^0 that its search starts from."""
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
@@ -46,7 +50,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Reduce the candidates: evenly at step 0, later to the length of the plan (H)."""
+    """Reduce the candidates to what the limit allows: evenly spread at step 0, later only H."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -56,10 +60,10 @@ def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> li
 
 
 def choose(searches: Sequence[Search], good_enough: float | None, count: int) -> int:
-    """Return the index of the least cost, lines 5 and 23.
+    """Return the index of the search with the least cost, lines 5 and 23.
 
-    Among costs that the optimiser counts as equally good, the length nearest to that of the plan
-    under way, `count` (H), is chosen; at step 0, if it is 0, the shortest.
+    Among costs that the optimiser counts as equally good, the length nearest to the present plan's,
+    `count` (H), is chosen; at step 0, where `count` is 0, the shortest.
     """
     if good_enough is not None:
         good = [i for i, search in enumerate(searches) if search.cost <= good_enough]
@@ -82,15 +86,15 @@ def least_length(problem: Problem) -> int:
 
 
 def always(_: Floats) -> bool:
-    """Return True: the default accepts any signals."""
+    """Return True: the default test accepts any signals."""
     return True
 
 
 class Searcher:
-    """Does the searches of one control step, within its limits, and keeps what they found.
+    """Runs the searches of one control step within its limits, and collects their results.
 
     `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
-    true, only the first search is done. Only signals that are `safe` are good.
+    true, only the first search is done. A plan is only good if `safe` accepts its signals.
     """
 
     def __init__(
@@ -107,14 +111,14 @@ class Searcher:
         self._problem, self._key = problem, step_key
         self._left, self._expired, self._safe = evaluations, expired, safe
         self.found: list[Search] = []
-        self._known = dict[int, bool]()  # whether one of them is safe
+        self._known = dict[int, bool]()  # whether signals are safe, by the id of their search
 
     def search(
         self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
     ) -> Search | None:
-        """Search one length; None if that is beyond the limits.
+        """Search one length; return None if the limits do not allow it.
 
-        The evaluations left are shared equally `among` this search and those that are to follow.
+        The evaluations left are shared equally `among` this search and the following ones.
         """
         share = None if self._left is None else self._left // among
         if self.found and (self._expired() or (share is not None and share < self._least)):
@@ -127,7 +131,7 @@ class Searcher:
         return found
 
     def good(self, found: Search, good_enough: float) -> bool:
-        """Return whether a plan that was found is safe and costs no more than that."""
+        """Return whether a plan was found that is safe and costs at most `good_enough`."""
         if found.cost > good_enough:
             return False
         if id(found) not in self._known:
@@ -137,8 +141,8 @@ class Searcher:
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
-        If the optimiser counts costs up to `good_enough` as equally good, they are searched in
-        the order in which `choose` prefers them by `count`, until one is that good: the others
+        If the optimiser counts costs up to `good_enough` as equally good, lengths are searched in
+        the order in which `choose` prefers them by `count`, until one is good enough: the others
         could not be chosen any more.
         """
         if good_enough is not None:
@@ -149,8 +153,9 @@ class Searcher:
                 break
 
     def search_longer(self, lengths: list[int], period_s: float, good_enough: float) -> int:
-        """Search the lengths afresh until a cost is good enough; return the length to continue
-        with if the control period was too short, 0 otherwise."""
+        """Search the lengths from scratch until a cost is good enough; if the control period ends
+        before, return the length to continue with, otherwise 0.
+        """
         for i, length in enumerate(lengths):
             in_time = (i + 1) * SEARCH_S < period_s or i == 0
             found = self.search(length, None) if in_time else None
@@ -161,10 +166,10 @@ class Searcher:
         return 0
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:
-        """Search from `least` on, at growing distances, until a cost is good enough; then between.
+        """Search growing lengths from `least` on until a cost is good enough, then refine the
+        length.
 
-        Between that length and the one before it goes on by bisection, down to a fraction FINE of
-        it.
+        The length is refined by bisection between the last two, down to a fraction FINE of it.
         """
         length, failed = min(least, most), 0
         while True:
@@ -187,9 +192,10 @@ class Searcher:
                 failed = middle
 
     def search_thoroughly(self, problem: Problem, most: int, good_enough: float) -> Problem:
-        """Search THOROUGH lengths, each with all it takes, until a cost is good enough.
+        """Search THOROUGH lengths thoroughly until a cost is good enough.
 
-        It is done in `problem`, of the same robots; return the problem of the least cost found.
+        The searches use `problem`, of the same robots; returns the problem with the least cost
+        found.
         """
         robots, posed, before = len(problem.a), self._problem, len(self.found)
         least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)

@@ -1,19 +1,19 @@
-"""How far the plan keeps from obstacles and walls, and the robots from each other.
+"""The distances that a plan keeps to obstacles and walls, and between robots.
 
-A robot follows its plan up to the uncertainty of its state. The margin is its radius, the spec's
-margin and, if it follows the uncertainty, how far off course the fastest robot may come,
+A robot deviates from its plan by the uncertainty of its state. The margin is the sum of its radius,
+the spec's margin and, if the margin is adaptive, the greatest deviation of the fastest robot,
 
     LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
 
-with its speed v, the control period T, the dead time tau and the deviations sigma of what is
-identified: a command that gets lost costs a period, and what is uncertain acts for a dead time. Two
-robots keep their separation and twice that much.
+with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
+identified values: a lost command costs a period, and uncertain values act for a dead time. Two
+robots keep their separation and twice that deviation.
 
-If a robot or a target is nearer to an obstacle already, the margin is what room there is: no
-plan could start or end inside a margin and keep it.
+If a robot or a target is already nearer to an obstacle, the margin is its present distance, because
+no plan could start or end inside a margin and keep it.
 
-Robots that hear nothing for a while go on in the direction held. Whether they keep clear then is
-tested for each signal of a plan.
+Robots that receive nothing for a while keep to the direction held. For each signal of a plan it is
+tested whether they then stay clear.
 """
 
 import math
@@ -33,11 +33,13 @@ LOST = 0.75  # fraction of a period's path by which a lost command takes a robot
 SIGMAS = 2.0
 ROOM = 0.98  # fraction of the available distance that a margin takes
 BISECTIONS = 12
-SAMPLE_S = 0.15  # time step of the paths of robots that hear nothing
+SAMPLE_S = 0.15  # time step of the paths of robots that receive nothing [s]
 
 
 def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
-    """Return how far off course a robot may come within a control period [length unit]."""
+    """Return the greatest deviation of a robot from its course within a control period [length
+    unit].
+    """
     found = LOST * speed * period_s
     if known is not None:
         blind = dead_time_s + period_s
@@ -47,12 +49,14 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 
 class Margins:
-    """The margins of a trial: `shapes` and, if given, the walls of an arena, and N targets."""
+    """The margins of a trial, around `shapes` and, if given, the walls of an arena, for N
+    targets.
+    """
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
         self._targets = targets
-        self._one, self._other = np.triu_indices(len(targets), 1)  # of each pair
+        self._one, self._other = np.triu_indices(len(targets), 1)  # of each pair of robots
         self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
@@ -63,8 +67,9 @@ class Margins:
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
 
     def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether a robot that is outside every shape, without any margin, touches one on
-        its straight way to (x, y) (N,)."""
+        """Return whether a robot that is outside every shape touches one, without any margin, on
+        its straight path to (x, y) (N,).
+        """
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
 
@@ -77,11 +82,12 @@ class Margins:
         margin: float,
         apart: float,
     ) -> bool:
-        """Return whether robots keep clear if a signal, whichever, is held for so long [s].
+        """Return whether robots keep clear if any one signal is held for a given time [s].
 
-        path (L, N, 3) is where they are before each of the signals (L,). Clear robots keep the
-        margin, or the distance that they start with, and a distance `apart` from each other, or the
-        problem's separation.
+        path (L, N, 3) are the poses before each of the signals (L,).
+
+        Clear robots keep the margin, or their distance at the start, and between each other the
+        distance `apart`, or the problem's separation.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
@@ -105,8 +111,9 @@ class Margins:
         return bool((self._gaps(x, y) >= min(apart, problem.separation)).all())
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
-        """Return the least distance (...) of robots at (..., N) to a shape, and of two of them less
-        `apart`; negative inside."""
+        """Return the least clearance (...) of robots at (..., N): the distance to a shape, negative
+        inside, or that of two robots minus `apart`.
+        """
         between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
         return np.minimum(self._bare.distance(x, y).min(axis=-1), between)
 
@@ -116,20 +123,21 @@ class Margins:
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: the one wanted, or the present distance of the robots if
-        that is smaller."""
+        """Return the separation to keep: the given one, or the robots' present least distance if
+        that is smaller.
+        """
         if not self._one.size or wanted <= 0:
             return 0.0
         return min(wanted, ROOM * min(self._least(poses.x, poses.y), self._apart))
 
     def _least(self, x: Floats, y: Floats) -> float:
-        """Return the least distance between two of N points, inf if there is but one."""
+        """Return the least distance between two of N points, inf for a single point."""
         one, other = self._one, self._other
         return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
 
 
 def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:
-    """Return the shape grown by the largest margin that no point (x, y) lies within."""
+    """Return the shape grown by the margin, reduced so that it contains no point (x, y)."""
     grown = shape.grown(margin)
     if not grown.contain(x, y).any():
         return grown

@@ -9,20 +9,20 @@ Where each line of Algorithm 2 is:
     9, 26   for k = 1 ... k_max                                           plan, by run.trial
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
-            H first if an optimiser tells whether that is good enough  Searcher.search_all
+            H first if the optimiser has a tolerance                   Searcher.search_all
     12      feedback of the robots, once per step                           plan
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
     21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
 
-Beyond Algorithm 2, each by a field of its own: the plan's grid may be coarser than the control's
-(`hold`), the state may be predicted over the dead time, the motion identified while the robots
-drive (`estimate`), margins may follow the uncertainty (`collision.adaptive`), robots pause before
-an obstacle that no plan avoids and at the end (`stop_before_collision`), longer sequences be
-searched if no short one ends at the targets (`accept_error`), the stop come between two steps
-(`stop_between`), an optimiser may count costs as equally good, the searches of a step may be
-limited, and robots may pass way-points (`robots.via`) and stay at their targets (`hold`).
+Extensions of Algorithm 2, each with its own field: the plan's grid may be coarser than the
+control's (`hold`); the state may be predicted over the dead time; the motion may be identified
+while the robots drive (`estimate`); margins may grow with the uncertainty (`collision.adaptive`);
+robots may pause before an obstacle that no plan avoids, and at the end (`stop_before_collision`);
+longer sequences may be searched if no short one ends at the targets (`accept_error`); the stop may
+come between two steps (`stop_between`); an optimiser may count costs as equally good; searches may
+be limited; and robots may pass way-points (`robots.via`) and stay at their targets (`hold`).
 """
 
 import time
@@ -35,14 +35,7 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import (
-    ACCEPT_GROWTH,
-    ENOUGH,
-    best_stop,
-    longer,
-    nearly_done,
-    way_out,
-)
+from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer, nearly_done, way_out
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -61,11 +54,11 @@ from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same
 
-RESTED_S = 2.0  # after a pause before there is another one because no safe plan was found
-NEXT = 2  # signals of the plan under way that are to be safe if robots hear nothing
-UNSURE = 2  # last signals of a plan that need not be
-KEPT = 0.2  # of their radius that robots then keep from what they could enter
-LATE = 2.0  # dead times that a stop may come late: it may be lost once
+RESTED_S = 2.0  # least time between a pause and the next one for lack of a safe plan
+NEXT = 2  # next signals of the present plan that must be safe if robots receive nothing
+UNSURE = 2  # last signals of a plan that need not be safe
+KEPT = 0.2  # clearance that robots keep then, as a fraction of their radius
+LATE = 2.0  # dead times after which a stop acts at the latest: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes of a leg after which the next leg begins."""
 
@@ -94,17 +87,17 @@ class Mpc:
             problem, section.period, section.dead_time, prior, square, setup.loss
         )
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
-        self.held: tuple[int, Outcome] | None = None  # when robots arrived that hold, and how
+        self.held: tuple[int, Outcome] | None = None  # when holding robots arrived [ns], and how
         self._begin_leg()
         self.optimizer, self.circler = optimizer, circler
         self.key, self.timer = key, timer
         self.k, self.moving = 0, False
-        self.leaving = False  # whether robots are, or were, led out of a corner
+        self.leaving = False  # whether the present plan leads, or led, robots out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.left_over = 0.0  # total error that the last plan leaves
-        self.began = 0  # k at which a plan was made from standing
-        self.stuck = False  # whether nothing could move safely from standing
-        self.resume = 0  # length from which to go on if the time for longer ones was up
+        self.began = 0  # step k at which a plan was made for standing robots
+        self.stuck = False  # whether no standing robot could move safely
+        self.resume = 0  # length to continue with if the time for longer sequences was up
 
     def plan(
         self,
@@ -112,7 +105,7 @@ class Mpc:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Do one control step: decide u_(opt), or that the trial is over."""
+        """Do one control step: decide u_(opt), or end the trial."""
         if self.warm is not None and self._phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - self._phase) * self.section.period
@@ -142,21 +135,21 @@ class Mpc:
 
     @property
     def last_leg(self) -> int:
-        """The leg that the trial ends with: to the targets, or the hold."""
+        """Number of the leg that ends the trial: the one to the targets, or the hold."""
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
-        """Plan for the next way-points or targets of the remaining robots from their present
+        """Start planning for the next way-points or targets, of the robots left, from their present
         poses."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
         self.margins = Margins(self.setup.obstacles, walls, targets)
         self.accept = self.section.accept_error  # total error accepted at present
-        self.warm: Floats | None = None  # u_(warm), None before there is any
+        self.warm: Floats | None = None  # u_(warm), None before the first plan
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Keep the robots within the radius of the hold until its time is over."""
+        """Decide how robots stay within the radius of the hold, until its time is over."""
         assert self.hold is not None
         assert self.held is not None
         since, outcome = self.held
@@ -173,7 +166,7 @@ class Mpc:
         return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
 
     def _circle(self, problem: Problem) -> Plan:
-        """Return the directions that keep robots which cannot stand near their targets."""
+        """Return the directions that keep robots near their targets if they cannot stand still."""
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
@@ -183,7 +176,7 @@ class Mpc:
         return replace(plan, estimate=self.estimator.estimate)
 
     def _drive(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide the next direction on the way to the problem's targets."""
+        """Decide the next direction towards the problem's targets."""
         gaps = problem.poses.distances(problem.targets)
         if self.section.arrived(gaps):  # lines 13-15
             return Outcome.ARRIVED
@@ -219,7 +212,9 @@ class Mpc:
                     self.began, self.leaving = self.k, True
                     return self._given(problem, out, plan.searches)
                 if enters:
-                    self.stuck = True  # ends the trial after a pause, whose step logs the searches
+                    self.stuck = (
+                        True  # the trial ends after a pause, in whose step the searches are logged
+                    )
                     return self._pause(problem, plan)
             rested = (self.k - self.began) * self.section.period
             if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
@@ -231,8 +226,8 @@ class Mpc:
         return plan
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan that stops all robots, after which the next plan starts from standing
-        robots; `found` holds the searches that found nothing better."""
+        """Return the plan that stops all robots, so that the next plan is for standing robots;
+        `found` holds the searches without a better plan."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -241,7 +236,7 @@ class Mpc:
         return replace(found, estimate=self.estimator.estimate, pauses=True)
 
     def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
-        """Return the plan of signals given, after searches `before` that found nothing safe."""
+        """Return a plan of the given signals, after searches `before` that found no safe plan."""
         searches = [*before, given_search(problem, signals)]
         plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
         self.warm, self.blocked = signals, True
@@ -249,8 +244,8 @@ class Mpc:
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Grow obstacles and separation by how far off course the robots may come, given the
-        uncertainty of their motion, if the margin follows it; None if everything is known."""
+        """Grow obstacles and separation; if the margin is adaptive, also by the deviation that the
+        uncertainty of `estimate` allows. None: the motion is known."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -266,19 +261,19 @@ class Mpc:
     def _ended(
         self, problem: Problem, observation: Observation, gaps: Floats
     ) -> Outcome | End | None:
-        """Return how the trial ends now: with its sequence, or if stopping is as good as that,
-        or safer. `gaps` (N,) are the distances to the targets.
+        """Return how the trial ends now, None if it goes on: its sequence is completed, or stopping
+        is as good or safer.
 
-        No search is done for it, so the log has all that the end depends on.
-        """
+        `gaps` (N,) are the distances to the targets. This needs no search, so the log holds
+        everything that the end depends on."""
         if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
             return None
-        between = self.section.stop_between and self.leg == self.last_leg  # else nothing stops
+        between = self.section.stop_between and self.leg == self.last_leg  # stops on no other
         period = self.section.period if between else 0.0
         in_time = len(self.warm) + 2 <= self._signals_left()  # to go round
         accept = self.accept if in_time else max(self.accept, self.left_over)
         if 0 < accept < float((gaps - problem.speed * period).sum()):
-            return None  # at full speed no stop would be near enough
+            return None  # even at full speed no stop would be near enough
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
         cost = evaluate(problem, self.warm[None]).total[0] if len(self.warm) else np.inf
@@ -288,7 +283,7 @@ class Mpc:
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
         """Return whether a robot enters an obstacle before the next stop could act, under a plan
-        or, if that is used up, the direction held."""
+        and, after its end, the direction held."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
@@ -296,11 +291,11 @@ class Mpc:
         return self.margins.entered(problem.poses, x, y)
 
     def _decide(self, problem: Problem) -> Plan:
-        """Search every horizon that is a candidate now, longer ones if need be, and choose.
+        """Search every candidate horizon, and longer ones if necessary, and choose the plan.
 
         A limit of evaluations is shared equally. If it is too small for all horizons of step 0,
-        fewer are tried, evenly spread, each with WORTHWHILE times the least of a search.
-        """
+        fewer are tried, evenly spread, each with WORTHWHILE times the least evaluations of a
+        search."""
         section, step_key = self.section, mix(self.key, self.k)
         horizon, most = self._signals_left(), section.evaluations_max
         wanted = list(candidates(self.warm, horizon))
@@ -321,12 +316,12 @@ class Mpc:
         if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
             searcher.search_spread(least_length(problem), horizon, good_enough)
             if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
-                later = self._with_margins(problem, None)  # they are identified on the way
+                later = self._with_margins(problem, None)  # the motion is identified while driving
                 problem = searcher.search_thoroughly(later, horizon, good_enough)
         else:
             enough = good_enough
             if enough is not None and self.accept > 0:
-                enough = min(enough, self.accept)  # what is not accepted makes the robots go round
+                enough = min(enough, self.accept)  # robots go round if a cost is not accepted
             searcher.search_all(wanted, enough, count)
         accepted = max(self.accept, good_enough or 0.0)
         good = [search for search in searcher.found if searcher.good(search, accepted)]
@@ -348,8 +343,8 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences, as far as horizon, steps and the control period allow; the next
-        step continues."""
+        """Search longer sequences, as far as horizon, remaining steps and control period allow; the
+        next step continues the search."""
         assert self.warm is not None
         lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
         self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
@@ -359,11 +354,10 @@ class Mpc:
         return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether robots keep clear if they hear nothing for `silence` from some signal on,
-        or until their watchdog stops them.
+        """Return whether robots keep clear if, from any one signal on, they receive nothing for
+        `silence`, or until their watchdog stops them.
 
-        The last ones do not count, and of the plan under way only the next ones.
-        """
+        The last UNSURE signals are not tested; of the present plan, only the next ones are."""
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:
@@ -391,8 +385,8 @@ class MpcSection(MpcFields):
         return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
 
     def warm_up(self, setup: Setup) -> None:
-        """Search one signal for the robots at their starts, predict where it leads, and identify
-        the robots from a few frames."""
+        """Compile by use: search for one signal from the starts, predict its path, and identify the
+        robots from a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)

@@ -33,22 +33,24 @@ class Collision(Model):
     """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
     meet. It is tested at the predicted positions."""
     adaptive: bool = False
-    """Whether the margin grows by how far off course a robot may come before the next command acts,
-    given the uncertainty of its motion; around a robot or target that is within the margin, it
-    shrinks to the present distance."""
+    """Whether the margin grows by a robot's greatest deviation from its course before the next
+    command     acts, given the uncertainty of its motion; around a robot or target that is within
+    the margin,     the margin shrinks to the present distance.
+    """
     stop_before_collision: bool = False
-    """Whether all robots pause if the best plan found touches an obstacle or its margin and a
-    robot is about to enter one, or no plan within `accept_error` keeps clear; from standing they
-    are planned for again, and the trial ends if nothing can move safely. With an `accept_error`
-    they pause at the end too, and go on if they then stand further from their targets. For robots
-    that can stand still."""
+    """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
+    is about to enter one, or no plan within `accept_error` keeps clear; once they stand, a new plan
+    is searched, and the trial ends if no robot can move safely. With an `accept_error` they pause
+    at the end too, and go on if they then stand further from their targets. For robots that can
+    stand still."""
     silence: NonNegative = 0.0
-    """Time for which robots may receive nothing and go on in the direction held [s]: plans
-    are preferred that keep clear then, whenever it begins."""
+    """Time for which robots may receive nothing and keep to the direction held [s]: plans are
+    preferred     that keep clear during such a time, at whichever signal it begins.
+    """
 
 
 class PriorSection(Model):
-    """Standard deviations of the spec's values of the robots, before they move."""
+    """Prior standard deviations of the spec's values of the robots' motion."""
 
     a: Positive = 0.2
     """Relative standard deviation of each a."""
@@ -70,7 +72,7 @@ class PriorSection(Model):
     helix_frequency: NonNegative = 0.0
     """Frequency of the helix on which cells swim [Hz]."""
     helix_radius: NonNegative = 0.0
-    """Radius of that helix [length unit]; 0 for none."""
+    """Radius of the helix on which cells swim [length unit]; 0 for no helix."""
 
     def of(self, problem: Problem, dead_time: float) -> Prior:
         """Return the prior of the robots of a problem."""
@@ -102,15 +104,17 @@ class MpcFields(ControllerSection):
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
-    """Whether a, speed and heading bias of each robot and the dead time of all are identified while
-    they drive, starting from the spec's values."""
+    """Whether a, speed and heading bias of each robot, and their common dead time, are identified
+    while     they drive, starting from the spec's values.
+    """
     prior: PriorSection = PriorSection()
-    """The prior uncertainty of these values."""
+    """The prior uncertainty of the identified values."""
     accept_error: NonNegative = 0.0
-    """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within it, longer
-    sequences are searched, and the trial ends if stopping is within it and as good as any plan. A
-    smaller value makes trials longer. Each time the robots go round, a tenth more is accepted, and
-    whatever is left where the steps end. 0 is Algorithm 2, which ends only with its sequence."""
+    """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within this error,
+    longer sequences are searched, and the trial ends if stopping leaves at most this error and is
+    as good as any plan. A smaller value makes trials longer. Each time the robots go round, a tenth
+    more is accepted; with no steps left to go round, whatever the plan leaves. 0 is Algorithm 2,
+    which ends only with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -120,16 +124,18 @@ class MpcFields(ControllerSection):
     initial_lengths: Literal["all", "geometric"] = "all"
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2 (with an
     optimiser that has a tolerance, up to the first length that is good enough); or `geometric`,
-    with such an optimiser: at growing distances from the shortest that could reach the targets,
-    until one is good enough, then by bisection; if none is, three lengths are searched for some
-    seconds each."""
+    with such an optimiser: growing lengths from the shortest that could reach the targets until one
+    is     good enough, then bisection; if no length is, three lengths are searched for some seconds
+    each.
+    """
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
     collision: Collision = Collision()
     """How the planner tests for obstacles."""
     evaluations_max: int | None = Field(default=None, ge=1)
-    """Cost evaluations one control step may spend, shared equally by its horizons; then the best
-    sequence so far is used. No limit by default."""
+    """Largest number of cost evaluations in one control step, shared equally by its horizons; the
+    best     sequence found within the limit is used. No limit by default.
+    """
     optimizer: Annotated[OptimizerSection, _OPTIMIZER] = Field(default_factory=_OPTIMIZER.make)
     """The optimiser of each search."""
 
@@ -159,8 +165,9 @@ class MpcFields(ControllerSection):
         return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return the numbers of the longest search: positions, velocities, bests and poses of its
-        particles, and the Jacobian of a polish with a row a residual."""
+        """Return how many numbers the longest search stores: positions, velocities, bests and poses
+        of its particles, and the Jacobian of a polish with a row per residual.
+        """
         robots, length = len(setup.names), self.horizon_max
         swarm = 4 * self.optimizer.evaluations_min * (length + robots)
         residuals = robots * (2 + robots // 2 + len(setup.obstacles))

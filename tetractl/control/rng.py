@@ -1,4 +1,4 @@
-"""Random numbers by counting: a draw depends on its key and its index alone.
+"""A counter-based random generator: each draw depends only on its key and index.
 
 The generator is SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): draw i of a key is a 64-bit
 mixing of key + (i + 1) * golden ratio. Plans therefore depend on neither threads nor the order
@@ -49,8 +49,8 @@ def uniform_pair(key: int, first: int, count: int) -> tuple[Floats, Floats]:
 def normal(key: int, first: int, count: int) -> Floats:
     """Return numbers of the standard normal distribution, shape (count,), one from each draw.
 
-    Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and phi of 31 bits each; so
-    none is beyond 6.6.
+    Box and Muller (1958): sqrt(-2 ln r) cos(2 pi phi), with r in (0, 1] and phi of 31 bits each, so
+    that no number exceeds 6.6.
     """
     high, low = uniform_pair(key, first, count)
     return np.sqrt(-2 * np.log(1 - high)) * np.cos(2 * np.pi * low)

@@ -1,10 +1,10 @@
 """A rapidly-exploring random tree with feedback, for one robot: a path, and steering along it.
 
-The paper names it (section I, after Kim et al., 2011) as the way in which one cell was steered
-round obstacles before: a tree finds a path, and feedback points the field at its next corner. The
-tree grows in the plane: a random point of the arena is drawn, or the target at times, and the
-nearest node grows an edge towards it unless that would touch an obstacle. Edges and the distance
-from which a corner counts as passed are in turning radii v/a, the tightest bend a robot drives.
+The paper names this method (section I, after Kim et al., 2011) as the earlier way to steer one cell
+round obstacles: a tree finds a path, and feedback points the field at its next corner. The tree
+grows in the plane: a random point of the arena is drawn, or the target at times, and the nearest
+node grows an edge towards it unless that would touch an obstacle. Edges and the distance from which
+a corner counts as passed are in turning radii v/a, the tightest bend a robot drives.
 
 Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
 """
@@ -32,8 +32,8 @@ from tetractl.experiment.controller import ControllerSection, OptimizerSection, 
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
-SHARES = 3  # numbers of a draw: whether it is the target, and a point of the arena
-HEADING_FOR = 0.7  # cosine of the angle to its target up to which a robot is about to pass it
+SHARES = 3  # random numbers per draw: whether to take the target, and a point of the arena
+HEADING_FOR = 0.7  # least cosine of the angle to the target at which a robot is about to pass it
 
 
 class RrtSection(ControllerSection):
@@ -47,14 +47,16 @@ class RrtSection(ControllerSection):
     """Distance from which a corner of the path counts as passed [v/a of the robot]; at least what
     the robot drives in a control period."""
     goal_bias: Fraction = 0.1
-    """Share of the draws that are the target itself."""
+    """Share of the draws that take the target in place of a random point."""
     draws_max: int = Field(default=5000, ge=1, le=100_000)
-    """Draws of one tree; without a path then, the robot goes straight for its target."""
+    """Largest number of draws for one tree; if there is no path then, the robot drives straight to
+    its target.
+    """
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 
     def bounds(self) -> dict[str, str]:
-        """Return the size of a tree."""
+        """Return the largest size of a tree, for display: {name: text}."""
         return {"nodes of a tree": f"at most {self.draws_max}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -66,7 +68,7 @@ class RrtSection(ControllerSection):
             yield ("type",), "steers a robot that moves, and this one's speed is 0"
 
     def problem(self, setup: Setup) -> Problem:
-        """Return the problem whose cost the log states, for the robot at its start."""
+        """Return the problem used to compute the logged cost, for the robot at its start."""
         obstacles = Obstacles.of(setup.obstacles, self.margin, setup.arena)
         return plain_problem(setup, self.period, obstacles, swept=True)
 
@@ -117,11 +119,11 @@ class Rrt:
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad]; if it is blocked, of a new path's.
+        """Return the direction of the next corner [rad], on a new path if the way there is blocked.
 
-        Inside an obstacle grown by the margin no path begins: the robot keeps to the one it has. A
-        robot next to its target, nearer than it can turn to it, would circle it for ever: it goes
-        straight on instead until it is far enough to come back.
+        No path can begin inside an obstacle grown by the margin: there the robot keeps its present
+        path. A robot too near to its target to turn towards it would circle it for ever: it drives
+        straight until it is far enough to come back.
         """
         here, region = problem.poses.xy[0], problem.obstacles
         while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
@@ -140,8 +142,9 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the stop at the moment when the robot passes its target, None if that is not
-        now."""
+        """Return the stop for the moment when the robot passes its target, None if it does not do
+        so in this step.
+        """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None

@@ -1,4 +1,4 @@
-"""What a search has found so far and what it has spent, for optimisers."""
+"""The progress of an optimiser's search: best sequence, history and evaluations spent."""
 
 import numpy as np
 
@@ -9,8 +9,8 @@ from tetractl.core.poses import Floats
 class Progress:
     """The best of the sequences of `length` signals evaluated so far.
 
-    `history` has one entry an iteration, (z + 1,); `ended` is why the search is over, None while it
-    goes on.
+    `history` has one entry per iteration, (z + 1,); `ended` is why the search is over, None while
+    it goes on.
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
@@ -22,8 +22,7 @@ class Progress:
         self.ended: StopReason | None = None
 
     def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow this many more evaluations now; if not, the search
-        ends."""
+        """Return whether the limits allow so many more evaluations; if not, end the search."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
         if self.ended is None and self.limits.expired():
@@ -31,7 +30,7 @@ class Progress:
         return self.ended is None
 
     def add(self, signals: Floats, costs: Floats) -> None:
-        """Note the costs (P,) of sequences (length, P): one more entry of the history."""
+        """Take the costs (P,) of sequences (length, P) and add an entry to the history."""
         self.evaluations += costs.size
         leader = int(np.argmin(costs))
         self.keep(signals[:, leader], float(costs[leader]))
@@ -43,7 +42,9 @@ class Progress:
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return the result; a search that nothing else ended did all its iterations."""
+        """Return the search's record; without another reason, it ended by its number of
+        iterations.
+        """
         return Search(
             length=self.length,
             signals=self.best,

@@ -1,4 +1,4 @@
-"""A controller that sends a given sequence of directions, whatever the robots do: open loop."""
+"""A controller that sends a given sequence of directions, open loop."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -22,24 +22,24 @@ from tetractl.experiment.base import Finite, NonNegative
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.model.obstacles import Obstacles
 
-AHEAD = 50  # signals whose path a step predicts
+AHEAD = 50  # number of signals whose path each step predicts
 
 
 class SequenceSection(ControllerSection):
-    """A given sequence of directions, one a control step; nothing is searched."""
+    """A given sequence of directions, one per control step, without a search."""
 
     type: Literal["sequence"] = "sequence"
     directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
     """The direction of each control step [rad]; after the last the robots are stopped."""
     remainder: NonNegative = 0.0
-    """How much longer than a control period the last one is held [s]."""
+    """Time for which the last direction is held beyond one control period [s]."""
 
     def bounds(self) -> dict[str, str]:
-        """Return how long the sequence is."""
+        """Return the number of directions, for display: {name: text}."""
         return {"directions": f"{len(self.directions)}"}
 
     def problem(self, setup: Setup) -> Problem:
-        """Return the problem whose cost the log states, for robots at their starts."""
+        """Return the problem used to compute the logged cost, for robots at their starts."""
         return plain_problem(setup, self.period, Obstacles.of(setup.obstacles))
 
     def build(
@@ -53,7 +53,7 @@ class SequenceSection(ControllerSection):
         return SequenceController(self, setup, key)
 
     def warm_up(self, setup: Setup) -> None:
-        """Evaluate the cost once."""
+        """Compile the cost by evaluating it once."""
         evaluate(self.problem(setup), np.zeros((1, 1)))
 
 
@@ -73,7 +73,9 @@ class SequenceController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Return the next direction, and where it and the following ones are predicted to lead."""
+        """Return the plan of the next direction, with the path predicted for it and the following
+        ones.
+        """
         problem, section = self._estimator.seen(observation, last_command), self.section
         gaps = problem.poses.distances(problem.targets)
         if section.arrived(gaps):

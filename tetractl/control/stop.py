@@ -67,9 +67,9 @@ def stopped(history: Floats, stop: Stop) -> StopReason | None:
 def paper_criterion(history: Floats) -> bool:
     """Evaluate (20) as printed, after iteration z = len(history) - 1.
 
-    C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m));
-    stop if z > 10 and Delta < C. An iteration without improvement gives log 0 = -inf, hence a
-    stop; J = 0 gives -inf on both sides and no stop. The logarithms make it depend on the unit of
+    C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m)); stop if z > 10
+    and Delta < C. An iteration without improvement gives log 0 = -inf, hence a stop; J = 0 gives
+    -inf on both sides and no stop. Because of the logarithms, the criterion depends on the unit of
     length.
     """
     z = len(history) - 1

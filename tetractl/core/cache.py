@@ -1,6 +1,6 @@
 """The folder for compiled code, which only its user can write to, and names for its files.
 
-What is in the folder is executed: numba's files are pickles, and the firmware's cores are shared
+The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
 libraries. A folder that another user can write to, or whose parents another user can exchange,
 is therefore never read.
 """
@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 FOLDER = "TETRACTL_CACHE_DIR"
-"""The variable of the environment that names the folder; worker processes inherit it."""
+"""Environment variable that names the cache folder; worker processes inherit it."""
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -28,8 +28,8 @@ _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 def cache_folder() -> Path:
     """Return the user's cache folder for tetractl, mode 0700.
 
-    If it cannot be made, or others can write to it, it is a new folder that is removed at the
-    end of the process. OSError if that cannot be made either.
+    If this folder cannot be made, or other users can write to it, a temporary folder is returned,
+    which is removed at the end of the process. Raises OSError if that cannot be made either.
     """
     wanted, why = _wanted(), "the user has no home"
     if wanted is not None:
@@ -54,8 +54,9 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Make a folder that only this user can write to; return why that failed, None if it did
-    not."""
+    """Make a folder that only this user can write to; return the reason if that failed, otherwise
+    None.
+    """
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if why := exposed(folder):
@@ -69,13 +70,13 @@ def claim(folder: Path) -> str | None:
 
 
 def exposed(folder: Path) -> str | None:
-    """Return a sentence on who else could put files into a folder; None if no other user can.
+    """Return a sentence on which other users could put files into a folder, None if no other can.
 
     The folder has to be the user's, and each parent the user's or root's; a parent that others can
     write to must be sticky, as the temporary folder is. A group of which the user is the only
     member counts as the user.
     """
-    if not hasattr(os, "getuid"):  # a system without owners
+    if not hasattr(os, "getuid"):  # Windows: files have no owners
         return None
     me, real = os.getuid(), folder.resolve(strict=True)
     for place in (real, *real.parents):
@@ -91,7 +92,7 @@ def exposed(folder: Path) -> str | None:
 
 
 def _alone_in(group: int) -> bool:
-    """Return whether a group is the one that systems make for each user."""
+    """Return whether a group has the user as its only member, as a user's private group does."""
     import grp
     import pwd
 
@@ -104,7 +105,7 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return numba's environment variables, `NAME=value` each, or "none"."""
+    """Return numba's environment variables as text, `NAME=value` each, or "none"."""
     found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(kept) or "none"
@@ -112,7 +113,7 @@ def compiler_settings() -> str:
 
 @functools.cache
 def say_once(text: str) -> None:
-    """Print a note to stderr: once, and not in the worker processes of a batch."""
+    """Print a note to stderr once per run, and not in the worker processes of a batch."""
     if multiprocessing.parent_process() is None:
         with suppress(OSError, ValueError):  # stderr may be closed
             print(f"note: {text}", file=sys.stderr)

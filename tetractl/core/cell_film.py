@@ -14,13 +14,14 @@ Integers = NDArray[np.int64]
 class CellFilm:
     """One picture of a camera that follows cells, as a log keeps it.
 
-    `crops` (K, T, T) are cut out of the picture minus its background, at which the search for
-    contours begins, so that it can be repeated; the upper left pixel of each is at `corners`
-    (K, 2), column and row. `blobs` (K, 6) is what was found in each: x, y [px], axis [rad], long,
-    wide [px], strength [grey levels]. `robots` (K,) are their indices, -1 for a stranger; `merged`
-    (K,) share their blob. `limits` (4,) are those of the search. `sure` (N,) is the probability
-    that each robot's cell is that cell, NaN if it is not seen. `whole` is the picture itself and
-    `background` what it is compared with, both present in some frames only.
+    `crops` (K, T, T) are cut out of the picture minus its background, the input of the search for
+    contours, so that the search can be repeated; the upper left pixel of each is at `corners` (K,
+    2), column and row. `blobs` (K, 6) are the blobs found in the crops: x, y [px], axis [rad],
+    long, wide [px], strength [grey levels]. `robots` (K,) are the robots' indices, -1 for a
+    stranger; `merged` (K,) is True for cells that share a blob. `limits` (4,) are those of the
+    search. `sure` (N,) is the probability that each robot's cell is still the same one, NaN if the
+    cell is not seen. `whole` is the picture itself and `background` the picture subtracted, both
+    present in some frames only.
     """
 
     sampled_ns: int
@@ -36,7 +37,7 @@ class CellFilm:
 
 
 def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
-    """Return a square of a picture by its upper left pixel, 0 if it reaches beyond."""
+    """Return a square of a picture by its upper left pixel; parts outside the picture are 0."""
     found = np.zeros((side, side), np.uint8)
     left, top = max(column, 0), max(row, 0)
     part = picture[top : max(row + side, 0), left : max(column + side, 0)]

@@ -47,7 +47,7 @@ class VirtualClock:
 
 
 class MonotonicClock:
-    """The host's monotonic clock, unmoved by changes of the wall clock."""
+    """The host's monotonic clock, which changes of the wall clock do not affect."""
 
     def __init__(self) -> None:
         self._start = time.monotonic_ns()
@@ -63,10 +63,10 @@ class MonotonicClock:
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
-    """Call `done` every 2 ms of a clock until it returns true; return whether it was within the
-    timeout.
+    """Call `done` every 2 ms of a clock until it returns true; return False if the timeout comes
+    first.
 
-    In virtual time the wait advances what the clock drives, so that no test needs a thread.
+    In virtual time, waiting advances whatever the clock drives, so that tests need no thread.
     """
     end = clock.now() + round(timeout_s * SECOND)
     while not done():

@@ -10,7 +10,9 @@ NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Return one colour (#rrggbb) per robot: its own, else by its name, else the palette's next."""
+    """Return one colour (#rrggbb) per robot: the spec's, or by the robot's name, or the palette's
+    next.
+    """
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
     free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
     unnamed = iter(range(len(chosen)))
@@ -28,7 +30,7 @@ def _own_color(name: str, color: str | None) -> str | None:
 
 
 def known_colors() -> dict[str, str]:
-    """Return the colours that can be named, those of CSS, as #RRGGBB."""
+    """Return the colours of CSS by name, as #RRGGBB."""
     from matplotlib.colors import CSS4_COLORS, to_hex  # slow to import; only names need it
 
     return {name: to_hex(color).upper() for name, color in CSS4_COLORS.items()}

@@ -11,7 +11,7 @@ HALTS = "halts"
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One camera frame, and the true poses at its exposure in a simulation, else None.
+    """One camera frame, with the true poses at its exposure; these are None outside simulations.
 
     `film` holds the picture's crops, for a camera that follows cells.
     """
@@ -57,15 +57,15 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The end of a trial of N robots, from the plant's finest samples of their path.
+    """How a trial of N robots ended, from the plant's finest samples of their paths.
 
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
     obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` names the robots
-    that were not seen to stand after the stop, and how, "" for none. `edge` (N,) is the least
-    distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to another
-    robot, inf for a single robot; both are empty in older logs. All are of the
-    robots' centres.
+    that did not stand still after the stop, and what they did, "" for none. `edge` (N,) is the
+    least distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to
+    another robot, inf for a single robot; both are empty in older logs. All distances are those of
+    the robots' centres.
     """
 
     final: Poses
@@ -77,17 +77,17 @@ class Verdict:
 
 
 EMULATED = "emulated"
-"""The key of the fact of a `PlantInfo` that names the emulated devices."""
+"""Key in a `PlantInfo`'s facts under which emulated devices are named."""
 EMULATED_NAME = "EMULATED by tetractl"
-"""Part of the name by which an emulated device identifies itself to its client."""
+"""Text in the name with which an emulated device identifies itself to its client."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
     """A description of an open plant; `facts` go into the log's metadata, `kind` is its type.
 
-    The fact `HALTS` of a lab tells whether its robots stand still once stopped: "yes" or "no".
-    The fact EMULATED names the devices of a lab that are not real, such as "camera".
+    The fact HALTS of a lab is "yes" if its robots stand still once stopped, otherwise "no". The
+    fact EMULATED names the lab's devices that are not real, such as "camera".
     """
 
     kind: str
@@ -132,9 +132,8 @@ class Health:
     """The state of a device of the lab before a run.
 
     `problems` keep a run from starting, `warnings` do not, and `questions` need the operator's
-    consent; all are lines of text. `facts` go into the log's metadata.
-    `emulated` is True if the device says that it is not real: a trial with it is not one of a
-    lab, and every table and figure says so.
+    consent; all are lines of text. `facts` go into the log's metadata. `emulated` is True if the
+    device states that it is not real: every table and figure then says that the trial is emulated.
     """
 
     problems: tuple[str, ...] = ()

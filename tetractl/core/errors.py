@@ -52,5 +52,5 @@ class AbortError(TetractlError):
 class WireError(ValueError):
     """Bytes that do not follow a wire format, or values that do not fit into one.
 
-    Receivers drop and count; nothing else is ever raised by the parsers of `tetractl.lab`.
+    Receivers drop and count such bytes; the parsers of `tetractl.lab` raise no other error.
     """

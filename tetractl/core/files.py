@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Writes files completely or not at all."""
 
 from contextlib import suppress
 from pathlib import Path
@@ -7,7 +7,7 @@ from tetractl.core.errors import LogError, UsageError
 
 
 def save_whole(path: Path, data: bytes) -> None:
-    """Write a file whole or not at all.
+    """Write a file completely or not at all.
 
     Raises UsageError if its folder is missing, LogError if it cannot be written.
     """

@@ -13,7 +13,7 @@ class Outcome(StrEnum):
     """How a trial ended; the first four are decided by the controller."""
 
     ARRIVED = "arrived"  # every robot within the arrival tolerance
-    SEQUENCE_COMPLETED = "sequence completed"  # every signal planned was exerted: a good end
+    SEQUENCE_COMPLETED = "sequence completed"  # the whole sequence was applied: normal completion
     NOTHING_BETTER = "nothing better"  # stopping is as good as any plan
     STEPS_MAX = "steps max"  # k_max control steps done
     INTERRUPTED = "interrupted"  # Ctrl-C or another signal
@@ -26,7 +26,7 @@ class Outcome(StrEnum):
 
     @property
     def complete(self) -> bool:
-        """Whether the trial ran to its own end, so that its error counts."""
+        """Whether the controller ended the trial, so that its error counts."""
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
 
@@ -44,22 +44,22 @@ class StopReason(StrEnum):
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
     ITERATIONS = "iterations"  # as many as the optimiser may do
     TARGET = "target"  # a cost that is good enough was found
-    EVALUATIONS = "evaluations"  # no further one fits into the limit
+    EVALUATIONS = "evaluations"  # the limit allows no further evaluation
     DEADLINE = "deadline"  # the time was up
-    FIXED = "given"  # there was none: the sequence is the spec's
+    FIXED = "given"  # there was no search: the spec gives the sequence
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
-        """Return the reason that a log states; the text itself if it is none of these."""
+        """Return the reason that a log states; the text itself if it is not one of these."""
         return next((reason for reason in cls if reason.value == text), text)
 
 
 PAUSE_S = 0.5
-"""How much longer than a control period the robots stand in a pause [s]."""
+"""Time for which the robots stand in a pause beyond one control period [s]."""
 
 
 def never() -> bool:
-    """Return False: no deadline."""
+    """Return False: there is no deadline."""
     return False
 
 
@@ -80,7 +80,7 @@ class Limits:
         return self.expired is not never
 
     def allow(self, evaluations: int) -> bool:
-        """Return whether a search may spend this many evaluations in all."""
+        """Return whether a search may use this many evaluations in total."""
         return self.evaluations is None or evaluations <= self.evaluations
 
 
@@ -89,8 +89,8 @@ class Search:
     """One search of the optimiser: one horizon in one control step.
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, entry 0 before the first (Figure 3). `stopped` says why it ended; a log of another
-    version of tetractl may hold a text that is no StopReason.
+    iteration z, entry 0 before the first (Figure 3). `stopped` is why the search ended; a log of
+    another version of tetractl may hold a text that is not a StopReason.
     """
 
     length: int
@@ -105,7 +105,7 @@ class Search:
 class Estimate:
     """A controller's estimates of N robots while they move, with standard deviations `_std`.
 
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values that the plan is made with.
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
     `dead_time` [s] the time from the sending of a direction to the moment when it acts, shared by
     all robots; both are None if they are not estimated.
@@ -121,7 +121,7 @@ class Estimate:
     dead_time_std: float | None = None
 
     def only(self, some: Bools) -> "Estimate":
-        """Return the estimates of some of the robots, (N,) true for those."""
+        """Return the estimates of the robots for which `some` (N,) is true."""
         if some.all():
             return self
         a, speed = (self.a[some], self.a_std[some]), (self.speed[some], self.speed_std[some])
@@ -140,11 +140,11 @@ class Plan:
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
-    `estimate` is what the plan was made with, None if the controller estimates nothing. With
+    `estimate` are the values used for the plan, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
     then not sent. With `pauses` all robots are stopped instead, `delay_ns` after the decision, and
-    stand for PAUSE_S. `leg` counts the way-points passed; one more than all of them while the
-    robots hold.
+    stand for PAUSE_S. `leg` is the number of way-points passed; while the robots hold, one more
+    than the number of way-points.
     """
 
     signals: Floats
@@ -162,8 +162,9 @@ class Plan:
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return the plan made for some of N robots, (N,) true for those, with a path of all: the
-        others stay where they were `seen`."""
+        """Return the plan, made for the robots `left` (N,), with a path of all N: the others stay
+        where they were `seen`.
+        """
         if left.all():
             return self
         path = np.repeat(seen.array()[None], len(self.path), axis=0)

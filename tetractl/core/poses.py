@@ -15,8 +15,8 @@ Grey = NDArray[np.uint8]  # a picture (height, width)
 class Pose:
     """One robot's planar pose: x, y in the spec's length unit, heading in rad from +x.
 
-    `height` is that of the tracked body's origin above the floor [length unit], `tilt` the angle
-    between the body's own upward axis and the vertical [rad, 0 to pi]; each is None if the
+    `height` is the height of the tracked body's origin above the floor [length unit], `tilt` the
+    angle between the body's own upward axis and the vertical [rad, 0 to pi]; each is None if the
     camera cannot measure it.
     """
 
@@ -45,7 +45,7 @@ class Poses:
         return cls(*(np.ascontiguousarray(column) for column in array.T))
 
     def array(self) -> Floats:
-        """Return shape (N, 3): x, y, heading."""
+        """Return the poses as an array of shape (N, 3): x, y, heading."""
         return np.column_stack([self.x, self.y, self.heading])
 
     @property
@@ -54,12 +54,12 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Distance of each robot to its own point, points (N, 2); shape (N,)."""
+        """Return the distance (N,) of each robot to its own one of points (N, 2)."""
         return np.hypot(*(self.xy - points).T)
 
 
 def wrap(angles: Floats) -> Floats:
-    """Return angles [rad] brought into [-pi, pi]."""
+    """Return angles [rad] wrapped into [-pi, pi]."""
     return angles - 2 * np.pi * np.rint(angles / (2 * np.pi))
 
 
@@ -69,8 +69,8 @@ class CameraFrame:
 
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
-    are tracked bodies that are no robot. `fault` says why the stream must not be trusted, "" if
-    it may be.
+    are tracked bodies that are not robots. `fault` is why the stream must not be trusted, "" if it
+    can be.
     """
 
     number: int
@@ -86,7 +86,7 @@ class Observation:
     """The newest camera frame at one instant, as the controller is given it.
 
     `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
-    the trial's clock; `valid` (N,) tells which robots were tracked in that frame. A robot that was
+    the trial's clock; `valid` (N,) is True for robots tracked in that frame. A robot that was
     not tracked keeps its last pose.
     """
 

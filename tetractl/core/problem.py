@@ -23,7 +23,7 @@ class Region(Protocol):
 
     @property
     def shapes(self) -> Sequence[Shape]:
-        """Return the shapes whose union the region is."""
+        """Return the shapes that make up the region as their union."""
         ...
 
     def packed(self) -> tuple[Any, ...]:
@@ -39,10 +39,10 @@ class Problem:
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
     `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
     instead of the positions alone. Two robots are to keep `separation` between their centres at the
-    predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the
-    direction that each robot turns towards, and `flow` (N, 2) [length unit/s] carries it; None for
-    none. With `within` [length unit] the robots are to stay that near to their targets. A problem
-    is equal to itself alone, so it can be the key of a cache.
+    predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the direction
+    that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift that carries it;
+    None for no bias or flow. With `within`, the robots are to stay within that distance of their
+    targets [length unit]. Problems are compared by identity, so that one can be the key of a cache.
     """
 
     poses: Poses
@@ -61,7 +61,7 @@ class Problem:
     within: float | None = None
 
     def only(self, some: Bools) -> "Problem":
-        """Return the problem of some of the robots, (N,) true for those."""
+        """Return the problem of the robots for which `some` (N,) is true."""
         if some.all():
             return self
         return replace(

@@ -42,12 +42,14 @@ class Plant(Protocol):
         """Send the common direction u [rad] and return what was really sent.
 
         None switches the field off: no robot is turned, and all go straight on. Only plants whose
-        section `switches_field` are asked for it.
+        section `switches_field` are given None.
         """
         ...
 
     def pause(self) -> Command:
-        """Stop every robot until the next `steer`; only asked of plants whose robots can stand."""
+        """Stop every robot until the next `steer`; only called on plants whose robots can stand
+        still.
+        """
         ...
 
     def samples(self) -> list[Sample]:
@@ -196,8 +198,8 @@ class Controller(Protocol):
         """Decide the next `direction` of a plan, or that the trial is over.
 
         `observation` is the newest camera frame, `earlier` are those exposed since the observation
-        of the control step before, oldest first. `last_command` is what that step's direction was
-        sent by, None at the first step.
+        of the control step before, oldest first. `last_command` is the command that sent that
+        step's direction, None at the first step.
         """
         ...
 
@@ -206,38 +208,40 @@ class Observer(Protocol):
     """Watches a trial: the log writer, the live view and the progress are observers."""
 
     def on_start(self, start: Start) -> None:
-        """Before the first step."""
+        """Called before the first step."""
         ...
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Camera frames, oldest first, each once."""
+        """Called with new camera frames, oldest first, each once."""
         ...
 
     def on_step(self, step: Step) -> None:
-        """After each control step; `on_command` is not called for `step.command`."""
+        """Called after each control step; `on_command` is not called for `step.command`."""
         ...
 
     def on_command(self, command: Command) -> None:
-        """A command sent outside the control steps, as in the square before the first plan."""
+        """Called for a command sent outside the control steps, as in the square before the first
+        plan.
+        """
         ...
 
     def on_note(self, note: Note) -> None:
-        """A message for the operator, such as a robot that does not move as commanded."""
+        """Called for a message to the operator, such as that a robot does not move as commanded."""
         ...
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """After the robots were stopped, whatever the reason."""
+        """Called after the robots were stopped, for any reason."""
         ...
 
 
 class PlacementPrompt(Protocol):
-    """A person who puts robots on their starts."""
+    """Asks a person to put robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show what keeps the robots from starting, one line each; none: all is ready.
+        """Show the problems that keep the robots from starting, one line each; no line means ready.
 
-        Who lets the robots start answers yes to the `questions`, one line each. Called again and
-        again while robots are placed.
+        Letting the robots start means yes to all `questions`, one line each. Called repeatedly
+        while robots are placed.
         """
         ...
 
@@ -248,11 +252,11 @@ class PlacementPrompt(Protocol):
 
 @dataclass(slots=True)
 class LabSupervision:
-    """The people at a run in the lab.
+    """How people supervise a run in the lab.
 
-    `emergency` set is the emergency stop. `prompt` None: no person is asked, and robots that are
-    not on their starts within the spec's `placing` time end the run. `cancelled` returns whether
-    the operator gave up waiting.
+    Setting `emergency` is the emergency stop. If `prompt` is None, no person is asked, and the run
+    ends if robots are not on their starts within the spec's `placing` time. `cancelled` returns
+    whether the operator gave up waiting.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

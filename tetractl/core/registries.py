@@ -1,4 +1,4 @@
-"""Every registry by name. A new kind takes one file and one line here, or an entry point."""
+"""Every registry by name. A new kind needs one file and one line here, or an entry point."""
 
 from tetractl.core.registry import Registry
 
@@ -77,22 +77,22 @@ DISTURBANCES = Registry(
     "tetractl.disturbances",
     "disturbance",
     {
-        "battery": "tetractl.plant.disturbances.battery:BatterySection",
-        "camera-latency": "tetractl.plant.disturbances.camera_latency:CameraLatencySection",
-        "flow": "tetractl.plant.disturbances.flow:FlowSection",
-        "frame-loss": "tetractl.plant.disturbances.frame_loss:FrameLossSection",
-        "frozen-camera": "tetractl.plant.disturbances.frozen_camera:FrozenCameraSection",
-        "heading-drift": "tetractl.plant.disturbances.heading_drift:HeadingDriftSection",
-        "marker-off": "tetractl.plant.disturbances.marker_off:MarkerOffSection",
-        "planning-time": "tetractl.plant.disturbances.planning_time:PlanningTimeSection",
+        "battery": "tetractl.plant.disturbances.robots:BatterySection",
+        "camera-latency": "tetractl.plant.disturbances.camera:CameraLatencySection",
+        "flow": "tetractl.plant.disturbances.cells:FlowSection",
+        "frame-loss": "tetractl.plant.disturbances.camera:FrameLossSection",
+        "frozen-camera": "tetractl.plant.disturbances.camera:FrozenCameraSection",
+        "heading-drift": "tetractl.plant.disturbances.robots:HeadingDriftSection",
+        "marker-off": "tetractl.plant.disturbances.camera:MarkerOffSection",
+        "planning-time": "tetractl.plant.disturbances.radio:PlanningTimeSection",
         "radio": "tetractl.plant.disturbances.radio:RadioSection",
-        "silent-radio": "tetractl.plant.disturbances.silent_radio:SilentRadioSection",
-        "stale-camera": "tetractl.plant.disturbances.stale_camera:StaleCameraSection",
-        "start-error": "tetractl.plant.disturbances.start_error:StartErrorSection",
-        "sticking": "tetractl.plant.disturbances.sticking:StickingSection",
-        "tracking-loss": "tetractl.plant.disturbances.tracking_loss:TrackingLossSection",
-        "wander": "tetractl.plant.disturbances.wander:WanderSection",
-        "wobble": "tetractl.plant.disturbances.wobble:WobbleSection",
+        "silent-radio": "tetractl.plant.disturbances.radio:SilentRadioSection",
+        "stale-camera": "tetractl.plant.disturbances.camera:StaleCameraSection",
+        "start-error": "tetractl.plant.disturbances.robots:StartErrorSection",
+        "sticking": "tetractl.plant.disturbances.robots:StickingSection",
+        "tracking-loss": "tetractl.plant.disturbances.camera:TrackingLossSection",
+        "wander": "tetractl.plant.disturbances.robots:WanderSection",
+        "wobble": "tetractl.plant.disturbances.cells:WobbleSection",
     },
     "tetractl.experiment.disturbance:DisturbanceSection",
 )
@@ -153,7 +153,7 @@ FIGURES = Registry(
         "scatter": "tetractl.view.figures.scatter:scatter_figure",
         "swarm": "tetractl.view.figures.swarm:swarm_figure",
         "estimate": "tetractl.view.figures.estimate:estimate_figure",
-        "timing": "tetractl.view.figures.timing:timing_figure",
+        "timing": "tetractl.view.figures.convergence:timing_figure",
     },
 )
 EMULATED_CAMERAS = Registry(

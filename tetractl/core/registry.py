@@ -19,7 +19,8 @@ class PluginError(UsageError):
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of an interface: its name in a spec, "module:attribute", and the package it is from.
+    """One kind of an interface: its name in a spec, "module:attribute", and the package that
+    provides it.
 
     `version` is that of the package; both are "" for a kind that is built in.
     """
@@ -37,7 +38,7 @@ class Registry:
     """The kinds of one interface by name, such as the optimisers.
 
     `builtin` maps a name to "module:attribute", and `base` is the class, written alike, that every
-    kind is derived from; "" if kinds are no classes. Other packages add their own as entry
+    kind is derived from; "" if kinds are not classes. Other packages add their own as entry
     points of `group`; built-in names take precedence, and of two packages that offer the same name
     the first in alphabetical order is used. A module is imported when its kind is loaded.
     """
@@ -82,7 +83,7 @@ class Registry:
         return found
 
     def usable(self) -> dict[str, Any]:
-        """Return the objects of the names, without the kinds that raise PluginError."""
+        """Return the loaded object of each name, leaving out kinds that raise PluginError."""
         found: dict[str, Any] = {}
         for name in self.names():
             with suppress(PluginError):
@@ -102,7 +103,7 @@ class Registry:
         modules = [target.partition(":")[0] for target in self.builtin.values()]
         modules += [point.module for point in self._installed.values()]
         for module in dict.fromkeys(modules):
-            with suppress(ImportError, ValueError):  # of a package that cannot be imported
+            with suppress(ImportError, ValueError):  # the package cannot be imported
                 spec = find_spec(module)
                 if spec is not None and spec.origin is not None and Path(spec.origin).exists():
                     yield Path(spec.origin)
@@ -110,11 +111,13 @@ class Registry:
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
-        return {point.name: point for point in points}  # of two packages the first by name
+        return {
+            point.name: point for point in points
+        }  # a name from two packages: the first package by name
 
 
 def imported(code: str) -> Any:
-    """Return what "module:attribute" names."""
+    """Import and return the object that "module:attribute" names."""
     module, _, attribute = code.partition(":")
     return getattr(import_module(module), attribute)
 

@@ -7,9 +7,8 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from tetractl.core.losses import LossRule
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.tour import HoldTask
+from tetractl.core.tour import HoldTask, LossRule
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
 """Metres in each length unit a spec may declare."""
@@ -27,12 +26,12 @@ class Bounds:
 
     @property
     def width(self) -> float:
-        """Extent in x."""
+        """Extent in x [length unit]."""
         return self.right - self.left
 
     @property
     def height(self) -> float:
-        """Extent in y."""
+        """Extent in y [length unit]."""
         return self.top - self.bottom
 
     def contains(self, x: float, y: float) -> bool:
@@ -40,9 +39,8 @@ class Bounds:
         return self.left <= x <= self.right and self.bottom <= y <= self.top
 
     def inside(self, x: Floats, y: Floats) -> Floats:
-        """Return how far inside each point lies from the nearest edge, or its line if outside.
-
-        The value is negative outside [length unit].
+        """Return the distance of each point to the nearest edge line [length unit], negative
+        outside.
         """
         across = np.minimum(x - self.left, self.right - x)
         return np.minimum(across, np.minimum(y - self.bottom, self.top - y))
@@ -52,7 +50,7 @@ class Shape(Protocol):
     """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
 
     packed: ClassVar[Any]
-    """The class of these shapes for compiled code: a `PackedShapes`."""
+    """The `PackedShapes` class that holds these shapes for compiled code."""
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies in the shape, p(s) of (13)."""
@@ -74,8 +72,8 @@ class Shape(Protocol):
         ...
 
     def outline(self) -> Floats:
-        """Return the corners of a simple polygon that draws the shape as it was before it was
-        grown, (M, 2), anticlockwise.
+        """Return the corners (M, 2), anticlockwise, of a simple polygon that draws the shape
+        without its growth.
         """
         ...
 
@@ -88,14 +86,14 @@ class Shape(Protocol):
 class Setup:
     """The constants of an experiment of N robots.
 
-    `unit` is the length unit of every number and `metres` its length. `targets` (N, 2); `a` (N,)
-    rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the largest
-    number of control steps and `iterations_max` that of an optimiser's iterations in one search.
-    `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without wheels;
-    `watchdog_s` the time after which a robot that hears nothing stops, inf where it goes on.
-    `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is what
-    comes after, None for the end of the trial. `loss` is when the trial goes on without a robot,
-    None where it ends.
+    `unit` is the length unit of every number and `metres` its length [m]. `targets` (N, 2); `a`
+    (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the
+    largest number of control steps and `iterations_max` that of an optimiser's iterations in one
+    search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
+    wheels; `watchdog_s` the time after which a robot that receives nothing stops, inf if it never
+    does. `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is
+    the task after the targets, None if the trial ends there. `loss` is the rule by which the trial
+    goes on without a robot, None if the trial then ends.
     """
 
     name: str
@@ -120,7 +118,7 @@ class Setup:
 
     @property
     def legs(self) -> Floats:
-        """Way-points and targets in order: (M + 1, N, 2)."""
+        """The way-points and then the targets, (M + 1, N, 2) [length unit]."""
         return np.concatenate(
             [self.way_points.reshape(-1, *self.targets.shape), self.targets[None]]
         )

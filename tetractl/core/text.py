@@ -1,4 +1,4 @@
-"""Text made safe to print, wherever it is from."""
+"""Makes text of any origin safe to print."""
 
 import unicodedata
 
@@ -20,8 +20,8 @@ def printable(text: str, length: int | None = None) -> str:
 def cell(text: str) -> str:
     """Return text for a cell of a table that a spreadsheet may open.
 
-    A spreadsheet computes what begins with =, +, - or @, also as full-width signs and behind white
-    space; an apostrophe before it keeps it text.
+    A spreadsheet evaluates text that begins with =, +, - or @, also as full-width signs and after
+    white space; an apostrophe in front prevents that.
     """
     safe = printable(text)
     first = unicodedata.normalize("NFKC", text).lstrip()[:1]
@@ -29,5 +29,5 @@ def cell(text: str) -> str:
 
 
 def unit_of(unit: str) -> str:
-    """Return a length unit of a spec as readers write it."""
+    """Return a spec's length unit as written for readers, such as "µm"."""
     return unit.replace("um", "µm")

@@ -1,33 +1,79 @@
-"""Way-points and a hold, and how well the robots met them.
+"""Way-points and a hold, and measures of how well the robots kept to them.
 
 All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
 way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
+
+A robot is lost if it is a cell that left, divided or died, or was out of view too long.
 """
 
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Sample
-from tetractl.core.losses import Losses, LossRule
-from tetractl.core.poses import Floats, Observation
+from tetractl.core.poses import Bools, Floats, Observation
+
+Integers = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class LossRule:
+    """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
+
+    If lost robots are `replaced`, a lost robot that is tracked again is another robot, which takes
+    over the target.
+    """
+
+    after_s: float
+    replaced: bool
+
+
+class Losses:
+    """Which of N robots are `lost` (N,), and how often each has been lost, `times` (N,).
+
+    Given every camera frame in order, the result is the same for the controller, for the log's
+    reader and for `verify`. Without a rule no robot is ever lost.
+    """
+
+    def __init__(self, rule: LossRule | None, count: int) -> None:
+        self._rule = rule
+        self._after_ns = round(rule.after_s * SECOND) if rule else 0
+        self.lost: Bools = np.zeros(count, dtype=np.bool_)
+        self.times: Integers = np.zeros(count, dtype=np.int64)
+        self._seen_ns: Integers | None = None
+
+    def see(self, frame: Observation) -> list[int]:
+        """Take the next frame; return the indices of robots that are replaced by others in it."""
+        if self._rule is None:
+            return []
+        if self._seen_ns is None:
+            self._seen_ns = np.full(len(self.lost), frame.sampled_ns)
+        gone = ~self.lost & (frame.sampled_ns - self._seen_ns >= self._after_ns)
+        self._seen_ns[frame.valid] = frame.sampled_ns
+        self.times += gone
+        self.lost |= gone
+        back = self.lost & frame.valid if self._rule.replaced else np.zeros_like(self.lost)
+        self.lost &= ~back
+        return np.flatnonzero(back).tolist()
 
 
 @dataclass(frozen=True, slots=True)
 class HoldTask:
-    """Robots are to stay within `radius` [length unit] of their targets for `seconds`."""
+    """The task to stay within `radius` [length unit] of the targets for `seconds`."""
 
     radius: float
     seconds: float
 
 
 class TourMeasure:
-    """How N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
+    """Measures how N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
-    `step` is called with each control step's leg and observation, before the frames of it, which
-    `add` counts up to `until_ns`; the true poses count if they are known. A robot is lost by a
-    `loss` rule.
+    `step` is called with each control step's leg and observation, before that step's frames, which
+    `add` counts up to `until_ns`; the true poses are used if known. `loss` is the rule by which a
+    robot is lost.
     """
 
     def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
@@ -38,7 +84,7 @@ class TourMeasure:
         self._losses = Losses(loss, legs.shape[1])
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Note the leg of a control step; return the text that announces a new leg, else ""."""
+        """Take the leg of a control step; return a text that announces a new leg, otherwise ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
             self._passed.append(float(observation.poses.distances(past).sum()))
         begins, self._leg = leg > self._leg, leg
@@ -48,7 +94,9 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count lost robots, and the frames of the hold: an untracked robot is not inside."""
+        """Count lost robots and the frames of the hold, in which an untracked robot counts as
+        outside.
+        """
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:
@@ -72,11 +120,13 @@ class TourMeasure:
 
     @property
     def lost(self) -> tuple[int, ...]:
-        """How often each robot was lost, (N,); empty where none was."""
+        """How often each robot was lost, (N,); empty if none ever was."""
         times = self._losses.times
         return tuple(times.tolist()) if times.any() else ()
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Each robot's share of the hold's frames within its radius, (N,); empty without any."""
+        """Share of the hold's frames in which each robot was within the radius, (N,); empty without
+        frames.
+        """
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

@@ -18,7 +18,7 @@ Integers = NDArray[np.int64]
 EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start here, so logs repeat
 
 OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
-"""The names of what every log has attached; a file that a spec draws on has another."""
+"""Names of the files attached to every log; a file that a spec refers to must have another name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,8 +26,8 @@ class Start:
     """The start of a trial.
 
     `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
-    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the packages
-    besides tetractl that provide a kind which the spec uses.
+    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the other
+    packages that provide a kind used by the spec.
     """
 
     setup: Setup
@@ -65,11 +65,11 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at
-    the way-points passed and `inside` (N,) the shares of time within the radius of a hold, as
-    `TourMeasure` has them, and `lost` (N,) how often each was lost. `solve_ns` is the wall time
-    the controller spent on each control step; it and `deadline_misses`, the steps that took longer
-    than the control period, differ from run to run on the same seed.
+    from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at the
+    way-points passed and `inside` (N,) the shares of time within the radius of a hold, as defined
+    by `TourMeasure`, and `lost` (N,) how often each robot was lost. `solve_ns` is the wall time the
+    controller spent on each control step; it and `deadline_misses`, the steps that took longer than
+    the control period, differ from run to run on the same seed.
     """
 
     outcome: Outcome
@@ -117,7 +117,7 @@ class Result:
 
     @property
     def summary(self) -> str:
-        """The result in words: the last message of a log."""
+        """The result as a sentence, the last message of a log."""
         reason = f" ({self.reason})" if self.reason else ""
         return f"{self.outcome.value}{reason} after {self.steps} control steps"
 
@@ -128,7 +128,7 @@ class Result:
 
     @property
     def left_arena(self) -> bool:
-        """Whether the path of any robot left the arena, as far as the log shows."""
+        """Whether the path of any robot left the arena; False if the log does not record it."""
         return any(edge < 0 for edge in self.verdict.edge)
 
 
@@ -159,7 +159,7 @@ class TrialRecords:
 
     @property
     def tour(self) -> TourMeasure:
-        """How the robots passed their way-points and held, up to the stop."""
+        """The measure of how the robots passed their way-points and held, up to the stop."""
         setup, stops = self.start.setup, [one.sent_ns for one in self.commands if one.stops]
         found = TourMeasure(setup.legs, setup.hold, setup.loss)
         for step in self.steps:

@@ -15,13 +15,12 @@ def _nothing() -> float | None:
 class Worker:
     """A thread with a queue of at most `size` calls.
 
-    A call fails if the queue stays full for `wait_s`, `drain` and `close` if the thread does
-    not finish within `patience_s`; the error is `too_slow`. The first failure, of
-    these or of a call itself, is `failure`. The next `put`, `drain` or `check` raises it, once; of
-    the calls after it none is done. After each call, and whenever the time it returned has passed,
-    the thread calls `idle`, which returns the time until it wants to be called again [s], None for
-    after the next call. With `batch_s` the thread lets calls collect for so long: if the
-    other thread computes, taking turns at every call costs more than the calls do.
+    `put` fails if the queue stays full for `wait_s`, `drain` and `close` fail if the thread does
+    not finish within `patience_s`; the error is then `too_slow`. The first error, of these or of a
+    call itself, is kept as `failure`: the next `put`, `drain` or `check` raises it, once, and no
+    later call is done. The thread calls `idle` after each call, and again after the time [s] that
+    `idle` returned, unless that is None. With `batch_s` the thread lets calls collect for that time
+    [s]: if the other thread computes, switching threads at every call costs more than the calls do.
     """
 
     def __init__(
@@ -77,10 +76,10 @@ class Worker:
             raise self.failure
 
     def close(self, last: Callable[[], object] = _nothing) -> None:
-        """Do the calls in the queue and then `last`, whatever failed before, and end the thread.
+        """Do the calls in the queue and then `last`, even after a failure, and end the thread.
 
-        Raises nothing: see `failure`, or call `check`. A second call does nothing. After a stall
-        the thread is not waited for.
+        Raises nothing: see `failure`, or call `check`. A second call does nothing. If the thread
+        has stalled, this does not wait for it.
         """
         if not self._thread.is_alive():
             return

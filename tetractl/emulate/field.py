@@ -21,9 +21,8 @@ from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.port import PluggedDevice, PseudoPort
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
-from tetractl.lab.actuators.field.coils import Pair
-from tetractl.lab.actuators.field.driver_protocol import DriverStatus, decode_command
-from tetractl.lab.actuators.field.section import FieldSection
+from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
+from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver

@@ -18,7 +18,7 @@ from typing import Any, ClassVar
 
 from tetractl.core.cache import cache_folder, digest
 from tetractl.core.errors import TetractlError
-from tetractl.lab.actuators.field.driver_protocol import UNKNOWN_TEMPERATURE, DriverStatus
+from tetractl.lab.actuators.field.driver import UNKNOWN_TEMPERATURE, DriverStatus
 from tetractl.lab.actuators.m3pi.broadcast import Counts, Status
 
 _P, _U8, _I16 = ctypes.c_void_p, ctypes.c_uint8, ctypes.c_int16

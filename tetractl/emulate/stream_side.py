@@ -1,29 +1,183 @@
-"""Shared by the emulated cameras with an MJPEG stream: pictures, and their faults."""
+"""Emulated network cameras: drawn pictures as a multipart MJPEG stream on this computer, and the
+settings and faults that all of them share.
+"""
 
+import queue
 import random
+import threading
 from abc import ABC, abstractmethod
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, Literal
+from contextlib import suppress
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, ClassVar, Literal, Self
 from urllib.parse import urlsplit
 
+import cv2
 from pydantic import Field
 
-from tetractl.core.clock import SECOND, MonotonicClock
-from tetractl.core.errors import SpecError
+from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.poses import Floats, Grey
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.network_camera import (
-    EmulatedNetworkCamera,
-    cut_before_its_end,
-    cut_short,
-    oversized,
-)
 from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
+
+BOUNDARY = "emulated-by-tetractl"
+QUEUED = 32  # pictures of a client that reads slowly; more are dropped
+WAIT_S = 0.05
+
+
+class EmulatedNetworkCamera:
+    """Serves http://127.0.0.1:`port`/ ; a context manager.
+
+    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed
+    k / `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or
+    as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
+    part before they are sent; `frozen` stops exposures while it is set; one of `every` pictures is
+    sent. A camera that `drips` sends its answer's header byte by byte, without an end.
+    TetractlError if the port is taken.
+    """
+
+    def __init__(
+        self,
+        draw: Callable[[int], Grey],
+        clock: Clock,
+        rate_hz: float = 30.0,
+        exposure_s: float = 0.0,
+        latency_s: float = 0.0,
+        quality: int = 90,
+        port: int = 0,
+        mangle: Callable[[bytes], bytes] = lambda part: part,
+        drips: bool = False,
+    ) -> None:
+        self.mangle, self._drips = mangle, drips
+        self.frozen = threading.Event()
+        self.every = 1
+        self.exposed = 0  # the number of the last picture
+        self._draw, self._clock = draw, clock
+        self._rate_hz, self._quality = rate_hz, quality
+        self._half = round(exposure_s * SECOND / 2)
+        self._latency = round(latency_s * SECOND)
+        self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
+        self._closing = threading.Event()
+        camera = self
+
+        class Answer(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                camera._serve(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Print nothing."""
+
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
+        except OSError as error:
+            raise TetractlError(f"port {port} cannot be opened: {error.strerror}") from error
+        self._server.daemon_threads = True
+        self._threads = [
+            threading.Thread(
+                target=self._server.serve_forever, args=(WAIT_S,), name="emulated-http", daemon=True
+            ),
+            threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
+        ]
+
+    @property
+    def port(self) -> int:
+        """The port that was really taken."""
+        return self._server.server_address[1]
+
+    @property
+    def watched(self) -> bool:
+        """Whether anybody reads the stream."""
+        return bool(self._clients)
+
+    @property
+    def url(self) -> str:
+        """The stream's address."""
+        return f"http://127.0.0.1:{self.port}/"
+
+    def __enter__(self) -> Self:
+        for thread in self._threads:
+            thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        """Stop exposing, and close every connection."""
+        self._closing.set()
+        self._server.shutdown()
+        self._server.server_close()
+        for thread in self._threads:
+            thread.join()
+
+    def _expose(self) -> None:
+        start, half = self._clock.now(), self._half
+        while not self._closing.is_set():
+            due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
+            self.exposed = max(self.exposed + 1, due)  # a busy host misses some
+            exposed = start + round(self.exposed * SECOND / self._rate_hz)
+            self._clock.sleep_until(exposed + half)
+            if self.frozen.is_set() or not self._clients or self.exposed % self.every:
+                continue
+            jpeg = coded(self._draw(exposed), self._quality)
+            for client in list(self._clients):
+                with suppress(queue.Full):
+                    client.put_nowait((exposed + self._latency, jpeg))
+
+    def _serve(self, answer: BaseHTTPRequestHandler) -> None:
+        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(QUEUED)
+        self._clients.add(mine)
+        try:
+            answer.send_response(200)
+            answer.send_header("Server", f"camera ({EMULATED_NAME})")
+            answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
+            if self._drips:
+                answer.flush_headers()
+            while self._drips and not self._closing.wait(WAIT_S):
+                answer.wfile.write(b"X")
+            answer.end_headers()
+            while not self._closing.is_set():
+                with suppress(queue.Empty):
+                    due, jpeg = mine.get(timeout=WAIT_S)
+                    self._clock.sleep_until(due)
+                    answer.wfile.write(self.mangle(part(jpeg)))
+        except OSError:
+            pass  # the client has gone
+        finally:
+            self._clients.discard(mine)
+
+
+def coded(picture: Grey, quality: int) -> bytes:
+    """Return a picture as a JPEG file."""
+    return cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+
+
+def cut_short(whole: bytes) -> bytes:
+    """Return half of a part, as of a connection that lost the rest."""
+    return whole[: len(whole) // 2]
+
+
+def cut_before_its_end(whole: bytes) -> bytes:
+    """Return a part whose JPEG has lost the second half of its data, but not its end marker."""
+    jpeg = whole.partition(b"\r\n\r\n")[2]
+    return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
+
+
+def oversized(whole: bytes) -> bytes:
+    """Return a part whose JPEG claims to be 32767 x 32767."""
+    at = whole.index(b"\xff\xc0") + 5
+    return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
+
+
+def part(jpeg: bytes) -> bytes:
+    """Return one part of the stream, its boundary first."""
+    head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
+    return head.encode() + jpeg + b"\r\n"
+
 
 KEEP_NS = 5_000_000  # between scenes that are kept for exposures
 KEPT = 200

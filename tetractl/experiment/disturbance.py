@@ -1,4 +1,4 @@
-"""Base classes of disturbances; each kind is one file, named in `core.registries`."""
+"""Base classes of disturbances; each kind is named in `core.registries`."""
 
 from abc import abstractmethod
 from collections.abc import Sequence

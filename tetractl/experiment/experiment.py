@@ -9,11 +9,10 @@ from pydantic import Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
 from tetractl.core.colors import NAMED, known_colors
-from tetractl.core.losses import LossRule
 from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
-from tetractl.core.tour import HoldTask
+from tetractl.core.tour import HoldTask, LossRule
 from tetractl.experiment.base import (
     Finite,
     Length,

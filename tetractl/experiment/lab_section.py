@@ -94,6 +94,9 @@ class ActuatorSection(DeviceSection):
     calibration: ClassVar[str] = ""
     """A function that does what `calibrate` says, as "module:function"; "" if there is none."""
 
+    def require_port(self) -> None:
+        """Raise AbortError if the device is not there; quick, nothing is opened."""
+
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
         return imported(self.device)(self, setup, clock)
@@ -201,6 +204,10 @@ class LabSection(PlantSection):
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace those in
     `camera` and `actuator`."""
+
+    def require_devices(self) -> None:
+        """Raise AbortError if the actuator's port is not there."""
+        self.actuator.require_port()
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the contradictions of both devices."""

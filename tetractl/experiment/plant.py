@@ -38,6 +38,9 @@ class PlantSection(Model):
     def clock(self) -> Clock:
         """Return a new clock of the kind that the plant runs on."""
 
+    def require_devices(self) -> None:
+        """Raise AbortError if a device of a lab is not there; quick, nothing is opened."""
+
     @abstractmethod
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision

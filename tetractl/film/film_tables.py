@@ -2,8 +2,7 @@
 
 from collections.abc import Sequence
 
-from tetractl.core.table.numbers import fixed
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import Column, Table, fixed
 from tetractl.film.fit_cell import CellSummary, Estimated
 from tetractl.film.follow import Followed
 

@@ -18,9 +18,8 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.motion_check import REPEATS, MotionCheck
-from tetractl.lab.pose_filter import MotionLimits, PoseFilter
+from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
 NOISE_MM = 2.0  # by how far a pose may err

@@ -15,8 +15,8 @@ from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
-from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.guard import Guard, GuardState, Ruling
+from tetractl.lab.pose_filter import FrameBuffer
 
 T = TypeVar("T")
 

@@ -4,7 +4,7 @@ import math
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
-from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rig import Rig
 
 REST_NS = SECOND // 4  # robots must be seen to stand still for this long

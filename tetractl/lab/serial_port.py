@@ -154,12 +154,22 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     if number == 11 or "exclusively lock" in text:
         return PortHeldError(name)
     if number == 2 or "No such file" in text:
-        return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
+        return _missing(name, device)
     if number == 13:
         return AbortError(
             f"{name}: this user may not open it", "join the group that owns it, often dialout"
         )
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
+
+
+def require_port(name: str, device: str) -> None:
+    """Raise AbortError if no port has this name, with `device` behind it; nothing is opened."""
+    if not Path(name).exists():
+        raise _missing(name, device)
+
+
+def _missing(name: str, device: str) -> AbortError:
+    return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
 
 
 def holder(port: str) -> int | None:

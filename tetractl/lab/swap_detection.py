@@ -13,14 +13,19 @@ by a constant rate b besides, so its own commands are g w_i + b. A robot that do
 follows none, and robots that stand still cannot follow one another in a ring: so robots of a ring
 are swapped. One robot alone may have another fault, and is watched for longer. Robots that are
 commanded alike cannot be distinguished.
+
+The identities of cells are watched too: a trial whose cells may have been swapped warns, and aborts
+if that lasts.
 """
 
 from bisect import bisect_left, bisect_right
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
 
 DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.3))
@@ -190,3 +195,36 @@ def _ring(follows: np.ndarray) -> list[int]:
     for i in np.flatnonzero(np.diagonal(reach)):
         return [int(j) for j in np.flatnonzero(reach[i] & reach[:, i])]
     return []
+
+
+SURE = 0.9
+"""Least probability of a robot's identity; below it the robot counts as unknown."""
+
+
+class IdentityWatch:
+    """The robots of one run by their `names`; `unknown` are those that have not been known for
+    `patience_s` or longer, by their index, and why they must not be steered on."""
+
+    def __init__(self, names: Sequence[str], patience_s: float) -> None:
+        self._names, self._patience_ns = names, round(patience_s * SECOND)
+        self._since_ns: dict[int, int] = {}  # since when robots are unknown
+        self.unknown: dict[int, str] = {}
+
+    def see(self, film: CellFilm) -> Iterator[Note]:
+        """Yield what a picture changes, as text; a cell that is not seen changes nothing."""
+        now = film.sampled_ns
+        for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
+            if probability < SURE and i not in self._since_ns:
+                self._since_ns[i] = now
+                text = f"{name} has met another cell: that this is {name} has the probability"
+                yield Note(now, "warning", f"{text} {probability:.2f}")
+            elif probability >= SURE and self._since_ns.pop(i, None) is not None:
+                yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")
+            elif i not in self.unknown and now - self._since_ns.get(i, now) > self._patience_ns:
+                seconds = self._patience_ns / SECOND
+                self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
+
+    def forget(self, i: int) -> None:
+        """Begin again with another cell in place of a robot."""
+        self._since_ns.pop(i, None)
+        self.unknown.pop(i, None)

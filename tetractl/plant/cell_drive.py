@@ -34,6 +34,8 @@ class CellDrive:
     when it acts: real ones swim on.
     """
 
+    host = None  # a field needs none
+    sampled = True  # the path is a sum over samples
     repeats_ns = NEVER  # a field holds until the next
     rest_s = 0.0
 

@@ -19,6 +19,8 @@ class DirectDrive:
     integrated.
     """
 
+    host = None  # robots are sent the direction itself
+    sampled = False  # the path is known between samples too
     repeats_ns = NEVER  # a direction holds until the next: nothing is sent again
     rest_s = 0.0  # from a stop until the robots stand [s]
 

@@ -18,10 +18,10 @@ from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.guard import GuardState
-from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
 from tetractl.lab.rig import Rig, build_rig
+from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000

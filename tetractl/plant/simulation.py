@@ -27,8 +27,7 @@ from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.true_motion import Drive, TrueMotion
-from tetractl.plant.wheel_drive import WheelDrive
-from tetractl.plant.wheel_host import WheelDriveSection
+from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from
@@ -234,11 +233,11 @@ class SimPlant:
         """Send u to every robot, or switch the field off, after the time that planning takes."""
         answered = self.observe()
         now = self._plan()
-        if isinstance(self._drive, WheelDrive):
+        if self._drive.host is None:
+            command = self._send_direction(direction, now, answered)
+        else:
             self._drive.host.direct(direction)
             command = self._transmit(now)
-        else:
-            command = self._send_direction(direction, now, answered)
         self._motion.advance(now)
         return command
 
@@ -267,7 +266,7 @@ class SimPlant:
         now = self._plan()
         count = self.a.size
         zeros = np.zeros(count)
-        if isinstance(self._drive, WheelDrive):
+        if self._drive.host is not None:
             self._drive.host.halt()
         heard = np.zeros(count, dtype=np.bool_)
         for i in range(STOPS_MAX if self._repeats_stops else 1):
@@ -362,12 +361,12 @@ class SimPlant:
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
-        drive, seen = self._drive, self._camera.newest
-        assert isinstance(drive, WheelDrive), "only wheels are sent more than the direction"
+        host, seen = self._drive.host, self._camera.newest
+        assert host is not None, "only wheels are sent more than the direction"
         assert seen is not None, "open() waits for the first frame"
-        sent, made = drive.host.speeds(now, seen)
+        sent, made = host.speeds(now, seen)
         due = self._due_ns(seen, now)
-        u = drive.host.direction
+        u = host.direction
         headings = seen.poses.heading
         command = DelayedCommand(now, due, u, self._heard(), None, headings, made, u is None)
         reached = tuple(self._motion.dispatch(command).reached.tolist())

@@ -155,7 +155,7 @@ class TrueMotion:
         frames = self._camera.due(end)
         ticks = due_ns(self._ticks, self._truth_rate, end)
         self._ticks += len(ticks)
-        ends = [end] if event or isinstance(self.drive, DirectDrive) else []
+        ends = [] if self.drive.sampled and not event else [end]
         times = sorted({*frames, *ticks, *ends})
         if not times:
             return

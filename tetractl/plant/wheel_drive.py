@@ -4,14 +4,144 @@ Wheels follow with a first-order lag. Between two transmissions wheel speeds, pa
 heading are known in closed form. The position is the sum of the chords between true samples, each
 taken as an arc: with wheels that have settled it is exact, and else its error falls with the square
 of the time between samples.
+
+Their host computes and sends wheel speeds: (24)-(25) at the headings of the newest frame received,
+rounded to wheel counts, and sent again at the radio's rate or once per control step.
 """
 
-import numpy as np
+from typing import Annotated
 
-from tetractl.core.poses import Floats, Poses
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.plant.wheel_host import WheelDriveSection, WheelHost
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.wheels import (
+    Drivetrain,
+    Residue,
+    Wheel,
+    speeds_of_counts,
+    wheel_counts,
+    wheel_speeds,
+)
+from tetractl.plant.direct import NEVER
+
+
+class WheelDriveSection(Model):
+    """Wheels between the direction and the robots; the defaults are ideal wheels."""
+
+    rate: Positive | None = None
+    """Transmissions per second under a held direction [Hz]. One is sent at once with each new
+    direction, and by default only then; with a rate, it replaces the next one due."""
+    recompute: bool = True
+    """Whether each transmission computes the wheel speeds again from the newest frame; else it
+    repeats those of the control step."""
+    lead: NonNegative | None = None
+    """The host predicts the headings over the age of the frame and this much more [s]; by default
+    it takes them as measured."""
+    count: Positive | None = None
+    """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
+    rounding error is carried to the next transmission. Not rounded by default."""
+    dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
+    """Largest count that does not move a wheel, as known to the host; needs `count`."""
+    dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
+    """Each wheel's true dead zone differs from `dead_zone` by a whole number, uniform up to this in
+    either direction."""
+    gain_error: Fraction = 0.0
+    """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
+    gain_error], drawn once per trial."""
+    radius_error: Fraction = 0.0
+    """Each robot's true distance from wheel to centre is the spec's times 1 + e, likewise."""
+    lag: NonNegative = 0.0
+    """Time constant with which wheels follow a received command [s]."""
+
+
+class WheelHost:
+    """Computes the wheel speeds sent to N robots, and those that result.
+
+    `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad],
+    None while the field is off: wheels then run alike. `erring` feeds gains and dead zones, drawn
+    once per trial.
+    """
+
+    def __init__(
+        self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
+    ) -> None:
+        assert setup.wheel_radius is not None, "the section's check asks for it"
+        count = setup.a.size
+        self.repeats_ns = NEVER
+        self.direction: float | None = 0.0
+        self._section = section
+        self._a, self._speed, self._radius = setup.a, setup.speed, setup.wheel_radius
+        self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
+        more = section.dead_zone_error
+        zones = section.dead_zone + erring.integers(-more, more + 1, (2, count))
+        self._trains: list[tuple[Drivetrain, Drivetrain]] = []  # as known, and as they are
+        if section.count is not None:
+            known = Wheel(section.count, section.dead_zone)
+            true = [
+                [
+                    Wheel(section.count * float(self._gains[i, j]), max(0, int(zones[i, j])))
+                    for i in (0, 1)
+                ]
+                for j in range(count)
+            ]
+            self._trains = [
+                (Drivetrain(known, known), Drivetrain(left, right)) for left, right in true
+            ]
+        self._residues = [Residue()] * count
+        self._last: tuple[Floats, Floats] | None = None
+
+    def direct(self, direction: float | None) -> None:
+        """Hold a direction u [rad] from now on, None for no field.
+
+        Wheel speeds for it have to be sent at once.
+        """
+        self.direction, self._last = direction, None
+
+    def halt(self) -> None:
+        """Hold no direction any more."""
+        self.repeats_ns = NEVER
+
+    def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
+        """Return the wheel speeds to send `now` [ns], and the true ones that result.
+
+        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. The
+        next transmission is planned, as by the lab's inner loop.
+        """
+        rate = self._section.rate
+        if rate is not None:
+            period = round(SECOND / rate)
+            before = 0 if self.repeats_ns == NEVER else self.repeats_ns
+            self.repeats_ns = max(before + period, now + period // 2)
+        if self._last is None or self._section.recompute:
+            self._last = self._computed(now, seen)
+        return self._last
+
+    def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
+        """Return the wheel speeds of (24)-(25) as sent, and as the wheels truly make them."""
+        heading = seen.poses.heading
+        u = heading if self.direction is None else np.array(self.direction)
+        if self._section.lead is not None:
+            ahead = (now - seen.sampled_ns) / SECOND + self._section.lead
+            nowhere = np.zeros_like(heading)
+            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead)
+        wished = np.array(wheel_speeds(heading, u, self._a, self._speed, self._radius))
+        if not self._trains:
+            return wished, wished * self._gains
+        sent, made = [], []
+        for i, ((left, right), (told, true)) in enumerate(
+            zip(wished.T.tolist(), self._trains, strict=True)
+        ):
+            counts, self._residues[i] = wheel_counts(left, right, told, self._residues[i])
+            sent.append(speeds_of_counts(counts, told))
+            made.append(speeds_of_counts(counts, true))
+        return np.array(sent).T, np.array(made).T
+
 
 REST = 1e-10
 """Wheels slower than this share of the fastest robot's speed stand."""
@@ -27,6 +157,8 @@ class WheelDrive:
     heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once per
     trial.
     """
+
+    sampled = True  # the path is a sum over samples
 
     def __init__(
         self,

@@ -1,21 +1,173 @@
-"""Verify a log: check it against itself, simulate it again, and compute every decision again."""
+"""Verify a log: check it against itself, simulate it again, and compute every decision again.
+
+Messages for viewers follow from the records of the trial: the decoded records are encoded again by
+the writer's own encoder, and every message and its times must come out with the same bytes. If
+another machine or version wrote the log, numbers need only agree to `NEARLY`, and how the arena is
+drawn may differ.
+"""
 
 import time
-from dataclasses import dataclass
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+
+from tetractl.core.text import printable
+from tetractl.experiment.load import resolved_yaml
 from tetractl.experiment.registry_fields import packages
 from tetractl.log import provenance
+from tetractl.log.format import channels, layout
+from tetractl.log.format.channels import CHANNELS, TEXT, Entry
+from tetractl.log.format.codec import Frames
+from tetractl.log.format.metadata import WARNINGS
+from tetractl.log.format.scene import decode_note, encode_note
+from tetractl.log.format.tetractl_pb2 import CameraFrames
+from tetractl.log.read import limits
+from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.messages import Messages
 from tetractl.replay.audit import audit
-from tetractl.replay.derived import derived_differences
-from tetractl.replay.difference import Difference
+from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.replay.film_check import FilmCheck
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.resimulate import resimulate
+
+NEARLY = Tolerance(1e-9, 1e-9)
+DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
+"""Topics whose messages an earlier version may have drawn otherwise."""
+
+
+def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
+    """Yield the first difference of each topic, and of what else follows.
+
+    None of a damaged log, nor of format 1, whose messages nothing writes any more.
+    """
+    if log.damage or raw.run.version == 1:
+        return
+    called_for: list[Entry] = []  # of /log
+    yield from _messages(raw, log, same_host, called_for)
+    yield from _operator_messages(raw, log, called_for)
+    if not same_host:
+        return
+    for name, text in (
+        (channels.RESOLVED_SPEC, resolved_yaml(log.experiment)),
+        (channels.LAYOUT, layout.layout(log.start.setup)),
+    ):
+        if raw.text(name) != text:
+            yield Difference(None, name, "is not what the experiment makes it")
+    for name in (channels.SPEC, channels.ENVIRONMENT):
+        if name not in raw.attachments:
+            yield Difference(None, name, "missing")
+
+
+def _messages(
+    raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
+) -> Iterator[Difference]:
+    """Compare all topics but /log, one message at a time: a log may hold very many.
+
+    What is made for /log is appended to `called_for`.
+    """
+    others = {channels.LOG, *channels.FILM}  # `FilmCheck` has the film
+    left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - others}
+    count, until = dict.fromkeys(left, 0), time.thread_time() + limits.seconds_limit()
+    for made in _encoded(raw, log):
+        if time.thread_time() > until:
+            text = f"not encoded again: takes over {limits.seconds_limit():g} s"
+            yield Difference(None, made.topic, f"{text}; {limits.FACTOR}=2 allows twice as much")
+            return
+        if made.topic == channels.LOG:
+            called_for.append(made)
+        if made.topic not in left:  # it has differed already
+            continue
+        entry, number = next(left[made.topic], None), count[made.topic]
+        count[made.topic] += 1
+        if entry == made:
+            continue
+        if (difference := _entry_difference(made, entry, number, same_host)) is not None:
+            yield difference
+            del left[made.topic]
+    for topic, rest in left.items():
+        if next(rest, None) is not None:
+            yield Difference(None, topic, f"has more than the {count[topic]} messages that follow")
+
+
+def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
+    """Yield the messages of a trial, those of a topic in their order; of /log those that follow.
+
+    Camera frames are put together as in the log: which were handed on together is not known.
+    """
+    messages = Messages(log.start)
+    yield from messages.start()
+    begin = 0
+    frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
+    yield from messages.tracking(frames)
+    for entry in raw.by_topic[channels.FRAMES]:
+        end = begin + len(CameraFrames.FromString(entry.data).frame)
+        if begin < end:
+            yield from messages.block(frames.part(slice(begin, end)))
+        begin = end
+    for step in log.steps:
+        yield from (entry for entry in messages.step(step) if entry.topic != channels.COMMANDS)
+    for command in log.commands:
+        if command is log.stop and log.result:
+            yield from messages.stop(command, log.result)
+        else:
+            yield messages.command(command)
+
+
+def _entry_difference(
+    made: Entry, entry: Entry | None, number: int, same_host: bool
+) -> Difference | None:
+    name = f"{made.topic}[{number}]"
+    if entry is None:
+        return Difference(None, name, "missing")
+    if entry[1:3] != made[1:3]:
+        return Difference(None, name, f"stamped {entry[1:3]}, the records make it {made[1:3]}")
+    if not same_host and made.topic in DRAWN:
+        return None
+    try:
+        ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
+    except DecodeError:
+        return Difference(None, name, "is no message of its channel")
+    found = first_difference(ours, logged, EXACT if same_host else NEARLY)
+    if found is None:
+        return Difference(None, name, "holds other bytes") if same_host else None
+    return Difference(None, f"{name}.{found[0]}", found[1])
+
+
+def _operator_messages(
+    raw: RawLog, log: TrialLog, called_for: Sequence[Entry]
+) -> Iterator[Difference]:
+    """The /log channel has the messages that the records require, as tetractl writes them."""
+    begin = log.start.start_unix_ns
+    for number, entry in enumerate(raw.by_topic[channels.LOG]):
+        note = decode_note(Log.FromString(entry.data), begin)
+        stamp = begin + note.t_ns
+        made = Entry(entry.topic, stamp, stamp, encode_note(note, begin).SerializeToString())
+        if entry != made:
+            yield Difference(None, f"{channels.LOG}[{number}]", "is not as tetractl writes it")
+            break
+    notes = (decode_note(Log.FromString(entry.data), begin) for entry in called_for)
+    shown = (replace(note, text=printable(note.text, TEXT)) for note in notes)
+    logged = Counter(log.notes)
+    for note in (Counter(shown) - logged).elements():
+        yield Difference(None, "log", f"nothing on /log says {note.text!r} at {note.t_ns} ns")
+        break
+    if len(logged) < len(log.notes):
+        note, _ = logged.most_common(1)[0]
+        yield Difference(None, "log", f"/log says {note.text!r} twice at {note.t_ns} ns")
+    stated = raw.metadata[channels.RESULT].get(WARNINGS)
+    warnings = sum(note.level in ("warning", "error") for note in log.notes[:-1])
+    if stated is not None and stated != str(warnings):
+        text = f"states {stated}, on /log are {warnings}"
+        yield Difference(None, f"result.{WARNINGS}", text)
+
 
 DECIDES_BITS = (
     "cpu",

@@ -2,23 +2,23 @@
 
 import hashlib
 import json
+import re
 from base64 import b64encode
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from tetractl.core.errors import LogError
-from tetractl.core.table.data import plain
-from tetractl.core.table.numbers import NONE, lengths
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import NONE, Column, Table, lengths
+from tetractl.core.table.table_files import plain
 from tetractl.core.table.terminal_table import html
 from tetractl.core.text import unit_of
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.report import figures
 from tetractl.report.trial_data import trial_data
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
@@ -61,18 +61,16 @@ def report(
                 unread.append(str(error))
                 continue
             first = first or log
-            logs.append(figures.lean(log))
+            logs.append(lean(log))
             name = f"{group.name}, {path.name}" if len(groups) > 1 else path.name
             shown.append((str(path), name, trial_data(log, path.name, count <= MANY)))
-        drawn.append(figures.of_batch(group.name if len(groups) > 1 else "", logs))
+        drawn.append(of_batch(group.name if len(groups) > 1 else "", logs))
     numbers = {path: number for number, (path, _, _) in enumerate(shown, 1)}
     name = title or _title(paths, groups)
     body = [_header(name, groups), _errors(groups, numbers, drawn), _statistics(groups, numbers)]
     if first is not None:
         body.insert(1, _player([trial for _, *trial in shown], groups[0].unit))
-        body.append(
-            f"<section><h2>Figures of the first trial</h2>{figures.of_trial(first)}</section>"
-        )
+        body.append(f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>")
         body.append(_provenance(first))
     scripts = "".join((ASSETS / script).read_text() for script in SCRIPTS) if shown else ""
     return _page(name, "".join(body), scripts), unread
@@ -184,7 +182,7 @@ def _json(value: Any) -> str:
 
 def _errors(groups: Sequence[Group], numbers: Mapping[str, int], drawn: Sequence[str]) -> str:
     """Return the figure of every total error, each dot a link to its trial, and those of `drawn`"""
-    picture = figures.of_groups(groups, numbers) + "".join(drawn)
+    picture = of_groups(groups, numbers) + "".join(drawn)
     return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
 
 
@@ -219,4 +217,69 @@ def _provenance(log: TrialLog) -> str:
         f"<details><summary>Host and versions</summary><dl>{rows}</dl></details>"
         "<details><summary>Spec with every default</summary>"
         f"<pre>{escape(log.start.resolved)}</pre></details></section>"
+    )
+
+
+OF_A_TRIAL = ("trajectory", "convergence", "error", "timing")
+OF_A_BATCH = {
+    "errors": "The error of each trial over time, the median, and the middle half of the trials",
+    "scatter": "Where each robot ended round its target, a dot per trial, with the covariance",
+}
+FEWEST = 2  # least number of trials for the figures of a batch
+
+
+def lean(log: TrialLog) -> TrialLog:
+    """Return the trial with only the data that `of_batch` draws, so that many fit into memory."""
+    return replace(log, steps=log.steps[:1], truth=None, notes=())
+
+
+def of_trial(log: TrialLog) -> str:
+    """Return the figures of a trial; "" for a log without control steps or camera frames."""
+    if not (log.steps and len(log.mocap_ns)):
+        return ""
+    name = Path(log.path).name
+    return _row("paper", [_figure(kind, [log], f"{kind}, {name}") for kind in OF_A_TRIAL])
+
+
+def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
+    """Return the figures of a batch called `name`, "" for fewer than two trials with frames."""
+    seen = [log for log in logs if len(log.mocap_ns)]
+    if len(seen) < FEWEST:
+        return ""
+    where = f": {name}" if name else ""
+    drawn = [_figure(kind, seen, text + where) for kind, text in OF_A_BATCH.items()]
+    return _row("paper wide", drawn)
+
+
+def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
+    """Return every total error as inline SVG, its dot a link to its trial, "" without any error.
+
+    `numbers` are those of the trials on the page by path.
+    """
+    from tetractl.view.figures.batch import batch_figure
+    from tetractl.view.style import svg
+
+    if not any(group.counted for group in groups):
+        return ""
+    links = {path: f"#trial-{number}" for path, number in numbers.items()}
+    drawing = svg(batch_figure(groups, links)).decode()
+    drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
+    drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
+    drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
+    text = "Every total error, a dot per trial, and the errors of each robot"
+    return _row("paper wide", [f"<figure>{drawing}<figcaption>{text}</figcaption></figure>"])
+
+
+def _row(kind: str, figures: Sequence[str]) -> str:
+    return f'<div class="{kind}">{"".join(figures)}</div>'
+
+
+def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
+    from tetractl.view.figures.draw import draw
+    from tetractl.view.style import svg
+
+    picture = b64encode(svg(draw(kind, logs))).decode()
+    return (
+        f'<figure><img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
+        f"<figcaption>{escape(text)}</figcaption></figure>"
     )

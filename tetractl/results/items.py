@@ -4,13 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from tetractl.core.table.data import flat
 from tetractl.core.table.table import Table
+from tetractl.core.table.table_files import flat
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.contrast import Contrast, GroupComparison
-from tetractl.results.describe import Group, Scaled
+from tetractl.results.describe import Group, Scaled, flagged
 from tetractl.results.estimate import Interval
-from tetractl.results.flagged import flagged
 from tetractl.results.mean_difference import Effect, MeanDifference, Ratio
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.statistic import statistics

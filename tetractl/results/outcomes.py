@@ -13,7 +13,7 @@ import numpy as np
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
-from tetractl.core.table.numbers import NONE, digits, lengths
+from tetractl.core.table.table import NONE, digits, lengths
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.statistic import Statistic, Value, count, share
 

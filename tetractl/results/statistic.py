@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.registries import STATISTICS
-from tetractl.core.table.numbers import lengths
+from tetractl.core.table.table import lengths
 from tetractl.core.trial import Result
 from tetractl.log.read.trial_log import ResultSummary
 from tetractl.results.estimate import distributions, percent, proportion_interval

@@ -5,14 +5,12 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from tetractl.core.table.numbers import NONE, digits, fixed, lengths, p_value
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import NONE, Column, Table, digits, fixed, lengths, p_value
 from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import Contrast, GroupComparison
-from tetractl.results.describe import Group
+from tetractl.results.describe import Group, flagged
 from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
-from tetractl.results.flagged import flagged
 from tetractl.results.open_batch import listing
 
 _SHOWN = 20  # flagged trials listed in a table

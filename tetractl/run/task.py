@@ -1,4 +1,6 @@
-"""One trial as an executor runs it: its log, its digest, its result."""
+"""One trial as an executor runs it: its log, its digest, its result; its observers called from a
+background thread, so that a slow screen never delays the loop.
+"""
 
 import gc
 import pickle
@@ -13,11 +15,12 @@ import numpy as np
 
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.clock import Clock
-from tetractl.core.commands import PlantInfo
+from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.protocols import LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.trial import EPOCH_NS, Result, Start, Step
+from tetractl.core.worker import Worker
 from tetractl.experiment.choosing import chosen_cells, settled
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
@@ -25,8 +28,57 @@ from tetractl.log.provenance import host, processor, trial_code
 from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
-from tetractl.run.relay import Relay
 from tetractl.run.run_trial import Trial
+
+RELAY_SIZE = 2000  # calls that may wait: over two minutes of a trial
+RELAY_PATIENCE_S = 30.0  # for the last of them, after the robots were stopped
+
+
+class Relay:
+    """Queues every call for `observer`, in order, until it is closed.
+
+    An exception of the observer, or a queue that is full, is raised by the next call; calls after
+    that are dropped.
+    """
+
+    def __init__(self, observer: Observer) -> None:
+        self._observer = observer
+        self._worker = Worker(
+            "observer",
+            size=RELAY_SIZE,
+            wait_s=0.0,
+            patience_s=RELAY_PATIENCE_S,
+            too_slow=TetractlError("an observer is too slow for the trial"),
+        )
+
+    def close(self) -> None:
+        """Do the calls in the queue, and end the thread."""
+        self._worker.close()
+
+    def on_start(self, start: Start) -> None:
+        """Call the observer at once: nothing moves yet."""
+        self._observer.on_start(start)
+
+    def on_samples(self, samples: list[Sample]) -> None:
+        """Queue the call."""
+        self._worker.put(self._observer.on_samples, samples)
+
+    def on_step(self, step: Step) -> None:
+        """Queue the call."""
+        self._worker.put(self._observer.on_step, step)
+
+    def on_command(self, command: Command) -> None:
+        """Queue the call."""
+        self._worker.put(self._observer.on_command, command)
+
+    def on_note(self, note: Note) -> None:
+        """Queue the call."""
+        self._worker.put(self._observer.on_note, note)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Queue the call, and wait until all calls are done."""
+        self._worker.put(self._observer.on_stop, stop, result)
+        self._worker.drain()
 
 
 @dataclass(frozen=True, slots=True)

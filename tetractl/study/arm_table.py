@@ -17,8 +17,7 @@ from tetractl.results.estimate import Distribution, distributions
 from tetractl.results.items import trials_table
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
-from tetractl.study.arm import Arm, as_cell, as_yaml
-from tetractl.study.load_study import LoadedStudy
+from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml
 from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"

@@ -11,9 +11,8 @@ from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.core.text import unit_of
-from tetractl.study.arm import as_yaml, shown
 from tetractl.study.arm_table import FieldValue, field_values, numeric, origins
-from tetractl.study.load_study import LoadedStudy
+from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
 

@@ -1,26 +1,107 @@
-"""From a study's file to its arms, all problems reported at once."""
+"""From a study's file to its arms, all problems reported at once.
 
+An arm is one point of the sweep with one controller.
+"""
+
+import json
+import re
 from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from pydantic import Field
 
 from tetractl.core.errors import SpecError
+from tetractl.core.registries import SWEEPS
 from tetractl.core.text import printable
+from tetractl.experiment.base import Model, Name
+from tetractl.experiment.experiment import Trials
 from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec
+from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.document import Document, parse_document, read_text
 from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
 from tetractl.experiment.yaml.schema import schema_of
 from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
-from tetractl.study.arm import Arm, arm_name, as_yaml
-from tetractl.study.study import Study
-from tetractl.study.sweep import Setting
+from tetractl.study.sweep import FieldPath, Setting, Sweep
+
+DIGITS = 6  # of a number in a name or a figure
+NAME_LENGTH = 100  # of a folder, far below what file systems take
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One arm: the spec that its trials are run with, and how it differs from the base.
+
+    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment without
+    the number of trials, which does not change a trial.
+    """
+
+    name: str  # of its folder
+    controller: str  # "" if the study names none
+    values: Mapping[str, Any]
+    sets: tuple[str, ...]  # as `--set` takes them, after the base
+    spec: LoadedSpec
+    hash: str
+    code: str  # names the code here that its trials are run by
+
+
+def arm_name(controller: str, values: Mapping[str, Any]) -> str:
+    """Return a name for an arm that fits a file system: `ours-dead_time=0.07`.
+
+    Fields are called by the last step of their path if no two share it.
+    """
+    ends = [path.rpartition(".")[2] for path in values]
+    paths = ends if len(set(ends)) == len(ends) else list(values)
+    words = [controller] * bool(controller)
+    words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
+    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:NAME_LENGTH]
+    return name.lstrip(".-") or "base"
+
+
+def shown(value: Any) -> str:
+    """Return a value for display: numbers to six digits, of a list of mappings its length."""
+    if isinstance(value, float):
+        return f"{value:.{DIGITS}g}"
+    if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
+        return f"{len(value)}"  # such as the robots
+    return value if isinstance(value, str) else as_yaml(value)
+
+
+def as_cell(value: Any) -> Any:
+    """Return a value as a cell: numbers, truth values and text as they are, others as YAML."""
+    return value if isinstance(value, int | float | str) or value is None else as_yaml(value)
+
+
+def as_yaml(value: Any) -> str:
+    """Return a value in one line as `--set` takes it."""
+    return json.dumps(value, ensure_ascii=False)  # JSON is YAML
+
+
+class Study(Model):
+    """One study, as read from a YAML file. Each point of the sweep is run with each controller;
+    every such arm has the same seeds, so that trials of one number are pairs."""
+
+    name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """Name of the study, which its folder is called after: letters without accents
+    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
+    description: str = ""
+    """Description in one or two sentences."""
+    base: str = Field(min_length=1, max_length=1000)
+    """File of the spec that every arm starts from, by its path from the study's file."""
+    sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
+    """The fields that take several values, and which; without it the base's values are kept."""
+    controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
+    """By name, the alternatives to compare: each a mapping of paths to values, set before those of
+    the sweep."""
+    trials: Trials = Trials()
+    """Trials of each arm, in place of the base's own."""
+
 
 MAX_ARMS = 100_000
 SWEEP_KEY = (0,)  # spawn key of the draws of a sweep; a trial's keys have two numbers

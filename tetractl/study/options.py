@@ -1,13 +1,28 @@
-"""Which trials of a study are run, and which logs they leave."""
+"""Which trials of a study are run and which logs they leave.
+
+Also the job script that runs its shares with Slurm, and one trial run again and checked against its
+row.
+"""
 
 import pickle
 import re
-from dataclasses import dataclass
+import shlex
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Self
 
-from tetractl.core.errors import UsageError
-from tetractl.run.task import Task
-from tetractl.study.load_study import LoadedStudy
+from tetractl.core.errors import LogError, UsageError
+from tetractl.experiment.yaml.problems import did_you_mean
+from tetractl.log.format.metadata import result_metadata
+from tetractl.log.format.trial_digest import trial_digest
+from tetractl.log.provenance import host, processor
+from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.rows import Row
+from tetractl.replay.difference import first_difference
+from tetractl.run.interrupt import Interrupt, interrupted_once
+from tetractl.run.store import set_aside
+from tetractl.run.task import Task, log_path, run_trial
+from tetractl.study.load_study import Arm, LoadedStudy, spec_of
 from tetractl.study.row_store import Store
 
 
@@ -74,3 +89,100 @@ def lacking(
             elif outdated:
                 kept[arm.name] = kept.get(arm.name, 0) + 1
     return sorted(tasks, key=lambda task: task.trial), kept
+
+
+SCRIPT = """\
+#!/bin/bash
+# {name} in {shares} shares. Set the time and what your cluster asks for, such as a partition; then:
+#   sbatch THIS-FILE
+# A share that meets its walltime is stopped after its control step and queued again, and goes on.
+# In the end, on any machine:
+#   {merge}
+#SBATCH --job-name={name}
+#SBATCH --array=1-{shares}
+#SBATCH --time=04:00:00
+#SBATCH --ntasks=1
+#SBATCH --cpus-per-task=1
+#SBATCH --signal=B:TERM@60
+#SBATCH --requeue
+#SBATCH --open-mode=append
+#SBATCH --output=slurm-%A_%a.out
+
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1  # one thread a process
+export TETRACTL_CACHE_DIR=/tmp/tetractl-$USER  # of the node: a shared home is slow
+
+tetractl warm {study} || exit
+
+{run} &
+trap 'kill -TERM $!; wait $!; scontrol requeue "$SLURM_ARRAY_JOB_ID"_"$SLURM_ARRAY_TASK_ID"' TERM
+wait $!
+"""
+
+
+def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
+    """Return a job array with the given number of shares of a study, each in a folder next to
+    `folder`."""
+    part = shlex.quote(f"{folder}-shard")
+    file, out = shlex.quote(str(study)), shlex.quote(str(folder))
+    task = "$SLURM_ARRAY_TASK_ID"
+    run = f'tetractl study {file} --shard "{task}/{shares}" --jobs 1 --quiet --logs {logs}'
+    return SCRIPT.format(
+        name=name,
+        shares=shares,
+        study=file,
+        merge=f"tetractl study {file} --out {out} --merge {part}-*-of-{shares}",
+        run=f'{run} \\\n    --out {part}-"{task}-of-{shares}"',
+    )
+
+
+def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
+    """Run the trial `ARM/N` again and keep its log; return in one line that the digests agree.
+
+    Raises UsageError for a trial that the study does not have, has no row of, or has a log of, and
+    LogError if the digests differ; the log is then set aside as an attempt.
+    """
+    arm, row = _found(loaded, store, which)
+    path = log_path(store.arm_folder(arm), row.trial)
+    if row.logged and path.exists():
+        raise UsageError(f"{path}: has its log", f"check it with: tetractl verify {path}")
+    folder = store.place(arm.name, row.trial)
+    with interrupted_once():
+        result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
+    digest = trial_digest(read_trial(path))
+    if digest != row.trial_digest:
+        text = _difference(path, row)
+        set_aside(folder, row.trial)
+        hint, here = None, processor(host())
+        if row.processor != here:
+            hint = f"the row is of another type of processor: {row.processor}, this one is {here}"
+        if row.code != arm.code:
+            hint = "the row is of outdated code"
+        raise LogError(
+            f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
+            hint,
+        )
+    store.add_row(arm, replace(row, logged=True))
+    return f"{path}: {result.summary}, digest as in its row: {digest}"
+
+
+def _difference(log: Path, row: Row) -> str:
+    """Return the first difference between the results of log and row; "" if these agree."""
+    now = read_result(log)
+    unit = now.experiment.units.length
+    ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))
+    found = first_difference(ours, stated, name="result")
+    return "; {}: {}".format(*found) if found else ""
+
+
+def _found(loaded: LoadedStudy, store: Store, which: str) -> tuple[Arm, Row]:
+    name, slash, number = which.rpartition("/")
+    if not slash or not number.isdecimal():
+        raise UsageError(f"--trial {which}: must be ARM/N, as in the columns arm and trial")
+    arm = next((arm for arm in loaded.arms if arm.name == name), None)
+    if arm is None:
+        close = did_you_mean(name, [arm.name for arm in loaded.arms])
+        raise UsageError(f"--trial {which}: the study has no arm '{name}'{close}")
+    row = store.rows[arm.name].get(int(number))
+    if row is None:
+        raise UsageError(f"--trial {which}: it has no row in {store.folder}", "run the study first")
+    return arm, row

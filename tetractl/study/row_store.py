@@ -15,7 +15,7 @@ from tetractl.log.read.find import ROWS
 from tetractl.log.read.rows import SPEC, Row, read_rows
 from tetractl.run.store import made_and_locked, make_folder, set_aside
 from tetractl.run.task import Finished, Task, log_path
-from tetractl.study.arm import Arm
+from tetractl.study.load_study import Arm
 
 DECIDING = ("code", "processor", "count")
 """The key of rows whose digests must agree."""

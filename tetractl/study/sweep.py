@@ -18,7 +18,7 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.base import Finite, Model, inconsistent
 from tetractl.experiment.yaml.problems import Loc
 
-Path = Annotated[str, Field(min_length=1, max_length=200)]
+FieldPath = Annotated[str, Field(min_length=1, max_length=200)]
 """A field of a spec as `--set` takes it, such as `controller.optimizer.rounds`."""
 
 
@@ -48,7 +48,7 @@ class Grid(Sweep):
     """Every combination of the values listed, the last field changing fastest."""
 
     type: Literal["grid"]
-    fields: dict[Path, Values] = Field(min_length=1)
+    fields: dict[FieldPath, Values] = Field(min_length=1)
     """By path, such as `plant.dead_time`, the values that the field takes."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
@@ -60,7 +60,7 @@ class Grid(Sweep):
         return [dict(zip(self.fields, point, strict=True)) for point in itertools.product(*axes)]
 
 
-Point = Annotated[dict[Path, Any], Field(min_length=1)]
+Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
 
 
 class Points(Sweep):
@@ -116,7 +116,7 @@ class SampledSweep(Sweep):
 
     count: int = Field(ge=1, le=100_000)
     """Number of points. More of them later leave those drawn before as they are."""
-    fields: dict[Path, Range] = Field(min_length=1, max_length=1000)
+    fields: dict[FieldPath, Range] = Field(min_length=1, max_length=1000)
     """By path, such as `plant.dead_time`, the range of the field."""
 
     @abstractmethod

@@ -25,11 +25,10 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recording import Moment, Recording
+from tetractl.replay.player import Moment, Recording
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
-from tetractl.view.figures.dish import DishGround
-from tetractl.view.figures.trajectory import draw_scene
+from tetractl.view.figures.trajectory import DishGround, draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Pictures per second; a GIF counts in hundredths of a second."""

@@ -97,7 +97,7 @@ def _lower_legends(drawing: Figure, share: float) -> float:
     """
     if not drawing.legends:
         return 0.0
-    drawing.draw_without_rendering()
+    lay_out(drawing)
     above_in = 0.0
     for legend in drawing.legends:
         box = legend.get_window_extent()
@@ -105,6 +105,12 @@ def _lower_legends(drawing: Figure, share: float) -> float:
             above_in = max(above_in, box.height / drawing.dpi + 0.06)
             legend.set_bbox_to_anchor((0.0, 0.0, 1.0, share), transform=drawing.transFigure)
     return above_in
+
+
+def lay_out(drawing: Figure) -> None:
+    """Give axes and legends the places they will have, without drawing what is in them."""
+    if (engine := drawing.get_layout_engine()) is not None:
+        engine.execute(drawing)
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:

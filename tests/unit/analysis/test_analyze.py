@@ -8,9 +8,8 @@ from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.ellipse import ellipse
 from tetractl.core.errors import UsageError
-from tetractl.core.table.data import json_text
+from tetractl.core.table.table_files import json_text
 from tetractl.view.figures.analysis import analysis_figure
 
 SETUP = experiment().setup
@@ -37,13 +36,6 @@ def test_the_smallest_gap_and_robots_spaced_anew():
     assert np.argsort(spaced.a).tolist() == np.argsort(SETUP.a).tolist()
     assert np.diff(np.sort(np.log(spaced.a))) == pytest.approx(np.log(1.1))
     assert np.log(spaced.a).mean() == pytest.approx(np.log(SETUP.a).mean())
-
-
-def test_the_first_robots_are_a_setup():
-    two = SETUP.only([0, 1])
-    assert two.names == ("green", "blue")
-    assert two.starts.array().tolist() == SETUP.starts.array()[:2].tolist()
-    assert smallest_gap(SETUP.only([0])) == (float("inf"), None)
 
 
 def test_of_changes_about_as_good_the_smallest_is_advised():
@@ -123,15 +115,3 @@ def test_any_controller_is_analysed_by_multistart():
     own = planner(experiment())  # of the particle swarm
     assert isinstance(own.optimizer, Multistart)
     assert own.motion == experiment().controller.motion
-
-
-def test_the_ellipse_holds_95_percent():
-    rng = np.random.default_rng(1)
-    root = rng.normal(size=(2, 2))
-    long, short, angle = ellipse(root @ root.T)
-    drawn = root @ rng.standard_normal((2, 100_000))
-    c, s = np.cos(angle), np.sin(angle)
-    along, across = c * drawn[0] + s * drawn[1], c * drawn[1] - s * drawn[0]
-    assert np.mean((along / long) ** 2 + (across / short) ** 2 <= 1) == pytest.approx(
-        0.95, abs=0.01
-    )

@@ -8,8 +8,7 @@ from support.plants import sim
 from support.problems import problem, world
 from support.trials import experiment
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, left_out, mean_errors
-from tetractl.analysis.linear import linearise
+from tetractl.analysis.closed_loop import Noise, end_covariance, left_out, linearise, mean_errors
 from tetractl.model.motion.exact import step
 
 FINE = 10  # steps of the simulation in a control period

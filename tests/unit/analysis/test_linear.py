@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from oracles.levenberg import positions
 from support.problems import problem, world
 
-from tetractl.analysis.linear import linearise
+from tetractl.analysis.closed_loop import linearise
 from tetractl.control.cost import predict
 from tetractl.core.poses import Poses
 

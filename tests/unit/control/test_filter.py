@@ -1,5 +1,6 @@
 """The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -17,10 +18,7 @@ from tetractl.plant.simulation import SimPlant
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 CELLS = ROOT / "experiments" / "tetrahymena_bench.yaml"
-NOISY = (
-    "plant.measurement_noise={position: 0.3, heading: 0.004}",
-    "plant.heading_noise=0.03",
-)
+NOISY = ("plant.measurement_noise={position: 0.3, heading: 0.004}", "plant.heading_noise=0.03")
 
 
 def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=None, seed=3):
@@ -185,7 +183,7 @@ def test_the_kernel_does_what_the_readable_filter_does():
     model, made = bank._model, bank._bank
     made = made._make(column[:1] for column in made)
     made.tau[:] = 0.1
-    start = np.array([10.0, 20.0, 0.3])
+    start = np.array([10.0, 20.0, 3.1])
     kernel.place(made, 0, 0, model, start)
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0])
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
@@ -193,6 +191,7 @@ def test_the_kernel_does_what_the_readable_filter_does():
     for k in range(1, 50):
         until = k / 30
         pose = pose + rng.normal(0, [4, 4, 0.03])
+        pose[2] = math.remainder(pose[2], math.tau)
         seen = np.array([k % 7 > 0])
         made.score[:] = 0.0
         kernel.follow(made, model, 0.02, now, until, when, u, pose[None], seen)

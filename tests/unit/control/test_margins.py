@@ -61,6 +61,15 @@ def test_robots_keep_the_separation_they_have():
     assert Margins([], None, FAR[:1]).separation(at((5, 5)), 100) == 0
 
 
+def test_the_separation_grows_by_what_both_robots_may_be_off():
+    spec = experiment(controller={"collision": {"separation": 50, "adaptive": True}})
+    problem, section = spec.controller.problem(spec.setup), spec.controller
+    found = section.build(spec.setup, 3)._with_margins(problem, None)
+    assert found.separation == pytest.approx(
+        50 + 2 * off_course(problem.speed, section.period, section.dead_time, None)
+    )
+
+
 def test_what_is_uncertain_takes_more_room():
     speed = np.array([180.0, 200, 150])
     sure = Estimate(np.full(3, 4.0), np.zeros(3), speed, np.zeros(3), dead_time_std=0.0)

@@ -20,7 +20,7 @@ from tetractl.experiment.load import load_spec
 PAPER = PaperStop(type="paper")
 
 
-def falling(first: float, *decreases: float) -> np.ndarray:
+def falling(first, *decreases):
     return first - np.cumsum([0.0, *decreases])
 
 

@@ -11,7 +11,7 @@ from tetractl.core.cache import FOLDER, cache_folder, claim, exposed
 
 
 @pytest.fixture(autouse=True)
-def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
+def fresh(monkeypatch):
     """Each test finds an empty folder, and the variable as it was afterwards."""
     monkeypatch.setenv(FOLDER, "")
     cache_folder.cache_clear()
@@ -20,7 +20,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch) -> None:
     cache_folder.cache_clear()
 
 
-def mode(path: Path) -> int:
+def mode(path):
     return stat.S_IMODE(path.stat().st_mode)
 
 
@@ -71,7 +71,7 @@ def test_a_link_into_a_shared_folder_is_not_used(tmp_path):
 def test_without_a_home_there_is_a_folder(monkeypatch, capsys):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
 
-    def homeless() -> Path:
+    def homeless():
         raise RuntimeError("Could not determine home directory.")
 
     monkeypatch.setattr(Path, "home", homeless)

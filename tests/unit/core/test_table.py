@@ -14,10 +14,8 @@ from rich.console import Console
 from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
-from tetractl.core.table.data import flat, json_text
-from tetractl.core.table.numbers import fixed
-from tetractl.core.table.table import Column, Table
-from tetractl.core.table.table_files import TableFiles, csv_text, read_csv
+from tetractl.core.table.table import Column, Table, fixed
+from tetractl.core.table.table_files import TableFiles, csv_text, flat, json_text, read_csv
 from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
 
 LONG = "words " * 60
@@ -91,17 +89,6 @@ def test_without_a_terminal_words_are_wrapped_and_names_are_not_broken():
     lines = printed(wide).splitlines()
     assert WIDTH - 20 < max(map(len, lines)) <= WIDTH
     assert any(path in line for line in printed(Table.of_texts("", ("log",), [(path,)])).split())
-
-
-def test_a_wide_name_leaves_words_and_numbers_whole():
-    columns = (
-        Column("name", ["n" * 110]),
-        Column("size", ["-11.28 to 6.43"]),
-        Column("verdict", ["none: a verdict needs 8 pairs"], words=True),
-    )
-    text = printed(Table("", columns))
-    for whole in ("n" * 110, "-11.28 to 6.43", "verdict", "needs"):
-        assert whole in text
 
 
 def test_columns_that_are_empty_in_all_rows_are_left_out():

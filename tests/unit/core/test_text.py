@@ -19,14 +19,14 @@ from tetractl.core.text import cell, printable
         ("caf\udce9", "caf\\udce9"),  # of a file name that is not UTF-8
     ],
 )
-def test_nothing_is_left_that_a_terminal_obeys(text: str, shown: str) -> None:
+def test_nothing_is_left_that_a_terminal_obeys(text, shown):
     assert printable(text) == shown
     assert printable(text).isprintable()
     printable(text).encode()
 
 
 @given(st.text(), st.integers(3, 30))
-def test_text_once_printable_stays_as_it_is(text: str, length: int) -> None:
+def test_text_once_printable_stays_as_it_is(text, length):
     shown = printable(text, length)
     assert len(shown) <= length
     assert printable(shown, length) == shown
@@ -36,6 +36,6 @@ def test_text_once_printable_stays_as_it_is(text: str, length: int) -> None:
     "text",
     ["=cmd()", "+1", "-1", "@sum", "\tx", "\rx", " =1", "\n+1", "\xa0-1", "＝1", " ＋1", "﹫x"],
 )
-def test_a_spreadsheet_computes_nothing(text: str) -> None:
+def test_a_spreadsheet_computes_nothing(text):
     assert cell(text).startswith("'")
     assert cell("arrived") == "arrived"

@@ -8,13 +8,13 @@ from tetractl.core.errors import LogError
 from tetractl.core.worker import Worker
 
 
-def make(**changes) -> Worker:
+def make(**changes):
     settings = {"size": 10, "wait_s": 0.0, "patience_s": 10.0, "too_slow": LogError("too slow")}
     return Worker("test", **(settings | changes))
 
 
 def test_calls_are_done_in_order_in_one_other_thread():
-    done: list[tuple[int, int]] = []
+    done = []
     worker = make(wait_s=10.0)
     for i in range(100):
         worker.put(lambda i: done.append((i, threading.get_ident())), i)
@@ -25,7 +25,7 @@ def test_calls_are_done_in_order_in_one_other_thread():
 
 
 def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
-    done: list[int] = []
+    done = []
     gate = threading.Event()
     worker = make(size=2)
     worker.put(gate.wait, 10)
@@ -42,7 +42,7 @@ def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
 
 
 def test_a_batch_of_calls_is_done_once_somebody_waits_for_them():
-    done: list[int] = []
+    done = []
     worker = make(size=3, wait_s=10.0, batch_s=3600.0)
     worker.put(done.append, 0)
     assert done == []
@@ -55,7 +55,7 @@ def test_a_batch_of_calls_is_done_once_somebody_waits_for_them():
 
 
 def test_a_failure_is_raised_once_and_ends_the_calls_but_not_the_last():
-    done: list[str] = []
+    done = []
     worker = make()
     worker.put(lambda: 1 / 0)
     worker.put(done.append, "after")
@@ -81,7 +81,7 @@ def test_idle_is_called_after_each_call_and_when_its_time_has_come():
     called = threading.Semaphore(0)
     times = iter([0.001, 0.001, None])
 
-    def idle() -> float | None:
+    def idle():
         called.release()
         return next(times, None)
 

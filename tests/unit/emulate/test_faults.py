@@ -4,7 +4,14 @@ import json
 from pathlib import Path
 
 import pytest
-from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, turn_until
+from support.emulated_lab import (
+    APRILTAG_SPEC,
+    FIELD_SPEC,
+    SPEC,
+    emulated,
+    in_virtual_time,
+    turn_until,
+)
 from support.paths import ROOT
 
 from tetractl.core.clock import SECOND
@@ -118,6 +125,16 @@ def test_robots_are_put_back_and_restarted(tmp_path):
 
 def open_files():
     return {path.name for path in Path("/proc/self/fd").iterdir()}
+
+
+def test_a_fault_is_over_after_its_time(tmp_path):
+    script = "faults: [{fault: untracked, robot: green, since: start, at: 0.1, for: 0.2}]"
+    with in_virtual_time(tmp_path, script=script) as (lab, clock, _):
+        body, tracked = lab.camera.tracked_body("green"), []
+        for tenth in range(5):
+            clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
+            tracked.append(body.tracked)
+    assert tracked == [True, False, False, True, True]
 
 
 def test_nothing_is_left_open(tmp_path):

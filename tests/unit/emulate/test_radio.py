@@ -6,10 +6,14 @@ from support.emulated_lab import emulated, turn_until
 
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
-from tetractl.lab.actuators.xbee.frames import AtCommand, AtResponse, Transmit16, TransmitStatus
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
-
-POLL = encode_command(BroadcastCommand(9, Flag.POLL))
+from tetractl.lab.actuators.xbee.frames import (
+    AtCommand,
+    AtResponse,
+    Decoder,
+    Transmit16,
+    TransmitStatus,
+    encode,
+)
 
 
 @pytest.fixture
@@ -87,24 +91,6 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     assert serial_ns + 500_000 < took < serial_ns + 2_000_000
     turn_until(lab, lambda: lab.actuator.robots[0].left > 100)
     assert lab.actuator.robots[1].counts() == (60, 60)
-
-
-def test_at_another_speed_the_module_hears_nothing(opened):
-    lab, port = opened(baud=9600)
-    port.write(encode(AtCommand(1, b"HV")))
-    turn_until(lab, lambda: lab.actuator.radio.garbled)
-    assert port.read(100) == b""
-    port.baudrate = 57600
-    assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
-
-
-def test_a_stuck_port_times_out_and_recovers(opened):
-    lab, port = opened()
-    lab.actuator.port.stall(True)
-    with pytest.raises(serial.SerialTimeoutException):
-        port.write(b"x")
-    lab.actuator.port.stall(False)
-    assert ask(lab, port, AtCommand(1, b"HV"))[0].status == 0
 
 
 def test_a_name_that_is_taken_is_refused_and_left(tmp_path):

@@ -6,12 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.emulate.m3pi.robot import (
-    EmulatedBattery,
-    EmulatedRobot,
-    FirmwareProgram,
-    SlaveProgram,
-)
+from tetractl.emulate.m3pi.robot import EmulatedRobot, FirmwareProgram, SlaveProgram
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
 from tetractl.model.wheels import Drivetrain, Wheel
@@ -63,12 +58,3 @@ def test_a_slave_drives_on_in_silence_and_firmware_stops():
     assert slave.left == pytest.approx(180.0)
     assert firmware.standing
     assert firmware.x < 100 + 180 * 0.3
-
-
-def test_the_battery_sags_under_load_and_drains():
-    battery = EmulatedBattery(5000.0, sag_mv=200.0, drain_mv_s=1.0)
-    assert battery.voltage_mv(0.5) == 4900
-    battery.draw(1.0, 100.0)
-    assert battery.voltage_mv(0.0) == 4900
-    battery.draw(1.0, 1e6)
-    assert battery.voltage_mv(0.0) == 0

@@ -1,5 +1,7 @@
 """Films: their pictures, what is found of each cell, and how sure that is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from support.dish_films import film, followed, record, who
@@ -7,9 +9,10 @@ from support.needs_opencv import cv2
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
+from tetractl.film.film_files import CROP_PX, cropped
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import summarise
-from tetractl.film.follow import follow
+from tetractl.film.follow import _paths, follow
 from tetractl.film.pictures import open_film
 
 
@@ -124,3 +127,23 @@ def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
     path.write_text(text)
     with pytest.raises(UsageError, match=says):
         read_field(path)
+
+
+def test_a_crop_has_its_cell_in_the_middle():
+    picture = np.random.default_rng(1).integers(0, 256, (600, 800)).astype(np.uint8)
+    half = CROP_PX // 2
+    inside = cropped(picture, SimpleNamespace(x=2.0 * 300.5, y=2.0 * (600 - 200.5)), 2.0)
+    assert np.array_equal(inside, picture[200 - half : 200 + half, 300 - half : 300 + half])
+    corner = cropped(picture, SimpleNamespace(x=1.0, y=2.0 * 600 - 1.0), 2.0)
+    assert np.array_equal(corner[half:, half:], picture[:half, :half])
+    assert not corner[:half].any()
+
+
+def test_what_is_seen_too_briefly_or_does_not_move_is_no_cell():
+    def seen(k):
+        places = {"moves": (4.0 * k, 0.0), "stays": (5.0, 5.0), "brief": (90.0 * k, 9.0)}
+        cells = [SimpleNamespace(identity=name, x=x, y=y) for name, (x, y) in places.items()]
+        return {cell.identity: cell for cell in cells[: 3 if k < 3 else 2]}
+
+    found = _paths([seen(k) for k in range(90)], range(90), 30.0)
+    assert [path.identity for path in found] == ["moves"]

@@ -258,6 +258,14 @@ def test_one_that_nearly_does_as_commanded_goes_on(done):
     assert (guard.state, guard.jumps) == (GuardState.RUN, 0)
 
 
+def test_a_robot_is_stopped_before_it_leaves_the_arena():
+    drive = Drive()
+    guard = drive.go(10.0)
+    assert guard.reason == "green is about to leave the arena"
+    ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
+    assert drive.x == pytest.approx(2000.0 - ahead, abs=3.0)
+
+
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():
     drive = Drive()
     drive.go(0.6)
@@ -344,8 +352,9 @@ class GuardMachine(RuleBasedStateMachine):
     def see(self, a, b, age, fault):
         self.number += 1
         sampled = max(0, self.now - age)
-        self.guard.see(CameraFrame(self.number, sampled, self.now, (a, b), fault=fault))
+        found = self.guard.see(CameraFrame(self.number, sampled, self.now, (a, b), fault=fault))
         if self.exposed is not None and sampled <= self.exposed:
+            assert found is None
             return
         self.exposed = sampled
         for i, pose in enumerate((a, b)):

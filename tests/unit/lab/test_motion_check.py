@@ -119,6 +119,25 @@ def test_a_standing_robot_that_is_seen_to_move_is_noticed():
     assert 50 * after_s < 15.0
 
 
+def test_a_standing_robot_that_is_seen_to_turn_is_noticed():
+    said, after_s = drive(
+        shown=lambda t, x, y, heading: (x, y, heading + 1.25 * t), stop=-0.5, directions=(0.0,)
+    )
+    assert said.startswith(("moves around", "turns"))
+    assert after_s < 0.2
+
+
+def test_a_robot_that_hears_nothing_may_stop_by_its_watchdog():
+    check, before = MotionCheck([SPEED], RADIUS, 2.0), None
+    for k in range(20):
+        check.sent(k * SEND, [SPEED], [0.0], 0.12)
+    for now in range(19 * SEND, 2_000_000_000, FRAME):
+        x = SPEED * min(now, 19 * SEND + WATCHDOG) / 1e9
+        check.frame(now)
+        assert before is None or check.disagrees(0, before, Pose(x, 0, 0)) == ""
+        before = Pose(x, 0, 0)
+
+
 def test_a_gap_in_the_frames_is_bridged():
     check = MotionCheck([SPEED], RADIUS, 2.0)
     for step in range(60):

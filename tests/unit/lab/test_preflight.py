@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
 from support.labs import fake_lab
 from support.trials import experiment
 
+from tetractl.core.poses import Pose
 from tetractl.lab.preflight import inspect
 
 
@@ -44,3 +46,32 @@ def test_a_silent_camera_is_a_problem():
 
     (problem,) = looked_over(silence).problems
     assert problem.startswith("no new camera frame for 0.5")
+
+
+@pytest.mark.parametrize("x", [1000.0, -5000.0])
+def test_what_is_no_robot_must_not_stand_in_the_arena(x):
+    def place(camera):
+        frames = camera.frames
+        camera.frames = lambda: [
+            replace(frame, strangers=(Pose(x, 700.0, 0.0),)) for frame in frames()
+        ]
+
+    inside = ("something else stands in the arena at 1000, 700",)
+    assert looked_over(place).problems == (inside if x > 0 else ())
+
+
+@pytest.mark.parametrize(
+    ("moved", "said"),
+    [
+        ((60.0, 0.0), "green is 60 mm from its start"),
+        ((0.0, -0.5), "green is turned by -0.50 rad from its start heading"),
+        ((20.0, 0.1), None),
+    ],
+)
+def test_a_robot_off_its_start_may_not_drive(moved, said):
+    def carry(camera):
+        camera.world.poses[0] += (moved[0], 0.0, moved[1])
+
+    found = looked_over(carry)
+    assert found.misplaced == ((said,) if said else ())
+    assert found.ready is (said is None)

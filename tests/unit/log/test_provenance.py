@@ -3,8 +3,6 @@
 import json
 import subprocess
 import sys
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +12,7 @@ from tetractl.log import provenance
 
 
 @pytest.fixture
-def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def checkout(tmp_path, monkeypatch):
     """A git checkout in whose tetractl/log/provenance.py we pretend to be."""
     package = tmp_path / "tetractl"
     (package / "log").mkdir(parents=True)
@@ -27,7 +25,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         cached.cache_clear()
 
 
-def _git(folder: Path, *arguments: str) -> str:
+def _git(folder, *arguments):
     names = ("-c", "user.name=a", "-c", "user.email=a@example.org")
     done = subprocess.run(
         ["git", *names, *arguments], cwd=folder, capture_output=True, text=True, check=True
@@ -35,7 +33,7 @@ def _git(folder: Path, *arguments: str) -> str:
     return done.stdout.strip()
 
 
-def test_a_clean_and_a_changed_checkout(checkout: Path) -> None:
+def test_a_clean_and_a_changed_checkout(checkout):
     _git(checkout, "init", "-q")
     _git(checkout, "add", ".")
     _git(checkout, "commit", "-q", "-m", "one")
@@ -55,7 +53,7 @@ def test_a_clean_and_a_changed_checkout(checkout: Path) -> None:
     assert "+changed = True" in json.loads(provenance.environment())["git_diff"]
 
 
-def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout: Path) -> None:
+def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout):
     _git(checkout, "init", "-q")
     (checkout / "theirs.txt").write_text("theirs")
     _git(checkout, "add", "theirs.txt")
@@ -63,7 +61,7 @@ def test_a_package_inside_a_foreign_checkout_has_no_commit(checkout: Path) -> No
     assert "git_commit" not in provenance.versions()
 
 
-def test_without_git_there_is_no_commit(checkout: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_git_there_is_no_commit(checkout, monkeypatch):
     monkeypatch.setenv("PATH", str(checkout))
     facts = provenance.versions()
     assert "git_commit" not in facts

@@ -1,21 +1,17 @@
 """What is written is what is read, bit for bit."""
 
-from pathlib import Path
-
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.random_trials import Made, trial, write
+from support.random_trials import trial, write
 from support.sameness import same
 
 from tetractl.core.commands import Command
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.writer import LogWriter
 
 
-def assert_same_trial(log: TrialLog, made: Made) -> None:
+def assert_same_trial(log, made):
     seen = [sample.observation for sample in made.samples]
     assert log.damage is None
     assert same(log.start, made.start)
@@ -43,14 +39,7 @@ def assert_same_trial(log: TrialLog, made: Made) -> None:
     simulated=st.booleans(),
     length=st.integers(2, 12),
 )
-def test_a_trial_comes_back_bit_for_bit(
-    tmp_path_factory: pytest.TempPathFactory,
-    seed: int,
-    robots: int,
-    steps: int,
-    simulated: bool,
-    length: int,
-) -> None:
+def test_a_trial_comes_back_bit_for_bit(tmp_path_factory, seed, robots, steps, simulated, length):
     made = trial(
         seed, robots=robots, steps=steps, simulated=simulated, length=length, first=min(length, 5)
     )
@@ -58,7 +47,7 @@ def test_a_trial_comes_back_bit_for_bit(
     assert_same_trial(read_trial(path), made)
 
 
-def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path: Path) -> None:
+def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path):
     made = trial(steps=1)
     square = Command(1.25, 17, (True, False, True))
     with LogWriter(tmp_path / "trial.mcap") as writer:
@@ -74,7 +63,7 @@ def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path: Path) -> 
     assert same(log.stop, made.stop)
 
 
-def test_the_result_is_read_without_the_course(tmp_path: Path) -> None:
+def test_the_result_is_read_without_the_course(tmp_path):
     made = trial(index=2)
     path = write(made, tmp_path / "trial.mcap")
     summary = read_result(path)

@@ -1,22 +1,21 @@
 """Times that people read count from the first direction sent; the stamps stay as they are."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from support.random_trials import Made, trial, write
+from support.random_trials import trial, write
 from support.trials import three_robots
 
 from tetractl.core.commands import Note
 from tetractl.log.read.reader import read_trial
-from tetractl.log.read.trial_log import TrialLog, step_gaps
+from tetractl.log.read.trial_log import step_gaps
 from tetractl.log.write.writer import LogWriter
 
 PLACING_NS = 20_000_000_000
 
 
-def later(log: TrialLog, by_ns: int = PLACING_NS) -> TrialLog:
+def later(log, by_ns=PLACING_NS):
     """The same trial, with a clock that started while the robots were still being placed."""
     commands = tuple(replace(one, sent_ns=one.sent_ns + by_ns) for one in log.commands)
     steps = tuple(
@@ -26,7 +25,7 @@ def later(log: TrialLog, by_ns: int = PLACING_NS) -> TrialLog:
     return replace(log, commands=commands, steps=steps, mocap_ns=log.mocap_ns + by_ns)
 
 
-def test_the_axis_starts_with_the_first_direction() -> None:
+def test_the_axis_starts_with_the_first_direction():
     log = three_robots()
     assert log.began_ns == 0
     placed = later(log)
@@ -39,7 +38,7 @@ def test_the_axis_starts_with_the_first_direction() -> None:
     ]
 
 
-def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is() -> None:
+def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is():
     log = later(three_robots())
     stops = tuple(one for one in log.commands if one.direction is None)
     assert stops
@@ -48,14 +47,14 @@ def test_a_stop_is_no_direction_and_no_direction_leaves_the_clock_as_it_is() -> 
     assert replace(log, commands=(stopped_first, *log.commands)).began_ns == PLACING_NS
 
 
-def test_a_log_that_lost_its_first_steps_still_knows_when_it_began() -> None:
+def test_a_log_that_lost_its_first_steps_still_knows_when_it_began():
     log = later(three_robots())
     rest = replace(log, steps=log.steps[7:], commands=log.commands[7:])
     assert rest.began_ns == PLACING_NS
 
 
-def test_notes_come_back_as_they_were(tmp_path: Path) -> None:
-    made: Made = trial(steps=3, simulated=False)
+def test_notes_come_back_as_they_were(tmp_path):
+    made = trial(steps=3, simulated=False)
     notes = (Note(100_000_001, "warning", "robot 1 turns the wrong way"), Note(7, "error", "ü"))
     path = tmp_path / "trial.mcap"
     with LogWriter(path) as writer:
@@ -73,7 +72,7 @@ def test_notes_come_back_as_they_were(tmp_path: Path) -> None:
     assert log.notes[-1] == Note(made.stop.sent_ns, "info", ended)
 
 
-def test_undelivered_commands_and_lost_robots_are_notes(tmp_path: Path) -> None:
+def test_undelivered_commands_and_lost_robots_are_notes(tmp_path):
     made = trial(steps=4, simulated=False)
     texts = [note.text for note in read_trial(write(made, tmp_path / "trial.mcap")).notes]
     lost = sum(np.count_nonzero(~np.array(step.command.delivered)) for step in made.steps)

@@ -7,7 +7,6 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from scipy.integrate import quad, solve_ivp
 
-from tetractl.core.poses import Poses
 from tetractl.core.registries import MOTIONS as REGISTRY
 from tetractl.model.motion.exact import rates
 
@@ -135,27 +134,6 @@ def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t
         assert (turned - heading) * phi >= 0, name
         if name == "exact":  # it never turns past u
             assert abs(turned - heading) <= abs(phi) + 1e-12
-
-
-def test_steps_broadcast_over_particles_and_robots():
-    poses = np.random.default_rng(1).uniform(-1, 1, (3, 7, 2))
-    u = np.random.default_rng(2).uniform(-3, 3, (7, 1))
-    a, v = np.array([6.0, 3.0]), np.array([180.0, 150.0])
-    for motion in (euler, arc, exact):
-        moved = motion(*poses, u, a, v, 0.2)
-        assert {s.shape for s in moved} == {(7, 2)}
-        for n in range(7):
-            for i in range(2):
-                alone = one(motion, *poses[:, n, i], u[n, 0], a[i], v[i], 0.2)
-                assert [s[n, i] for s in moved] == pytest.approx(alone, rel=1e-14)
-
-
-def test_poses_are_columns_of_an_array():
-    array = np.arange(6.0).reshape(2, 3)
-    poses = Poses.of(array)
-    assert poses.array().tolist() == array.tolist()
-    assert poses.xy.tolist() == [[0, 1], [3, 4]]
-    assert poses.heading.tolist() == [2, 5]
 
 
 @pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)

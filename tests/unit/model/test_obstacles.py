@@ -70,14 +70,6 @@ def test_nothing_is_in_no_obstacle():
     assert empty.distance(*at(1, 2))[0] == math.inf
 
 
-def test_obstacles_broadcast():
-    x, y = np.linspace(500, 2000, 5)[:, None], np.linspace(500, 2000, 7)
-    world = Obstacles.of([BOX, DISC])
-    for table in (world.contain(x, y), world.distance(x, y), world.cross(x, y, x + 1, y)):
-        assert table.shape == (5, 7)
-    assert world.distance(x, y)[3, 2] == world.distance(x[3], y[2:3])[0]
-
-
 def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
     check = PathCheck(Obstacles.of([BOX]), ARENA, 3)
     # robot 0 stays clear, 1 jumps over the box between two calls, 2 between two samples of a call

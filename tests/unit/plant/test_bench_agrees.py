@@ -21,9 +21,14 @@ EVEN = (  # the bench of robots that are all as the spec says
 LOSSES = 1e-3  # p of a two-sample test at which the two differ: one false alarm in a thousand
 
 
-@pytest.mark.slow
-def test_total_errors_agree_in_distribution():
-    labs = [lab_trial(lab_spec(), trial).result for trial in range(TRIALS)]
+@pytest.fixture(scope="module")
+def paths():
+    """The trials of the emulated lab."""
+    return [lab_trial(lab_spec(), trial) for trial in range(TRIALS)]
+
+
+def test_total_errors_agree_in_distribution(paths):
+    labs = [path.result for path in paths]
     sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
     assert all(result.outcome.complete for result in (*labs, *sims))
     ours, theirs = ([result.total_error for result in results] for results in (labs, sims))
@@ -102,11 +107,9 @@ def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     assert abs(best) < 0.003
 
 
-@pytest.mark.slow
-def test_the_labs_dead_time_is_what_its_parts_add_up_to():
+def test_the_labs_dead_time_is_what_its_parts_add_up_to(paths):
     """Regression: 0.05 s left no time for frames to be waited for and plans to be computed."""
-    spec = lab_spec()
-    setup = spec.experiment.setup
-    found = [dead_time_s(lab_trial(spec, trial), setup) for trial in range(6)]
-    stated = spec.experiment.controller.dead_time
+    experiment = lab_spec().experiment
+    found = [dead_time_s(path, experiment.setup) for path in paths[:6]]
+    stated = experiment.controller.dead_time
     assert np.median(found) == pytest.approx(stated, abs=0.008)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from tetractl.core.poses import Poses
-from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.experiment.load import parse_spec
 from tetractl.plant.cell_drive import CellDrive, CultureSection
@@ -23,11 +22,11 @@ robots:
 """
 
 
-def setup() -> Setup:
+def setup():
     return parse_spec(SPEC, "cells.yaml").experiment.setup
 
 
-def drive(walk=0.0, seed=1, **section) -> CellDrive:
+def drive(walk=0.0, seed=1, **section):
     known = setup()
     quiet = {"dipole": 0.0, "drift": 0.0} | section
     made = CultureSection.model_validate(quiet)

@@ -13,7 +13,7 @@ from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.tracks import track_of
-from tetractl.replay.recording import Recording
+from tetractl.replay.player import Recording
 from tetractl.replay.redrive import recorded_directions
 from tetractl.replay.verify import verify
 from tetractl.replay.what_if import other_experiment, what_if
@@ -22,7 +22,7 @@ from tetractl.results.trial_tables import steps
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.draw import draw
-from tetractl.view.terminal.replay_text import step_line
+from tetractl.view.terminal.replay_screen import step_line
 
 WHEELS = {"drive": {"rate": 40, "lag": 0.04}, "type": "sim"}
 CELLS = {"type": "sim", "lost_commands": 0.2, "heading_noise": 0.1}

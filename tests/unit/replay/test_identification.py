@@ -9,10 +9,9 @@ from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
-from tetractl.replay.identification.csv_tracks import csv_tracks
 from tetractl.replay.identification.design import propose
 from tetractl.replay.identification.identify import identify
-from tetractl.replay.identification.tracks import Track, drives_of
+from tetractl.replay.identification.tracks import Track, csv_tracks, drives_of
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 EXPECTED = np.array([6.0, 4.0, 3.0])

@@ -5,7 +5,7 @@ import pytest
 from support import random_trials as made
 
 from tetractl.log.read.reader import read_trial
-from tetractl.report import figures
+from tetractl.report.page import lean, of_batch
 from tetractl.view.figures.draw import draw
 from tetractl.view.style import svg
 
@@ -24,7 +24,7 @@ def pictures(html):
 
 
 def test_a_batch_is_drawn_as_plot_draws_it_though_little_of_it_is_kept(logs):
-    shown = figures.of_batch("one & two", [figures.lean(log) for log in logs])
+    shown = of_batch("one & two", [lean(log) for log in logs])
     assert pictures(shown) == [svg(draw(kind, logs)) for kind in ("errors", "scatter")]
     assert shown.count(": one &amp; two<") == 2
-    assert figures.of_batch("", logs[:1]) == ""
+    assert of_batch("", logs[:1]) == ""

@@ -13,7 +13,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.log.read.trial_log import Origin
-from tetractl.results.flagged import flagged
+from tetractl.results.describe import flagged
 from tetractl.results.open_batch import Batch, Damaged
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3))
@@ -71,13 +71,6 @@ def test_arrivals_are_not_known_where_nothing_says_what_arriving_is():
     ]
     assert [found.items["arrived"] for found in arrived] == [None, 0]
     assert [found.items["arrived_ci95"] is None for found in arrived] == [True, False]
-
-
-def test_no_complete_trial_leaves_no_mean():
-    found = group(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
-    assert found.counted == 0
-    assert math.isnan(found.total.mean)
-    assert found.total.ci95.reason == "no values"
 
 
 def test_violations_are_counted_in_trials_whatever_their_outcome():

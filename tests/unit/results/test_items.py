@@ -8,8 +8,7 @@ import pytest
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result, trial
 
 from tetractl.core.plan import Outcome
-from tetractl.core.table.data import json_text
-from tetractl.core.table.table_files import csv_text
+from tetractl.core.table.table_files import csv_text, json_text
 from tetractl.results.contrast import contrast
 from tetractl.results.items import as_items, data_table
 from tetractl.results.open_batch import Damaged

@@ -21,7 +21,7 @@ WORST = number("worst_error", "error of the worst robot", lambda result: max(res
 
 
 @pytest.fixture(autouse=True)
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def registered(monkeypatch):
     monkeypatch.setitem(STATISTICS.builtin, "worst_error", f"{__name__}:WORST")
 
 

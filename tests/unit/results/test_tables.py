@@ -67,16 +67,6 @@ def test_means_keep_three_digits_in_every_unit(scale, mean):
     assert f" {mean} " in printed(group(batch(rows)))
 
 
-def test_small_errors_beside_a_large_published_one_keep_their_own_digits():
-    # down to a millionth of the arena, 2000 mm wide
-    rows = [[0.04123456, 0.01], [0.05543210, 0.01]]
-    text = printed(
-        group(batch(rows, experiment(2, reference=REFERENCE, scale=SCALE, plant=DISTURBED)))
-    )
-    assert " 0.058 " in text
-    assert " -648.5 " in text
-
-
 def test_markdown_has_as_many_cells_in_every_row():
     ours = group(batch(ERRORS, SPEC))
     for table in markdown(tables(contrast([ours, ours]))).split("**")[2::2]:

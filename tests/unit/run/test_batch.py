@@ -82,10 +82,7 @@ def test_trials_run_in_order_and_those_who_watch_learn_the_time_left(monkeypatch
     assert watcher.events == [
         event
         for trial, left_s in ((0, 4.0), (2, 2.0), (3, 0.0))
-        for event in (
-            ("started", trial, 4),
-            ("ended", trial, Outcome.ARRIVED, None, left_s),
-        )
+        for event in (("started", trial, 4), ("ended", trial, Outcome.ARRIVED, None, left_s))
     ]
     assert (report.left, report.interrupted, report.aborted) == (0, False, {})
 
@@ -190,11 +187,6 @@ def test_a_trial_that_kills_its_process_is_run_again_alone_and_then_fails(tmp_pa
     assert "--jobs" in error.hint
     assert (tmp_path / "trial-001.attempt-1.mcap.part").exists()  # of the first time
     assert (tmp_path / "trial-001.mcap.part").exists()
-
-
-def test_logs_are_numbered_with_three_digits_or_more(tmp_path):
-    assert log_path(tmp_path, 7).name == "trial-007.mcap"
-    assert log_path(tmp_path, 12345).name == "trial-12345.mcap"
 
 
 def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, tmp_path):

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from tetractl.core.errors import SpecError
-from tetractl.core.losses import Losses, LossRule
 from tetractl.core.poses import Observation, Poses
+from tetractl.core.tour import Losses, LossRule
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.replay.audit import audit
 from tetractl.replay.verify import verify
-from tetractl.results.flagged import _notes
+from tetractl.results.describe import _notes
 from tetractl.results.outcomes import LOST
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial

@@ -3,9 +3,8 @@ from contextlib import closing
 
 import pytest
 
-from tetractl.core.errors import LogError, TetractlError
-from tetractl.run import relay
-from tetractl.run.relay import Relay
+from tetractl.core.errors import LogError
+from tetractl.run.task import Relay
 
 
 class Watcher:
@@ -51,23 +50,3 @@ def test_a_failure_comes_out_at_the_end_at_the_latest_and_nothing_follows_it():
         with pytest.raises(LogError, match="disk full"):
             observer.on_stop("stop", "result")
     assert watcher.calls == [("on_step", 1)]
-
-
-def test_an_observer_that_cannot_follow_is_an_error_and_blocks_nobody(monkeypatch):
-    monkeypatch.setattr(relay, "SIZE", 5)
-    watcher = Watcher()
-    watcher.gate.clear()
-    with closing(Relay(watcher)) as observer:
-        with pytest.raises(TetractlError, match="too slow"):
-            for i in range(10):
-                observer.on_step(i)
-        watcher.gate.set()
-
-
-def test_a_bug_of_the_observer_is_raised():
-    watcher = Watcher()
-    watcher.on_step = lambda step: 1 / 0
-    with closing(Relay(watcher)) as observer:
-        observer.on_step(1)
-        with pytest.raises(ZeroDivisionError):
-            observer.on_stop("stop", "result")

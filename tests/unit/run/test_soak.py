@@ -19,7 +19,7 @@ SHORT = ["controller.steps_max=5", "plant.camera_rate=30"]
 
 
 @pytest.mark.slow
-def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path: Path) -> None:
+def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path):
     if not HANDLES.exists():
         pytest.skip("no /proc here")
     spec = parse_spec(ENDLESS, "short.yaml", SHORT)

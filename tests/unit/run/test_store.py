@@ -34,14 +34,6 @@ def test_a_new_folder_lacks_every_trial(tmp_path):
     assert trials_to_run(spec(), tmp_path, False) == [0, 1, 2, 3]
 
 
-@pytest.mark.parametrize("name", ["trial-001.mcap", "trial-001.mcap.part", "other.mcap"])
-def test_a_folder_with_logs_is_refused(tmp_path, name):
-    (tmp_path / name).write_bytes(b"")
-    with pytest.raises(UsageError, match="holds logs already") as caught:
-        trials_to_run(spec(), tmp_path, False)
-    assert caught.value.hint
-
-
 def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
     log(tmp_path, 0, Outcome.SEQUENCE_COMPLETED)
     log(tmp_path, 1, Outcome.INTERRUPTED)

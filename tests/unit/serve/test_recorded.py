@@ -8,11 +8,10 @@ from support import random_trials as made
 from tetractl.log.format.channels import SCENE
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.replay.player import RATE_MAX, Playback, Player
-from tetractl.replay.recording import Recording
-from tetractl.serve import feeds
-from tetractl.serve.feeds import ServedReplay
+from tetractl.replay.player import RATE_MAX, Playback, Player, Recording
+from tetractl.serve import live
 from tetractl.serve.foxglove_protocol import Request
+from tetractl.serve.live import ServedReplay
 
 MS = 1_000_000
 
@@ -50,7 +49,7 @@ def contents(tmp_path_factory):
 
 @pytest.fixture
 def play(contents, monkeypatch):
-    monkeypatch.setattr(feeds, "Viewers", Server)
+    monkeypatch.setattr(live, "Viewers", Server)
 
     def opened(**options):
         wall = Wall()
@@ -104,14 +103,6 @@ def test_the_scene_is_sent_at_the_start_and_after_every_seek(play):
         assert shown.server.told[-1].sought
         shown.player.press("right")
     assert len(shown.server.jumps) == 3
-
-
-def test_the_span_is_that_of_the_player(play):
-    shown = play()
-    assert shown.server.span_ns == (
-        shown.start_ns + shown.player.start_ns,
-        shown.start_ns + shown.player.until_ns,
-    )
 
 
 def test_states_are_told_when_they_change(play):

@@ -2,7 +2,7 @@ from support import random_trials as made
 
 from tetractl.core.commands import Command, Note
 from tetractl.log.read.salvage import scan
-from tetractl.serve.feeds import ServedRun
+from tetractl.serve.live import ServedRun
 
 
 class Server:
@@ -75,10 +75,3 @@ def test_while_nobody_looks_only_the_newest_poses_are_encoded():
     start = trial.start.start_unix_ns
     assert times == [start + samples[-1].observation.sampled_ns for samples, _ in trial.rounds]
     assert [entry.topic for entry in sent].count("/controller/step") == 4
-
-
-def test_the_time_goes_to_the_start_of_each_trial():
-    server = Server()
-    for seed in (1, 2):
-        run(made.trial(seed, steps=1), server, Wall())
-    assert server.jumps == [made.trial(1).start.start_unix_ns] * 2

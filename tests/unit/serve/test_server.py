@@ -16,8 +16,7 @@ from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORM
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback
-from tetractl.serve.foxglove_protocol import PlaybackState, Request
-from tetractl.serve.live import BACKLOG, Viewers
+from tetractl.serve.live import BACKLOG, PlaybackState, Request, Viewers
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000

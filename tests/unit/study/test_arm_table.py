@@ -6,9 +6,9 @@ import pytest
 from support.studies import FAILING, STUDY, run
 
 from tetractl.results.estimate import distributions
-from tetractl.study.arm import arm_name, as_cell, as_yaml, shown
 from tetractl.study.arm_table import arms_table, error_of, field_values, write_tables
 from tetractl.study.figure import error_figure, write_figures
+from tetractl.study.load_study import arm_name
 from tetractl.study.options import Logs, Shard
 
 
@@ -128,15 +128,6 @@ def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
 )
 def test_arms_have_names_that_fit_a_file_system(controller, values, name):
     assert arm_name(controller, values) == name
-
-
-def test_values_as_text_and_as_cells():
-    robots = ({"name": "green", "a": 6}, {"name": "red", "a": 3})
-    values = (0.1 + 0.2, 0.1234567, 3, "x", True, (1, 2), [], robots)
-    assert " ".join(map(shown, values)) == "0.3 0.123457 3 x true [1, 2] [] 2"
-    assert [as_cell(v) for v in (0.5, "x", None, (1, 2))] == [0.5, "x", None, "[1, 2]"]
-    assert as_yaml({"a": (1, "ä")}) == '{"a": [1, "ä"]}'
-    assert '"green"' in as_cell(robots)
 
 
 def test_options_are_parsed():

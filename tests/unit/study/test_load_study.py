@@ -7,8 +7,7 @@ from support.studies import STUDY, write
 from tetractl.core.registries import SWEEPS
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.experiment.yaml.schema import schema_json
-from tetractl.study.load_study import load_study, spec_of, study_schema
-from tetractl.study.study import Study
+from tetractl.study.load_study import Study, load_study, spec_of, study_schema
 from tetractl.study.sweep import Range
 
 HEAD = "name: quick\nbase: spec.yaml\n"

@@ -4,7 +4,7 @@ import shutil
 from dataclasses import replace
 
 import pytest
-from support.studies import FAILING, SMALL, run
+from support.studies import SMALL, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
@@ -12,11 +12,9 @@ from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import task
 from tetractl.run.executors import Here
-from tetractl.run.folder_lock import locked
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import OtherCodeError, log_path, run_trial
-from tetractl.study.options import Logs, Shard
-from tetractl.study.repeat import repeat
+from tetractl.study.options import Logs, Shard, repeat
 from tetractl.study.row_store import rows_of
 
 ALL, NONE, FAILED = Logs(float("inf"), True), Logs(0, False), Logs(0, True)
@@ -114,14 +112,6 @@ def test_a_study_of_another_spec_is_not_mixed_in(done):
         run(done, SMALL.replace("seed: 7", "seed: 8"))
 
 
-def test_a_folder_in_use_is_refused(finished):
-    """What the lock does among processes is tested in run/test_folder_lock.py."""
-    folder, ran = finished
-    refused = pytest.raises(UsageError, match="out: in use by process")
-    with locked(folder / "out"), refused, ran.store.opened():
-        pass
-
-
 def test_more_trials_and_values_are_added_to_those_there_are(done):
     more = SMALL.replace("count: 3", "count: 4").replace("[0, 0.1]", "[0, 0.05, 0.1]")
     ran = run(done, more)
@@ -137,19 +127,6 @@ def test_the_trials_of_damaged_rows_are_run_again(done, finished):
     assert [task.key for task in ran.tasks] == [(ARM, 1), (ARM, 2)]
     assert digests(ran.rows) == digests(finished[1].rows)
     assert path.read_bytes().count(b"\n") == 5
-
-
-def test_a_failed_trial_has_a_row_and_is_reported(tmp_path):
-    ran = run(tmp_path, FAILING, logs=FAILED)
-    assert [(arm, trial) for arm, trial, _ in ran.watcher.failures] == [
-        ("speed=1e+308", i) for i in range(4)
-    ]
-    assert all("aborted: the cost is not finite" in why for *_, why in ran.watcher.failures)
-    assert [row.logged for row in ran.rows.values()] == [True] * 4 + [False] * 4
-    for (arm, trial), row in ran.rows.items():
-        if row.logged:
-            assert logged(log_path(tmp_path / "out" / arm, trial)) == row.trial_digest
-    assert ran.counts == (8, 0, 0)
 
 
 def test_a_trial_without_an_outcome_has_no_row_and_is_run_again_the_next_time(
@@ -181,23 +158,6 @@ def test_an_interrupted_trial_leaves_neither_row_nor_log(tmp_path):
     assert ran.report.interrupted
     assert (ran.counts, ran.rows) == ((1, 0, 5), {})
     assert not list(tmp_path.rglob("*.mcap*"))
-
-
-def test_shares_are_disjoint_and_merge_to_the_whole(finished, tmp_path):
-    whole = finished[1]
-    for i in (1, 2):
-        run(tmp_path, SMALL, out=f"share-{i}", logs=ALL, shard=Shard(i, 2))
-    shares = [tmp_path / "share-1", tmp_path / "share-2"]
-    with whole.store.opened():
-        assert whole.store.merge(shares) == 0  # it has them all
-    gathered = run(tmp_path, SMALL, out="gathered", shard=Shard(1, 10_000))
-    with gathered.store.opened():
-        before = len(gathered.rows)
-        assert gathered.store.merge(shares) == 6  # the one for its log
-        assert before == 1
-    assert digests(gathered.rows) == digests(whole.rows)
-    for (arm, trial), row in gathered.rows.items():
-        assert logged(log_path(tmp_path / "gathered" / arm, trial)) == row.trial_digest
 
 
 def test_shares_that_contradict_each_other_are_refused(done):

@@ -21,7 +21,7 @@ def log():
     return cut_short(three_robots(), 5)
 
 
-def milliseconds(path) -> list[int]:
+def milliseconds(path):
     with Image.open(path) as film:
         found = []
         for frame in range(film.n_frames):

@@ -1,11 +1,11 @@
-"""Compiled twins of the readable code in `control`, and nothing that is not checked against it.
+"""Compiled twins of the readable code in `control`; tests check each against its readable version.
 
 Particles are contiguous in memory: an array of signals has shape (L, P), of positions (N, P). A
 kernel is a loop over the particles of one robot that the compiler turns into vector instructions:
-what it calls is written as polynomials, not as calls to the C library, and what belongs to the
-robot is a scalar. Nothing is allocated inside a search, and the interpreter's lock is free. What is
-done once per control step (`identify`, `losses`) is a plain loop over robots and times, which calls
-what it needs: it saves the overhead of NumPy on small arrays.
+its functions are polynomials, not calls to the C library, and quantities of the robot are scalars.
+Nothing is allocated inside a search, and the interpreter's lock is free. What is done once per
+control step (`identify`, `losses`) is a plain loop over robots and times, which calls what it
+needs: it saves the overhead of NumPy on small arrays.
 
 A kernel is compiled once for each class of constants of a motion (`tetractl.model.motion`) and for
 each set of kinds of obstacles (`tetractl.model.shapes`).

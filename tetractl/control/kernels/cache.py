@@ -1,8 +1,8 @@
 """Keeps compiled kernels between runs, in place of numba's own cache.
 
 Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
-unpickles whatever it finds. Here each file holds the SHA-256 of its contents; what does not match
-is compiled again, and what cannot be written is left out, which is said once.
+unpickles whatever it finds. Here each file holds the SHA-256 of its contents; code that does not
+match is compiled again, and a file that cannot be written is left out, with one note.
 """
 
 import hashlib
@@ -29,8 +29,8 @@ _SUM = hashlib.sha256().digest_size
 def sources() -> Iterator[Path]:
     """Yield the files that kernels are compiled from.
 
-    Of a motion or shape that is installed with another package these are all modules near its own
-    in the package, or its own alone if it is in none.
+    For a motion or shape of another package these are all modules in the same folder, or its own
+    file alone if the module is in no package.
     """
     yield from Path(__file__).parent.glob("*.py")
     for registry in (MOTIONS, SHAPES):
@@ -42,9 +42,9 @@ def sources() -> Iterator[Path]:
 
 @cache
 def folder() -> Path | None:
-    """Return the folder for this state of sources and settings, None if none can be made.
+    """Return the cache folder for the present sources and settings, None if none can be made.
 
-    It is in the folder that $NUMBA_CACHE_DIR names, else in the user's cache folder.
+    Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
     name = f"kernels-{digest(set(sources()), compiler_settings())}"
     if given := os.environ.get("NUMBA_CACHE_DIR"):
@@ -72,11 +72,11 @@ class KernelCache:
 
     @property
     def cache_path(self) -> str:
-        """The folder of the files."""
+        """The folder of the cache's files."""
         return str(self._place)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return the code kept for a signature, None if there is none or it is damaged."""
+        """Return the compiled code for a signature, None if the cache has none or it is damaged."""
         target_context.refresh()
         key = self._key(sig, target_context.codegen())
         path = self._path(key)
@@ -88,12 +88,12 @@ class KernelCache:
             return CompileResult._rebuild(target_context, *payload) if kept == key else None
         except FileNotFoundError:
             return None
-        except Exception as error:  # whatever it is, compiling again is the remedy
+        except Exception as error:  # compiling again helps against any of them
             say_once(f"{path.parent}: damaged, compiled again: {error}")
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep the code of a signature."""
+        """Store the compiled code for a signature."""
         key = self._key(sig, data.codegen)
         try:
             stored = dumps((key, data._reduce()))

@@ -17,8 +17,8 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
 X, Y, HEADING, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SINE, COSINE = range(11)
-SIZE = 11  # of a state
-FOLLOWS = 3  # commands that a robot may still follow, the latest and older ones
+SIZE = 11  # numbers in a state
+FOLLOWS = 3  # number of commands that a robot may still follow: the latest and older ones
 STUCK = FOLLOWS  # the slot of a robot that stands although it was sent a direction
 SLOTS = FOLLOWS + 1
 
@@ -26,13 +26,13 @@ SUBSTEP_S = 0.025  # longest step of the prediction
 LOST = 0.05  # probability that a command does not arrive
 STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # how often a robot gets stuck, and for how long
 GATE = 30.0  # squared deviation above which a measurement is an outlier
-LEAST_WEIGHT = -25.0  # ln of the weight that a hypothesis keeps at least
+LEAST_WEIGHT = -25.0  # least ln of a hypothesis's weight
 # time without a fitting hypothesis after which the pose is taken from the camera
 LOST_TRACK_S = 0.3
-SCALE_MEMORY = 400.0  # frames over which the noise is averaged
+SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which the scores of dead times are forgotten
-SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # of the variances, to those expected
-MEAN_CAPPED = 0.8  # of the square of a normal number, capped at 4
+SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
+MEAN_CAPPED = 0.8  # mean of the square of a standard normal number, capped at 4
 _wrap = inlined(wrap)
 
 
@@ -53,7 +53,7 @@ class Bank(NamedTuple):
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
     weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
-    scale: Floats  # (B, N, 2) variances of positions and headings, to those expected
+    scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
     unfit: Floats  # (B, N) how long no hypothesis has fitted [s]
     tau: Floats  # (B,) dead time [s]
     score: Floats  # (B,) ln of the likelihood, up to a constant
@@ -62,7 +62,9 @@ class Bank(NamedTuple):
 
 @compiled(**INLINE_FAST)
 def _advance(model, i, z, cov, u, scale, seconds):
-    """Predict one hypothesis of robot i by (1)-(3), midpoint rule, with its covariance."""
+    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint
+    rule.
+    """
     left = seconds
     while left > 0:
         t = min(left, SUBSTEP_S)
@@ -78,7 +80,11 @@ def _advance(model, i, z, cov, u, scale, seconds):
             z[X] += dx + t * z[FLOW_X]
             z[Y] += dy + t * z[FLOW_Y]
             z[HEADING] += turn
-            by_h, by_a, by_b = 0.5 * (1 + keep), half, 0.5 * (1 - keep)  # of the middle
+            by_h, by_a, by_b = (
+                0.5 * (1 + keep),
+                half,
+                0.5 * (1 - keep),
+            )  # derivatives of the heading in the middle
             for k in range(SIZE):  # rows of F P
                 h, la, b = cov[HEADING, k], cov[LN_A, k], cov[BIAS, k]
                 m = by_h * h + by_a * la + by_b * b
@@ -111,11 +117,12 @@ def _advance(model, i, z, cov, u, scale, seconds):
 
 @compiled(**INLINE_FAST)
 def _correct(z, cov, n, index, factor, off, var):
-    """Update by one number, h z with n entries h[index] = factor, that is `off` from it.
+    """Update by one measured number, `off` from its prediction h z; h has n entries h[index] =
+    factor.
 
-    In Joseph's form, (1 - k h) P (1 - k h)' + k var k': where a hypothesis that nothing fitted for
-    long has a P of many orders more than `var`, what rounding leaves of P - k h P is no covariance.
-    Returns its variance before.
+    P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': if nothing has fitted for
+    long, P is many orders larger than `var`, and rounding would leave P - k h P no covariance.
+    Returns the number's variance before the update.
     """
     gain = np.empty(SIZE)
     total = var
@@ -145,8 +152,8 @@ def _correct(z, cov, n, index, factor, off, var):
 def _measure(model, i, z, cov, scale, pose, squares):
     """Update one hypothesis by a pose (3,); return the ln of its likelihood.
 
-    `squares` (2,) is filled with the mean squared deviation of the position and that of the
-    heading, over their variances; the likelihood of an outlier is that at the gate.
+    `squares` (2,) is filled with the mean squared deviations of position and heading, relative to
+    their variances; an outlier has the likelihood of a pose at the gate.
     """
     index, factor = np.empty(3, dtype=np.int64), np.empty(3)
     c, s, n = math.cos(z[HEADING]), math.sin(z[HEADING]), 1 if model.helix == 0 else 2
@@ -204,7 +211,7 @@ def _copy(bank, b, i, source, slot):
 
 @compiled(**INLINE_FAST)
 def _best(weight, most):
-    """Return the slot below `most` of the greatest weight."""
+    """Return the slot, of the first `most`, with the greatest weight."""
     found = 0
     for s in range(1, most):
         if weight[s] > weight[found]:
@@ -222,16 +229,16 @@ def _rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step):
-    """Let a command act: add the hypotheses that robot i follows it, or did not hear it.
+    """Let a command act: add the hypotheses that robot i follows it, or did not receive it.
 
-    The moment is known to the `step` of the bank's dead times [s].
+    The time of the action is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     most = weight[best]
     place = 0
     for s in range(FOLLOWS):
-        if held[s] == u and weight[s] > -math.inf:  # what repeats a direction changes nothing
+        if held[s] == u and weight[s] > -math.inf:  # a repeated direction changes nothing
             if weight[s] < most + math.log(1 - LOST):
                 _copy(bank, b, i, best, s)
                 weight[s] = most + math.log(1 - LOST)
@@ -254,8 +261,7 @@ def _switch(bank, model, b, i, u, step):
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
-    """Let robot i get stuck, or come free, with the probabilities for the given number of
-    seconds."""
+    """Let robot i get stuck or come free, with the probabilities of that in a given time [s]."""
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     if math.isnan(held[best]):
@@ -322,10 +328,10 @@ def place(bank, b, i, model, pose):
 
 @compiled(**ENTRY_FAST)
 def follow(bank, model, step, since, until, when, u, poses, seen):
-    """Predict every filter from `since` to `until` [s] and update it by what a frame shows.
+    """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
 
-    Commands u (C,) [rad] were sent at times when (C,) [s], NaN stops the robots. poses (N, 3) are
-    those measured, of the robots that are `seen` (N,).
+    Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
+    measured; only those of robots that are `seen` (N,) count.
     """
     least = -math.inf
     for b in range(bank.tau.size):

@@ -10,9 +10,9 @@ the chain rule backwards in time, in `backward`.
 
 Only the headings depend on the step before. They are computed first, as cosine and sine; then the
 steps of a robot are independent of each other, and the loop over them is vector code. So arrays
-over the signals are as long as whole vectors, `width` (L); what is beyond the last signal means
-nothing. Each quantity is an array (N, M) of its own: rows of different ones that lie between each
-other keep the compiler from vector code, as it looks for overlaps over all robots at once.
+over the signals are as long as whole vectors, `width` (L); entries beyond the last signal are
+meaningless. Each quantity is an array (N, M) of its own: with the rows of several quantities
+interleaved, the compiler would not vectorise the loop, as it could not exclude overlaps.
 """
 
 from typing import NamedTuple
@@ -34,14 +34,14 @@ _sincos, _wrap = inlined(sincos), inlined(wrap)
 class Trace(NamedTuple):
     """The arrays that `trace` fills, for N robots and L signals, M = width(L)."""
 
-    cos: Floats  # (N + 1, M) of the headings before each signal and, last, of the signals
+    cos: Floats  # (N + 1, M) of the headings before each signal; last row: of the signals
     sin: Floats  # (N + 1, M)
     path: Floats  # (2, N, M) x and y after each signal
     gradients: Floats  # (5, N, M)
 
 
 def width(length: int) -> int:
-    """Return the length of arrays over a number of signals."""
+    """Return the padded length of arrays over a number of signals."""
     return -(-length // VECTOR) * VECTOR
 
 
@@ -57,8 +57,8 @@ def workspace(headings: Floats, length: int) -> Trace:
 def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     """Predict under signals u (L,) from start (N, 3), with a and v (N,) and drift (4, N).
 
-    `first` and `rest` are constants of the motion for the two periods, whose class decides how the
-    robots move.
+    `first` and `rest` are the motion's constants for the first signal's period and the others';
+    their class decides how the robots move.
     """
     cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
     count, across = a.size, cos.shape[1]
@@ -119,7 +119,9 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
 
 @compiled(**INLINE_FAST)
 def backward(gradients, i, last, east, north, row):
-    """Write to row (L,) how east * x + north * y of robot i after signal `last` depends on u."""
+    """Write to row (L,) the derivative by u of east * x + north * y of robot i after signal
+    `last`.
+    """
     by_heading = 0.0
     for j in range(row.size - 1, last, -1):
         row[j] = 0.0

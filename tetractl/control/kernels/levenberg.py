@@ -2,9 +2,9 @@
 
 The residuals are the 2N coordinates of the misses s_i - tar_i, scaled by one factor so that the sum
 of their squares is sqrt(N sum_i |s_i - tar_i|^2), which f never exceeds, and, for each robot and
-obstacle, the greatest depth of its predicted positions inside; for each pair of robots, by how much
-they come nearer than their separation. L signals answer for few residuals R, so the damped step is
-taken in the small space of the residuals:
+obstacle, the greatest depth of its predicted positions inside; and for each pair of robots, by how
+much they come nearer than their separation. There are far fewer residuals R than signals L, so the
+damped step is computed in the small space of the residuals:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
 
@@ -27,13 +27,13 @@ from tetractl.core.problem import Problem
 
 Integers = NDArray[np.int64]
 
-LARGEST_STEP = 1.0  # of any signal in one iteration [rad]
-DEPTH_WEIGHT = 3.0  # W, of a depth against a miss
-PROGRESS = 0.8  # share of itself that the merit has to fall below in `patience` iterations
+LARGEST_STEP = 1.0  # largest change of any signal in one iteration [rad]
+DEPTH_WEIGHT = 3.0  # weight W of a depth relative to a miss
+PROGRESS = 0.8  # the merit has to fall below this fraction of itself in `patience` iterations
 
 
 class Polish(NamedTuple):
-    """A problem for one sequence at a time, with the arrays that polishing it works in."""
+    """A problem and the working arrays for polishing one sequence at a time."""
 
     start: Floats  # (N, 3) x, y, heading
     target: Floats  # (N, 2)
@@ -42,16 +42,16 @@ class Polish(NamedTuple):
     drift: Floats  # (4, N) cos and sin of the bias, flow
     first_period: float
     period: float
-    first: Any  # constants of the motion, `Lanes`: for the first signal
-    rest: Any  # and for the others
+    first: Any  # `Lanes`, constants of the motion for the first signal
+    rest: Any  # and for the other signals
     obstacles: tuple[Any, ...]  # `PackedShapes`
     traced: Trace
-    depths: Floats  # (N, O) of the deepest position of each robot in each obstacle
-    where: Integers  # (N, O) its index
-    separation: float  # of two robots, 0 for robots that may meet
-    meetings: Floats  # (M,) how far each pair of robots is within the separation at the nearest
-    nearest: Integers  # (M,) the index of the positions where they are nearest
-    other: Floats  # (L,) a row of the second robot of a pair
+    depths: Floats  # (N, O) depth of each robot's deepest position in each obstacle
+    where: Integers  # (N, O) index of that position
+    separation: float  # least distance of two robots, 0 for robots that may meet
+    meetings: Floats  # (M,) separation minus the least distance of each pair of robots
+    nearest: Integers  # (M,) index of the positions with that least distance
+    other: Floats  # (L,) row of the Jacobian for the second robot of a pair
     rows: Floats  # (R, L) the Jacobian
     residual: Floats  # (R,)
     gram: Floats  # (R, R)
@@ -101,7 +101,9 @@ def _trace(work, u):
 
 @compiled(**INLINE_FAST)
 def _merit(work):
-    """The bound of f(u) + DEPTH_WEIGHT times the depth of each robot and obstacle, and meeting."""
+    """Return the bound of f(u) plus DEPTH_WEIGHT times the sum of all depths in obstacles and
+    meetings.
+    """
     path, length = work.traced.path, work.rows.shape[1]
     count_deepest(work.obstacles, path, length, work.depths, work.where)
     merit = 0.0
@@ -123,7 +125,9 @@ def _merit(work):
 
 @compiled(**INLINE_FAST)
 def _find_meetings(work):
-    """Find where each pair of robots is nearest, and how far within the separation."""
+    """Find where each pair of robots is nearest, and by how much it is nearer than the
+    separation.
+    """
     path, m = work.traced.path, 0
     for i in range(work.a.size):
         for k in range(i):
@@ -141,7 +145,7 @@ def _find_meetings(work):
 def _linearise(work, floor, slack):
     """Fill residuals and Jacobian of the path `_merit` has just seen; return the rows in use.
 
-    Obstacles are grown by `slack`, so that what ends on their edge ends outside.
+    Obstacles are grown by `slack`, so that a path pushed to their edge ends outside.
     """
     rows, residual, path, gradients = (
         work.rows,
@@ -177,7 +181,9 @@ def _linearise(work, floor, slack):
 
 @compiled(**INLINE_FAST)
 def _linearise_meetings(work, floor, slack, r):
-    """Add a residual and its row for each pair of robots within the separation; return the rows."""
+    """Add a residual and its row for each pair nearer than the separation; return the number of
+    rows.
+    """
     path, gradients, m = work.traced.path, work.traced.gradients, 0
     for i in range(work.a.size):
         for k in range(i):
@@ -199,7 +205,7 @@ def _linearise_meetings(work, floor, slack, r):
 
 @compiled(**INLINE_FAST)
 def _gram(work, r):
-    """J J' of the first r rows."""
+    """Compute J J' of the first r rows."""
     rows, gram = work.rows, work.gram
     for p in range(r):
         for q in range(p + 1):
@@ -265,7 +271,7 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, factor, hist
     history[0] = merit
     evaluations, damping = 1, 1e-2
     z = 0
-    most = work.residual.size + 1  # evaluations of one iteration
+    most = work.residual.size + 1  # largest number of evaluations in one iteration
     while z < iterations and evaluations + most <= budget and not merit <= tolerance:
         r = _linearise(work, max(tolerance, 1e-9), slack)
         _gram(work, r)

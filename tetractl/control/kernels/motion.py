@@ -16,12 +16,12 @@ from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 
 
-@lru_cache(maxsize=2)  # the searches of one control step ask for the same ones
+@lru_cache(maxsize=2)  # the searches of one control step need the same constants
 def constants(problem: Problem) -> tuple[Any, Any]:
-    """Return the constants of a problem's motion, `Lanes`, for its first signal and the others.
+    """Return the constants of a problem's motion, `Lanes`, for its first signal and for the others.
 
-    They are of one class. Every call for a problem returns the same arrays, which are not to be
-    written to.
+    Both have the same class. Every call for a problem returns the same arrays, which must not be
+    changed.
     """
     a, v, times = problem.a, problem.speed, (problem.first_period, problem.period)
     kind: Any = MOTIONS.load(problem.motion).lanes(a, max(times))
@@ -80,7 +80,7 @@ def _derivatives(lanes, c, s, cu, su, a, v, t):
 def turn(lanes: Any, heading: Any, u: Any, a: Any, t: Any) -> Any:
     """Return the heading of one robot after a time t under direction u, by the motion of `lanes`.
 
-    A motion that has no `turn` of scalars is differentiated as well.
+    For a motion without a `turn` for scalars, its `differentiate` is used.
     """
 
 

@@ -23,8 +23,8 @@ class Polished(NamedTuple):
     signals: Floats  # (K, L), within [-pi, pi]
     costs: Floats  # (K,) J
     steps: Integers  # (K,) iterations
-    evaluations: Integers  # (K,) evaluations of the polish; J took one more
-    merits: Floats  # (K, steps_max + 1) after each iteration
+    evaluations: Integers  # (K,) evaluations of the polish, without the one of J
+    merits: Floats  # (K, steps_max + 1) merit after each iteration
 
 
 def workspace(count: int, length: int, steps_max: int) -> Polished:
@@ -43,10 +43,10 @@ _wrap = compiled(**INLINE_STRICT)(polynomials.wrap)
 
 @compiled(**ENTRY_STRICT)
 def scatter(key, below, share, middle, warm, knots, starts):
-    """Write smooth random sequences to starts (L, P), bit for bit those of NumPy's arithmetic.
+    """Write smooth random sequences to starts (L, P), with the same bits as NumPy's arithmetic.
 
     knots (K, P) are overwritten by the draws 0 ... K P - 1 of the key, from -1 to 1; below (L,) and
-    share (L,) say between which of them each signal lies, as in `tetractl.control.curves`.
+    share (L,) place each signal between two knots, as in `tetractl.control.curves.places`.
     """
     count, particles = knots.shape
     for k in range(count):

@@ -1,4 +1,4 @@
-"""Obstacles against positions: the twins of `Obstacles.contain` and `Obstacles.cross`.
+"""Tests positions against obstacles: the twins of `Obstacles.contain` and `Obstacles.cross`.
 
 `packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; what is compiled
 depends on their classes. Loops over kinds are unrolled by recursion: a tuple of several types has
@@ -14,7 +14,7 @@ from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 
 
 class SingleShape(NamedTuple):
-    """The only obstacle there is, tested at the samples in the loop that moves the robots."""
+    """A problem's only obstacle, tested at the samples inside the loop that moves the robots."""
 
     shape: Any  # PackedShapes of one row
 
@@ -37,8 +37,8 @@ def count_hits(
 ) -> None:
     """Add 1 to hits[i, n] where robot i is in, or came through, any obstacle.
 
-    It is at x, y (N, P), or has come there from x0, y0 (P,) if `swept`. gap (P,) is 1 before and
-    after.
+    The robot is at x, y (N, P); if `swept`, it came there from x0, y0 (P,). gap (P,) is a scratch
+    array, 1 before and after.
     """
 
 
@@ -54,7 +54,9 @@ def _count_hits(packs, x0, y0, x, y, i, swept, gap, hits):
 
 
 def narrow(packs: Any, x0: Any, y0: Any, x: Any, y: Any, i: int, swept: bool, gap: Any) -> None:
-    """Bring gap (P,) down to the least gap of robot i to any obstacle; as `count_hits`."""
+    """Reduce gap (P,) to the least gap of robot i to any obstacle; arguments are those of
+    `count_hits`.
+    """
 
 
 @overload(narrow, jit_options=INLINE_FAST)
@@ -82,10 +84,10 @@ def _narrow(packs, x0, y0, x, y, i, swept, gap):
 def count_deepest(packs: Any, path: Any, length: int, depths: Any, where: Any) -> Any:
     """Find each robot's deepest position in each obstacle; return the number of obstacles.
 
-    path (2, N, M), of which the first `length` count; depths (N, O) [length unit], at most 0 where
-    no position is inside; where (N, O), the index of the first deepest position.
+    path (2, N, M): only the first `length` positions count. depths (N, O) [length unit] are at most
+    0 if no position is inside; where (N, O) is the index of the first deepest position.
     """
-    raise NotImplementedError("called by compiled code only")
+    raise NotImplementedError("only compiled code can call this")
 
 
 @overload(count_deepest, jit_options=INLINE_FAST)
@@ -112,7 +114,7 @@ def _count_deepest(packs, path, length, depths, where):
 
 
 def outward(packs: Any, o: int, x: float, y: float) -> Any:
-    """Return the unit vector that leads (x, y) out of obstacle o of them all."""
+    """Return the unit vector that leads (x, y) out of obstacle o, counted over all kinds."""
 
 
 @overload(outward, jit_options=INLINE_FAST)

@@ -1,4 +1,4 @@
-"""How kernels and what they call are compiled."""
+"""The compiler options of kernels and of the functions they call."""
 
 from collections.abc import Callable
 from functools import cache
@@ -15,9 +15,10 @@ INLINE_FAST: Any = {
     "error_model": "numpy",
     "forceinline": True,
 }
-"""For functions that a kernel calls: they are inlined. A call would cost as much as the loop, and a
-kernel just compiled would call other machine code than one from the cache: results would differ in
-the last bits from run to run."""
+"""For functions that a kernel calls, which are inlined. A call would cost as much as the loop, and
+a freshly compiled kernel would call other machine code than one from the cache, so that results
+would differ in the last bits from run to run.
+"""
 ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
 INLINE_STRICT: Any = {
     "nogil": True,
@@ -25,17 +26,17 @@ INLINE_STRICT: Any = {
     "forceinline": True,
 }
 ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
-"""The same for functions that have to round as NumPy does."""
+"""For functions that have to round exactly as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
-"""For functions of scalars: inlined where they are called."""
+"""For functions of scalars, inlined at each call."""
 
 
 @cache
 def inlined(function: FunctionType) -> Callable[..., Any]:
     """Return a plain function of scalars, compiled together with the plain functions it calls.
 
-    Motions and shapes are written in plain Python and know no compiler: specs are checked without
-    one.
+    Motions and shapes are plain Python without compiler decorators, so that checking a spec does
+    not import the compiler.
     """
     code, scope = function.__code__, function.__globals__
     called = {name: scope.get(name) for name in code.co_names}
@@ -44,7 +45,7 @@ def inlined(function: FunctionType) -> Callable[..., Any]:
 
 
 def entries(rows: Any, i: int, columns: Any) -> Any:
-    """Return rows[i, c] for each c in a tuple of columns, as a tuple."""
+    """Return the tuple of rows[i, c] for each c in a tuple of columns."""
 
 
 @overload(entries, jit_options=INLINE_FAST)

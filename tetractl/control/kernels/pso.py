@@ -20,7 +20,7 @@ class SwarmArrays(NamedTuple):
 
     u: Floats  # (L, P) coordinates
     v: Floats  # (L, P) velocities
-    best: Floats  # (L, P) local bests, one move behind: see `move`
+    best: Floats  # (L, P) local bests, updated by the next `move`
     cost: Floats  # (P,) J(u_n)
     best_cost: Floats  # (P,) J(u_lb,n)
     better: Floats  # (P,) 1 where u_n has just become the local best
@@ -36,7 +36,7 @@ class SwarmRules(NamedTuple):
     cognitive: float
     social: float
     iterations: int
-    budget: int  # evaluations, of which `spent` were used before the first iteration
+    budget: int  # largest number of evaluations; `spent` were used before the first iteration
     spent: int
     stop: int
     window: int
@@ -49,7 +49,7 @@ def update_local_bests(swarm, least):
     """Apply (18), marking in `better` the particles that improved; return the index of the best and
     its J.
 
-    That is -1 and `least` if no particle is below `least`.
+    Returns -1 and `least` if no particle is below `least`.
     """
     leader = -1
     for n in range(swarm.cost.size):
@@ -64,8 +64,9 @@ def update_local_bests(swarm, least):
 
 @compiled(**INLINE_FAST)
 def update_bests(swarm, z):
-    """Apply (18)-(19) after move z. The best of a particle is its coordinate now, or the one it
-    started with."""
+    """Apply (18)-(19) after move z. A particle's best is its present coordinate or its previous
+    best.
+    """
     leader, swarm.history[z] = update_local_bests(swarm, swarm.history[z - 1])
     if leader >= 0:
         fresh = swarm.better[leader] > 0.5
@@ -75,7 +76,9 @@ def update_bests(swarm, z):
 
 @compiled(**INLINE_FAST)
 def stop_reason(history, z, rules):
-    """Return why to stop after iteration z, else PAUSED: the twin of `tetractl.control.stop`."""
+    """Return why to stop after iteration z, or PAUSED to go on: the twin of
+    `tetractl.control.stop`.
+    """
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
     if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):

@@ -1,7 +1,7 @@
 """The cost (7)-(9) of a whole swarm: the twin of `tetractl.control.cost.evaluate`.
 
-Particles are followed signal by signal: `begin`, `follow` for each signal, `add_up`. So a swarm can
-be moved row by row of its signals, while the row is in the processor's cache.
+Particles are simulated signal by signal: `begin`, `follow` for each signal, `add_up`. A swarm's
+signals can therefore be updated row by row, while the row is in the processor's cache.
 """
 
 import math
@@ -26,8 +26,8 @@ class Rollout(NamedTuple):
 
     start: Floats  # (4, N): x, y, cos and sin of the heading
     target: Floats  # (2, N)
-    first: Any  # constants of the motion, `Lanes`: for the first signal
-    rest: Any  # and for the others
+    first: Any  # `Lanes`, constants of the motion for the first signal
+    rest: Any  # and for the other signals
     obstacles: Any  # `SingleShape`, or a tuple of `PackedShapes`
     weight: float
     swept: bool
@@ -88,7 +88,7 @@ def costs(rollout, signals, total):
 
 @compiled(**INLINE_FAST)
 def evaluate(rollout, signals, total):
-    """As `costs`, for kernels."""
+    """The same as `costs`, to be called by kernels."""
     lanes, scratch = views(rollout)
     begin(rollout, lanes, scratch)
     for j in range(signals.shape[0]):
@@ -100,7 +100,7 @@ def evaluate(rollout, signals, total):
 def views(rollout):
     """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap, own_cos_u, own_sin_u).
 
-    To be called outside the loops: each view costs the compiled code a reference count.
+    To be called outside loops, as each view costs a reference count in compiled code.
     """
     a, b = rollout.lanes, rollout.scratch
     return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
@@ -159,7 +159,9 @@ def _follow(rollout, lanes, scratch, signals, j):
 
 
 def _follow_past_one(constants, obstacles):
-    """Return `follow` for a sole obstacle, tested at the samples: one loop does it all."""
+    """Return `follow` for a single obstacle tested at the samples: motion and test share one
+    loop.
+    """
     kind, shape = constants.instance_class, obstacles[0].instance_class
     step, gap_of = inlined(kind.advance), inlined(shape.gap)
     ends_early = hasattr(kind, "finish")
@@ -200,7 +202,7 @@ def _follow_past_one(constants, obstacles):
 
 @compiled(**INLINE_FAST)
 def count_meetings(x, y, separation, hits):
-    """Add 1 to hits[i, n] for each robot before i that is within the separation of it."""
+    """Add 1 to hits[i, n] for each robot before i that is nearer to i than the separation."""
     least = separation * separation
     for i in range(x.shape[0]):
         for k in range(i):

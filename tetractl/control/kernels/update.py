@@ -1,4 +1,4 @@
-"""Particles that move, (14)-(18), with random numbers made where they are used."""
+"""The compiled move of particles, (14)-(18), which draws its random numbers as it goes."""
 
 import math
 
@@ -17,7 +17,7 @@ SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 @compiled(**INLINE_FAST)
 def mixed(z):
-    """Return the 64 bits that the generator makes of its state z; see `tetractl.control.rng`."""
+    """Return 64 random bits, the mix of the generator's state z; see `tetractl.control.rng`."""
     z = (z ^ (z >> S30)) * MIX_1
     z = (z ^ (z >> S27)) * MIX_2
     return z ^ (z >> S31)
@@ -25,12 +25,12 @@ def mixed(z):
 
 @compiled(**INLINE_FAST)
 def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
-    """(14)-(17) of signal j of every particle, with draws first, first + 1, ...
+    """Apply (14)-(17) to signal j of every particle, with draws first, first + 1, ...
 
-    Before it moves, a particle that had just improved leaves its coordinate as its local best,
-    (18): done here, while the row is in the processor's cache.
+    Before that, the coordinate of a particle that has just improved becomes its local best, (18):
+    here, because the row is in the processor's cache.
     """
-    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers, of 31 bits
+    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN
     for n in range(u.shape[1]):
         z = mixed(base + np.uint64(n) * GOLDEN)

@@ -35,40 +35,40 @@ class CrossEntropy(OptimizerSection):
 
     type: Literal["cem"] = "cem"
     particles: int = Field(default=256, ge=2, le=1_000_000)
-    """Samples P of an iteration."""
+    """Number P of samples in an iteration."""
     elite: int = Field(default=16, ge=1, le=1_000_000)
-    """The best samples E of an iteration, which the distribution is moved towards."""
+    """Number E of best samples of an iteration, towards which the distribution is moved."""
     iterations: int = Field(default=80, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
     knots: int = Field(default=24, ge=2, le=1000)
-    """Directions K of a sequence that are drawn, evenly spread over its length."""
+    """Number K of directions drawn for a sequence, evenly spread over its length."""
     spread: Positive = 3.0
-    """Standard deviation of the knots at first, without a warm start [rad]."""
+    """Initial standard deviation of the knots without a warm start [rad]."""
     spread_warm: Positive = 0.3
-    """Standard deviation of the knots at first, around a warm start [rad]."""
+    """Initial standard deviation of the knots around a warm start [rad]."""
     smoothing: float = Field(default=0.4, gt=0, le=1, allow_inf_nan=False)
-    """Weight alpha of an iteration's elite in the distribution of the next."""
+    """Weight alpha of the elite when the distribution is updated."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     @property
     def iterations_max(self) -> int:
-        """Updates of the distribution."""
+        """Largest number of updates of the distribution."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """One iteration and a warm start."""
+        """Evaluations of one iteration and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Every sample of every iteration, and a warm start."""
+        """Evaluations of all samples of all iterations, and a warm start."""
         return self.particles * self.iterations + 1
 
     @property
     def good_enough(self) -> float:
-        """The tolerance."""
+        """The cost J at which a sequence is good enough: `tolerance`."""
         return self.tolerance
 
     def search(

@@ -14,8 +14,8 @@ from tetractl.core.poses import Floats
 from tetractl.core.problem import Problem
 
 NO_LIMIT = 2**62
-BETWEEN_LOOKS = 130_000  # robot-steps between two checks of the deadline, some 0.1 ms
-BETWEEN_SIGNALS = 2_000_000  # and between two chances for Python to see a Ctrl-C
+BETWEEN_LOOKS = 130_000  # robot-steps between two checks of the deadline, about 0.1 ms
+BETWEEN_SIGNALS = 2_000_000  # robot-steps between two returns to Python, which then handles Ctrl-C
 REASONS = {
     kernel.CRITERION: StopReason.CRITERION,
     kernel.ITERATIONS: StopReason.ITERATIONS,
@@ -33,7 +33,7 @@ def pso(
     key: int,
     limits: Limits,
 ) -> Search:
-    """Algorithm 1 with the same draws as the reference, to which it agrees except for rounding."""
+    """Algorithm 1 with the same draws as the reference; results differ only by rounding."""
     rollout = lay_out(problem, section.particles)
     swarm, evaluations = scatter(section, problem, rollout, length, warm, key)
     rules = make_rules(section, key, evaluations, limits)

@@ -36,15 +36,15 @@ class Mppi(OptimizerSection):
 
     type: Literal["mppi"] = "mppi"
     particles: int = Field(default=128, ge=2, le=1_000_000)
-    """Perturbed sequences P of an iteration, the nominal one among them."""
+    """Number P of sequences in an iteration, including the nominal one."""
     iterations: int = Field(default=150, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
     knots: int = Field(default=32, ge=2, le=1000)
-    """Normal knots K of a perturbation, evenly spread over its length."""
+    """Number K of normal knots of a perturbation, evenly spread over its length."""
     noise: Positive = 2.0
-    """Standard deviation s of the knots at first, without a warm start [rad]."""
+    """Initial standard deviation s of the knots without a warm start [rad]."""
     noise_warm: Positive = 0.3
-    """Standard deviation s of the knots at first, around a warm start [rad]."""
+    """Initial standard deviation s of the knots around a warm start [rad]."""
     cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
     """Factor by which s falls from iteration to iteration."""
     temperature: Positive = 0.02
@@ -54,22 +54,22 @@ class Mppi(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Moves of the nominal sequence."""
+        """Largest number of moves of the nominal sequence."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """One iteration."""
+        """Evaluations of one iteration."""
         return self.particles
 
     @property
     def evaluations_max(self) -> int:
-        """Every sample of every iteration."""
+        """Evaluations of all samples of all iterations."""
         return self.particles * self.iterations
 
     @property
     def good_enough(self) -> float:
-        """The tolerance."""
+        """The cost J at which a sequence is good enough: `tolerance`."""
         return self.tolerance
 
     def search(

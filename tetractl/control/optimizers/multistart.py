@@ -1,18 +1,17 @@
-"""Many starts, the best polished by Levenberg-Marquardt: the recommended optimiser.
+"""Many random starts, the best of them polished by Levenberg-Marquardt: the recommended optimiser.
 
 A particle swarm needs some ten thousand rollouts because it learns nothing from a rollout but its
 cost. The cost (8) is smooth, its gradient costs about as much as a rollout, and the number of
 misses (two a robot) is small against the number of signals: Levenberg-Marquardt
 (`tetractl.control.kernels.levenberg`) solves it in a few dozen steps from about every third smooth
-random sequence. What remains global, the way round an obstacle, is left to chance and cheap
-selection:
-each round scatters many smooth sequences, evaluates them in one vectorised rollout and polishes
-only the most promising.
+random sequence. The global part, such as on which side to pass an obstacle, is left to chance and
+cheap selection: each round scatters many smooth sequences, evaluates them in one vectorised rollout
+and polishes only the most promising.
 
-A thorough search hops: it polishes again and again what is left when one of the best few sequences
-so far is moved at random, and keeps the better ones (basin hopping; Wales and Doye, J. Phys. Chem.
-A 101 (1997)). If robots are to go from anywhere to anywhere, most starts end in a corner between
-walls, obstacles and other robots, and hops from nearly good sequences find good ones.
+A thorough search hops: it repeatedly moves one of the best few sequences at random, polishes it,
+and keeps it if it is better (basin hopping; Wales and Doye, J. Phys. Chem. A 101 (1997)). For
+arbitrary starts and targets, most random sequences end in a corner between walls, obstacles and
+other robots, and hops from nearly good sequences find good ones.
 """
 
 from collections.abc import Callable
@@ -33,69 +32,78 @@ from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
 SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
-HOPS = 1000  # of a thorough search for three robots; they grow with the square of the number
-HOP_WORK = 1e9  # evaluations times signals times robots of a thorough search at most, some seconds
-POOL = 6  # sequences that are kept to hop from
-HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop
-HOP_LEAST, HOP_MOST = 0.15, 1.5  # rad by which signals are moved
+HOPS = 1000  # hops of a thorough search for three robots; grows with the square of their number
+HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search, some seconds
+POOL = 6  # number of sequences that are kept to hop from
+HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop, and its patience
+HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
 # cost of a position in an obstacle among hops, as a fraction of the fastest robot's step
 HIT = 0.25
 NO_LIMIT = 2**62
 
 
 class Multistart(OptimizerSection):
-    """Many starts, the best polished by Levenberg-Marquardt; see docs/explanation/solver.md.
+    """Many random starts, the best polished by Levenberg-Marquardt; see docs/explanation/solver.md.
 
-    Each round scatters `particles` smooth random sequences, evaluates them as a swarm is, and
+    Each round scatters `particles` smooth random sequences, evaluates them in one rollout, and
     polishes the best `polished` of them until one has a cost of at most `tolerance`.
     """
 
     type: Literal["multistart"] = "multistart"
     particles: int = Field(default=128, ge=1, le=1_000_000)
-    """Sequences scattered in each round."""
+    """Number of sequences scattered in each round."""
     knots: int = Field(default=12, ge=2, le=1000)
-    """Random directions that each of them passes through, evenly spread over its length."""
+    """Number of random directions that each scattered sequence passes through, evenly spread over
+    its length.
+    """
     polished: int = Field(default=4, ge=1, le=10_000)
-    """The best of a round that are polished."""
+    """Number of sequences polished in each round, the best of the scattered ones."""
     patience: int = Field(default=6, ge=1, le=10_000)
-    """A start whose merit does not fall by a fifth within this many iterations is given up."""
+    """Polishing of a start ends if its merit does not fall by a fifth within this many
+    iterations.
+    """
     polish_steps: int = Field(default=40, ge=1, le=10_000)
-    """Levenberg-Marquardt iterations spent on each at most."""
+    """Largest number of Levenberg-Marquardt iterations for one start."""
     rounds: int = Field(default=8, ge=1, le=10_000)
-    """Rounds of one search without a warm start; with one that cannot be polished, a single one."""
+    """Number of rounds of a search without a warm start. With a warm start there is one round, and
+    only if polishing the start fails.
+    """
     grows: bool = True
-    """Whether `knots`, `patience` and `polish_steps` are those of three robots, and grow with the
-    square of the number of robots."""
+    """Whether `knots`, `patience` and `polish_steps` are meant for three robots, and grow with the
+    square of the number of robots.
+    """
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     @property
     def iterations_max(self) -> int:
-        """Iterations spent on one start at most."""
+        """Largest number of iterations for one start."""
         return self.polish_steps
 
     @property
     def evaluations_min(self) -> int:
-        """One round and a warm start."""
+        """Evaluations of one round and a warm start."""
         return self.particles + 1
 
     @property
     def good_enough(self) -> float:
-        """The tolerance."""
+        """The cost J at which a sequence is good enough: `tolerance`."""
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return how many times as many knots and iterations a problem needs as for 3 robots."""
+        """Return the factor by which a problem needs more knots and iterations than one of 3
+        robots.
+        """
         return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals, from `warm` or from nothing.
+        """Search sequences of `length` signals, from `warm` or from random starts.
 
-        A warm start is polished first; only if that fails is one round scattered, half of it
-        around the warm start. The history holds J before and after each polish and, in between, the
-        merit of its steps: (8) plus the depths inside obstacles.
+        A warm start is polished first; if that fails, one round is scattered, half of it around the
+        warm start. The history holds J before and after each polish and, in between, the merit of
+        its steps: (8) plus the depths inside obstacles.
         """
         progress = _PolishedProgress(self, problem, length, warm, limits)
         if limits.thorough:
@@ -113,7 +121,9 @@ class Multistart(OptimizerSection):
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return 1 if even straight lines at full speed leave a cost above the tolerance."""
+        """Return the number of rounds: 1 if even straight lines at full speed leave a cost above
+        the tolerance.
+        """
         gaps = problem.poses.distances(problem.targets)
         beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds
@@ -135,7 +145,9 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         self.section, self.problem, self.warm = section, problem, warm
         self.kernels = multistart
-        self.many: Callable[[Floats], Floats] | None = None  # few warm starts need it
+        self.many: Callable[[Floats], Floats] | None = (
+            None  # made when needed, as few warm starts need it
+        )
         self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period
@@ -177,26 +189,26 @@ class _PolishedProgress(Progress):
         )
 
     def try_one(self, signals: Floats) -> None:
-        """Evaluate one sequence."""
+        """Evaluate one sequence and note its cost."""
         found = np.empty(1)
         self.costs(self.one, np.ascontiguousarray(signals[:, None]), found)
         require_finite(found)
         self.add(signals[:, None], found)
 
     def polish(self, starts: Floats) -> None:
-        """Polish sequences (K, length) in turn until one is good enough; the best is kept."""
+        """Polish sequences (K, length) in turn until one is good enough; keep the best."""
         first = 0
         while first < len(starts) and self.affords(2):
             last = first + 1 if self.limits.timed else len(starts)
             first += self._polish_some(starts[first:last])
 
     def hop(self, key: int) -> None:
-        """Polish moved sequences until one is good enough, from the best POOL of them so far.
+        """Hop: polish randomly moved copies of the best POOL sequences until one is good enough.
 
-        A hop adds a curve of random size and knots to all signals or to a span of them, or takes
-        out one signal and puts in another elsewhere. Those in the pool are compared by the merit of
-        the polish, which tells how deep in an obstacle a path is, and by the positions in obstacles
-        that are left.
+        A hop adds a curve of random size and knots to all signals or to a span of them, or removes
+        one signal and inserts another elsewhere. Sequences in the pool are compared by the merit of
+        the polish, which measures how deep in an obstacle a path is, and by the number of positions
+        left in obstacles.
         """
         pool: list[tuple[float, Floats]] = []
         found, length = self.polished, self.length
@@ -248,7 +260,7 @@ class _PolishedProgress(Progress):
 
 
 def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:
-    """Return a sequence of `length` signals to polish next; see `_PolishedProgress.hop`."""
+    """Return a randomly moved copy of a sequence, to polish next; see `_PolishedProgress.hop`."""
     which, way, size, count, first, second = draws[:6]
     knots = 2 * draws[8:] - 1
     if len(pool) < POOL:

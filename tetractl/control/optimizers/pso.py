@@ -38,25 +38,25 @@ class PsoFields(OptimizerSection):
     social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
     """Weight c2 of (14), towards the swarm's best."""
     stop: Stop = PaperStop(type="paper")
-    """When a search ends before `iterations`."""
+    """Criterion by which a search ends before `iterations`."""
 
     @property
     def iterations_max(self) -> int:
-        """z_max."""
+        """Largest number of iterations z_max."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """The scattered particles and a warm start."""
+        """Evaluations of the scattered particles and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Every particle in every iteration, and a warm start."""
+        """Evaluations of all particles in all iterations, and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" and "stopped" if the history does not lead to them."""
+        """Yield "evaluations" and "stopped" if the logged values contradict the history."""
         if not len(found.history):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:
@@ -143,7 +143,7 @@ def pso(
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
         swarm.u_gb, swarm.cost = swarm.best[leader].copy(), float(swarm.best_cost[leader])
-    else:  # lines 4-5: taken without comparison with the swarm; (19) compares
+    else:  # lines 4-5: taken without a comparison with the swarm, which (19) makes
         swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
         evaluations += 1
     history = [swarm.cost]

@@ -1,1 +1,3 @@
-"""Tables, and the one place that writes them: to read (show), and as data (files, data)."""
+"""Tables, and all code that writes them: for readers (terminal_table) and as data (table_files,
+data).
+"""

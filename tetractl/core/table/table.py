@@ -1,12 +1,47 @@
 """A table: columns of values, each with a name, a unit and a format for readers."""
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
-from tetractl.core.table.numbers import NONE
+NONE = "-"
+"""The text for an unknown value."""
+
+
+def fixed(decimals: int) -> Callable[[float], str]:
+    """Return a format with the given number of decimals."""
+
+    def show(value: float | None) -> str:
+        return NONE if value is None or not math.isfinite(value) else f"{value:.{decimals}f}"
+
+    return show
+
+
+def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
+    """Return a format for lengths of about `scale`: three digits, one decimal below 1000.
+
+    The format has at most `finest` decimals.
+    """
+    scale = abs(scale)
+    size = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
+    return fixed(min(max(2 - size, int(size < 3)), finest))
+
+
+def digits(value: float) -> str:
+    """Return a number as text with three significant digits."""
+    if value <= 0 or not math.isfinite(value):
+        return fixed(0)(value)
+    return fixed(min(max(2 - math.floor(math.log10(value)), 0), 9))(value)
+
+
+def p_value(p: float) -> str:
+    """Return a p-value as text with two digits."""
+    if not math.isfinite(p):
+        return NONE
+    return f"{p:.2g}" if p >= 0.001 else "< 0.001"
 
 
 def as_text(value: Any) -> str:
@@ -16,7 +51,7 @@ def as_text(value: Any) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """The values of one quantity, one per row; None or NaN if it is not known.
+    """The values of one quantity, one per row; None or NaN if unknown.
 
     A reader sees each value through `format`, below the heading "name [unit]"; a data file holds
     the values themselves, below `name_unit`. Columns of `words` are left-aligned and may be
@@ -36,7 +71,7 @@ class Column:
 
     @property
     def key(self) -> str:
-        """The column's name in a data file: its unit is the end of it, such as `speed_mm_s`."""
+        """The column's name in a data file, which ends in the unit, such as `speed_mm_s`."""
         return f"{self.name}_{self.unit.replace('/', '_')}" if self.unit else self.name
 
     @property
@@ -67,8 +102,8 @@ class Table:
     def of_texts(
         cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
     ) -> Self:
-        """Return a table of words; columns, except the first, that are empty in all rows are left
-        out.
+        """Return a table of words without columns that are empty in all rows; the first column is
+        kept.
 
         A cell is empty if it is "" or "-".
         """
@@ -96,7 +131,7 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether columns other than the first are words."""
+        """Whether any column other than the first is of words."""
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:
@@ -108,7 +143,7 @@ class Table:
         return Table(self.title, (*first, *self.columns), self.note)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values by column, as a data frame takes them."""
+        """Return the values by column key, to make a data frame from."""
         return {column.key: column.values for column in self.columns}
 
 

@@ -1,12 +1,17 @@
-"""Writes tables as data: CSV after RFC 4180, and Parquet by pyarrow; reads CSV."""
+"""Writes tables as data: JSON, CSV after RFC 4180, and Parquet by pyarrow; reads CSV."""
 
 import csv
 import io
+import json
+import math
 from collections.abc import Iterator, Mapping
+from dataclasses import asdict, is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Protocol, Self, TextIO
+
+import numpy as np
 
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.table.table import Column, Table
@@ -16,10 +21,10 @@ PART = ".part"
 
 
 class TableFile(Protocol):
-    """A file of one table, to which rows are added."""
+    """A file of one table that grows by rows."""
 
     def add(self, table: Table) -> None:
-        """Add rows; the columns are those of the first call."""
+        """Add rows, with the same columns as in the first call."""
         ...
 
     def close(self) -> None:
@@ -28,7 +33,7 @@ class TableFile(Protocol):
 
 
 class CsvFile:
-    """A table as CSV: UTF-8, a header, empty cells for what is not known."""
+    """A table as CSV: UTF-8, a header, empty cells for unknown values."""
 
     def __init__(self, path: Path) -> None:
         self._file = path.open("w", encoding="utf-8", newline="")
@@ -61,7 +66,7 @@ def _write_csv(table: Table, stream: TextIO, header: bool) -> None:
 def _cells(values: list[Any]) -> list[Any]:
     """Return cells as R, MATLAB and spreadsheets read them: truth values as true and false.
 
-    A text that a spreadsheet would compute gets an apostrophe in front.
+    Text that a spreadsheet would evaluate gets an apostrophe in front.
     """
     if any(isinstance(value, bool) for value in values):
         return [str(v).lower() if isinstance(v, bool) else v for v in values]
@@ -71,15 +76,15 @@ def _cells(values: list[Any]) -> list[Any]:
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a CSV file by column; raises UsageError if it is none."""
+    """Yield the rows of a CSV file by column; raises UsageError if the file is not CSV."""
     if path.exists() and not path.is_file():
-        raise UsageError(f"{path}: is no regular file")
+        raise UsageError(f"{path}: is not a regular file")
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             for row in csv.DictReader(stream):
                 yield {key: value or "" for key, value in row.items() if key}
     except (UnicodeDecodeError, csv.Error) as error:
-        raise UsageError(f"{path}: is no CSV file: {error}") from None
+        raise UsageError(f"{path}: is not a CSV file: {error}") from None
 
 
 class ParquetFile:
@@ -108,7 +113,9 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a pyarrow array; without any known value it is of text if of words, else of numbers"""
+    """Return a pyarrow array; if no value is known, its type is text for words, otherwise a
+    number.
+    """
     import pyarrow
 
     values = column.known
@@ -150,9 +157,9 @@ class TableFiles:
         return self
 
     def add(self, name: str, table: Table, source: str = "") -> None:
-        """Add rows to the file `name`; `source` is where they are from.
+        """Add rows to the file `name`; `source` names their origin.
 
-        Raises UsageError if the columns are not those of the rows before.
+        Raises UsageError if the columns differ from those of earlier rows.
         """
         keys = [column.key for column in table.columns]
         known = self._keys.setdefault(name, keys)
@@ -192,3 +199,42 @@ def _part(path: Path) -> Path:
 
 def _refused(error: OSError) -> LogError:
     return LogError(f"{error.filename or 'table'}: cannot write the table: {error.strerror}")
+
+
+def json_text(value: Any, indent: int | None = 2) -> str:
+    """Return JSON of plain data, dataclasses and arrays; a number that is not finite becomes
+    null.
+    """
+    return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
+
+
+def plain(value: Any) -> Any:
+    """Convert data to dictionaries, lists, texts and finite numbers; other numbers become None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = asdict(value)
+    if isinstance(value, np.ndarray | np.generic):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested items as one level: a `ci95` pair becomes `low` and `high`, lists become
+    text.
+    """
+    found: dict[str, Any] = {}
+    for key, value in items.items():
+        name = f"{prefix}{key}"
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{name}_")
+        elif key == "ci95":
+            low, high = value or (None, None)
+            found |= {f"{prefix}low": low, f"{prefix}high": high}
+        else:
+            found[name] = "; ".join(map(str, value)) if isinstance(value, list | tuple) else value
+    return found

@@ -5,18 +5,17 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-from tetractl.core.table.numbers import NONE
-from tetractl.core.table.table import Table
+from tetractl.core.table.table import NONE, Table
 from tetractl.core.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 WIDTH = 120
-"""Characters of a line if there is no terminal; words that are longer are not broken."""
+"""Line width in characters if there is no terminal; a longer word is not broken."""
 
 WORDS = 16
-"""Least width of a column of words there, if any of them are as wide."""
+"""Least width of a column of words without a terminal, if any of its words are that wide."""
 
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a column that breaks its lines
@@ -53,7 +52,7 @@ def _print(table: Table, console: "Console") -> None:
     shown = RichTable(box=box.SIMPLE_HEAD, show_edge=False)
     for i, column in enumerate(table.columns):
         texts = [column.heading, *column.texts]
-        # without a terminal names, paths and numbers stay in one piece, and words are wrapped
+        # without a terminal, names, paths and numbers are not broken, and words are wrapped
         whole = not console.is_terminal and (i == 0 or not column.words)
         if whole:
             least = max(map(cell_len, texts))
@@ -102,8 +101,8 @@ def _markdown(text: str) -> str:
 def latex(tables: Sequence[Table]) -> str:
     r"""Return `tabular` and `tabularx` environments that fit the width of the text.
 
-    The document needs the packages booktabs, graphicx and tabularx. Numbers are made smaller if
-    they are wider than the text, words wrapped. Below numbers stand the table's title and note.
+    The document needs the packages booktabs, graphicx and tabularx. Numbers wider than the text are
+    set in a smaller size, words are wrapped. The table's title and note stand below numbers.
     """
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
     for table in tables:
@@ -140,15 +139,16 @@ def _latex_cell(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    """Return text with its special characters written out, breakable after the parts of a path."""
+    """Return text with LaTeX's special characters escaped; a path may break after each part."""
     text = printable(text).strip().translate(_SPECIAL)
     text = _MINUS.sub("$-$", text).replace("[um]", r"[$\mu$m]")
     return text.replace("/", r"/\allowbreak{}")
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return HTML tables, each in an element that scrolls; `links` are targets by cell text of a
-    first column."""
+    """Return HTML tables, each in an element that scrolls; `links` maps the text of a first-column
+    cell to the address it links to.
+    """
     return "".join(_html(table, links or {}) for table in tables)
 
 

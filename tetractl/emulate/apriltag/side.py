@@ -1,18 +1,267 @@
-"""The emulated camera of type `apriltag`: its settings and faults, and pictures of the bodies."""
+"""The emulated camera of type `apriltag`: its settings and faults, and pictures of the bodies.
 
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, ClassVar
+The arena is drawn as a camera would see it: optics, floor, tags, blur, noise. Nothing here is a
+real picture: an emulated camera is a pinhole with known optics, so that what is found in its
+pictures can be compared with the truth.
+"""
 
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Self
+
+import cv2
 import numpy as np
+from numpy.typing import NDArray
 
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Grey, Poses
-from tetractl.emulate.apriltag.renderer import Optics, Renderer
+from tetractl.core.setup import MM
 from tetractl.emulate.faults import Fault, Undo, Visible, fault
 from tetractl.emulate.sides import Body, Stage
 from tetractl.emulate.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
 from tetractl.experiment.base import Model, Name, NonNegative
-from tetractl.lab.cameras.apriltag.section import AprilTagSection
+from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
+from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
+
+
+@dataclass(frozen=True, slots=True)
+class Optics:
+    """A pinhole camera that looks from `position` at `target` [m, z up], and its faults.
+
+    `up` is the direction on the floor that is up in the picture [rad]. `distortion` holds OpenCV's
+    k1, k2, p1, p2 and, optionally, k3. `blur_px` is the lens's Gaussian blur, `exposure_s` the time
+    during which motion smears, `gain` multiplies the light, `noise` is the standard deviation of
+    each pixel in grey levels at gain 1.
+    """
+
+    width: int
+    height: int
+    focal_px: float
+    position: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: float = math.pi / 2
+    distortion: tuple[float, ...] = ()
+    blur_px: float = 0.7
+    exposure_s: float = 0.004
+    noise: float = 2.0
+    gain: float = 1.0
+
+    @classmethod
+    def facing(
+        cls,
+        floor: Sequence[FloorTag],
+        metres: float,
+        width: int,
+        height: int,
+        view: float = 1.1,
+        tilt: float = 0.35,
+        up: float = math.pi / 2,
+    ) -> Self:
+        """Return the nearest camera that sees all floor tags with some margin.
+
+        `view` is the horizontal angle of view [rad] and `tilt` the angle between the optical axis
+        and the vertical [rad].
+        """
+        centres = np.array([tag.at for tag in floor]) * metres
+        around = 0.75 * max(tag.size_mm for tag in floor) * MM  # centre to the card's corner
+        low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
+        corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
+        focal = width / 2 / math.tan(view / 2)
+        x, y = map(float, (low + high) / 2)
+        back = math.sin(tilt) * math.cos(up), math.sin(tilt) * math.sin(up)
+        made = cls(width, height, focal, (x, y, 0.0), (x, y, 0.0), up)
+        for distance in (np.geomspace(0.05, 100.0, 800) * np.hypot(*(high - low))).tolist():
+            at = (x - distance * back[0], y - distance * back[1], distance * math.cos(tilt))
+            pixels = replace(made, position=at).project(corners)
+            size = np.array([width, height])
+            if (np.ptp(pixels, axis=0) < 0.96 * size).all():
+                return replace(made, position=at).centred(corners)
+        raise ValueError("the floor tags fit in no picture")
+
+    def centred(self, corners: Floats) -> Self:
+        """Return the camera turned so that points (M, 3) [m] lie in the middle of the picture."""
+        made = self
+        for _ in range(8):
+            pixels = made.project(corners)
+            middle = (pixels.min(axis=0) + pixels.max(axis=0)) / 2
+            x, y, _ = made.ground(middle)
+            made = replace(made, target=(float(x), float(y), 0.0))
+        return made
+
+    @property
+    def matrix(self) -> Floats:
+        """The intrinsic matrix K, (3, 3), pixel centres at whole numbers."""
+        across, down = (self.width - 1) / 2, (self.height - 1) / 2
+        return np.array([[self.focal_px, 0, across], [0, self.focal_px, down], [0, 0, 1]])
+
+    @property
+    def axes(self) -> Floats:
+        """The camera's right, down and forward in the arena's axes, (3, 3): a rotation."""
+        forward = np.subtract(self.target, self.position)
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, (math.cos(self.up), math.sin(self.up), 0.0))
+        right /= np.linalg.norm(right)
+        return np.array([right, np.cross(forward, right), forward])
+
+    def project(self, points: Floats) -> Floats:
+        """Return the pixels (M, 2) of points (M, 3) [m], before distortion."""
+        seen = (points - np.array(self.position)) @ self.axes.T
+        return (seen[:, :2] / seen[:, 2:]) * self.focal_px + self.matrix[:2, 2]
+
+    def ground(self, pixel: Floats) -> Floats:
+        """Return where the ray of a pixel (2,) meets the floor, (3,) [m]."""
+        ray = np.append((pixel - self.matrix[:2, 2]) / self.focal_px, 1.0) @ self.axes
+        return np.array(self.position) - ray * self.position[2] / ray[2]
+
+
+FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
+MODULE_PX = 16  # of a tag's texture
+CARD = MODULES + 2  # modules of a printed tag's side, white margin included
+FINE = 4  # sub-pixels of a pixel's side: a pixel is the mean of its area
+SUB_EXPOSURES = 6
+STILL_PX = 0.05
+SPARE = 64  # pixels by which the field of noise is larger than a picture
+
+Shades = NDArray[np.float32]
+
+
+@dataclass(slots=True)
+class Renderer:
+    """Renders robots with tags, floor tags and optics; the same seed gives the same pictures.
+
+    `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn, those
+    in `strays` also lie on the floor.
+    """
+
+    robots: Sequence[RobotTag]
+    floor: Sequence[FloorTag]
+    metres: float
+    optics: Optics
+    seed: int = 0
+    hidden: set[int] = field(default_factory=set)
+    strays: list[FloorTag] = field(default_factory=list)
+    _textures: dict[int, Shades] = field(default_factory=dict)
+    _empty: tuple[frozenset[int], Shades] | None = None
+    _noise: Shades | None = None
+    _bent: tuple[Shades, Shades] | None = None
+    _pictures: int = 0
+
+    def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
+        """Return the picture (height, width) whose exposure has its middle at `exposed_ns`.
+
+        `poses_at(t_ns)` returns the robots' poses, in the spec's unit.
+        """
+        canvas = self._background().copy()
+        half = self.optics.exposure_s * SECOND / 2
+        moments = half * (2 * np.arange(SUB_EXPOSURES) + 1 - SUB_EXPOSURES) / SUB_EXPOSURES
+        poses = [poses_at(exposed_ns + round(moment)) for moment in moments]
+        for i, robot in enumerate(self.robots):
+            if robot.tag in self.hidden:
+                continue
+            corners = [self.card(robot, each, i) for each in poses]
+            still = np.ptp(corners, axis=0).max() < STILL_PX
+            self._stamp(canvas, self._texture(robot.tag), corners[:1] if still else corners)
+        for stray in self.strays:
+            self._lay(canvas, stray)
+        return self._finished(canvas)
+
+    def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
+        """Return the pixels of the corners of robot i's card before distortion, (4, 2).
+
+        The card is the tag with its white margin; its top left corner comes first, then clockwise.
+        """
+        heading = poses.heading[i] - robot.heading_offset
+        return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
+
+    def _card(
+        self, at: tuple[float, float], height_mm: float, heading: float, side_mm: float
+    ) -> Floats:
+        half = side_mm * MM * CARD / MODULES / 2
+        square = half * np.array([(-1, 1), (1, 1), (1, -1), (-1, -1)])
+        cos, sin = math.cos(heading), math.sin(heading)
+        flat = square @ np.array([(cos, sin), (-sin, cos)]) + self.metres * np.array(at)
+        return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
+
+    def _background(self) -> Shades:
+        """The floor with its tags; drawn once, and again when other tags are hidden."""
+        hidden = frozenset(self.hidden)
+        if self._empty is None or self._empty[0] != hidden:
+            light = np.linspace(0.92, 1.06, self.optics.width)  # a window at one side
+            canvas = np.tile(FLOOR * light, (self.optics.height, 1)).astype(np.float32)
+            for tag in self.floor:
+                if tag.tag not in hidden:
+                    self._lay(canvas, tag)
+            self._empty = hidden, canvas
+        return self._empty[1]
+
+    def _lay(self, canvas: Shades, tag: FloorTag) -> None:
+        corners = self._card(tag.at, 0.0, tag.heading, tag.size_mm)
+        self._stamp(canvas, self._texture(tag.tag), [corners])
+
+    def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
+        """Draw a card into the canvas, averaged over its positions during the exposure."""
+        corners = np.concatenate(exposures)
+        low = np.maximum(np.floor(corners.min(axis=0)).astype(int) - 1, 0)
+        high = np.minimum(np.ceil(corners.max(axis=0)).astype(int) + 2, canvas.shape[::-1])
+        if (low >= high).any():
+            return
+        across, down = (high - low).tolist()
+        side = len(texture)
+        source = np.array([(0, 0), (side, 0), (side, side), (0, side)], np.float32) - 0.5
+        ink = np.zeros((down, across, 2), np.float32)
+        for each in exposures:
+            fine = (each - low + 0.5) * FINE - 0.5
+            turn = cv2.getPerspectiveTransform(source, fine.astype(np.float32))
+            drawn = cv2.warpPerspective(texture, turn, (across * FINE, down * FINE))
+            ink += cv2.resize(drawn, (across, down), interpolation=cv2.INTER_AREA)
+        ink /= len(exposures)
+        part = canvas[low[1] : high[1], low[0] : high[0]]
+        part *= 1 - ink[..., 1]
+        part += ink[..., 0]
+
+    def _texture(self, number: int) -> Shades:
+        """A card's grey levels and its coverage, (side, side, 2)."""
+        if number not in self._textures:
+            modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
+            grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
+            cover = np.stack([grey, np.ones_like(grey)], axis=-1)
+            self._textures[number] = cover.astype(np.float32)
+        return self._textures[number]
+
+    def _finished(self, canvas: Shades) -> Grey:
+        """Distort, blur, add noise and amplify."""
+        optics = self.optics
+        if any(optics.distortion):
+            columns, rows = self._undistorted()
+            straight = canvas.copy()
+            cv2.remap(straight, columns, rows, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
+        if optics.blur_px:
+            cv2.GaussianBlur(canvas, (0, 0), optics.blur_px, canvas)
+        if optics.noise:
+            canvas += optics.noise * self._grain(*canvas.shape)
+        return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
+
+    def _grain(self, height: int, width: int) -> Shades:
+        """Standard normal pixels: another window into one field for each picture."""
+        if self._noise is None:
+            draw = np.random.default_rng(self.seed).standard_normal
+            self._noise = draw((height + SPARE, width + SPARE), np.float32)
+        self._pictures += 1
+        place = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE, 2)
+        return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
+
+    def _undistorted(self) -> tuple[Shades, Shades]:
+        """Columns and rows of each pixel of the distorted picture in the undistorted one."""
+        if self._bent is None:
+            optics = self.optics
+            rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
+            pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+            lens = np.array(optics.distortion)
+            ideal = cv2.undistortPoints(pixels, optics.matrix, lens, P=optics.matrix)
+            ideal = ideal.reshape(optics.height, optics.width, 2).astype(np.float32)
+            self._bent = ideal[..., 0].copy(), ideal[..., 1].copy()
+        return self._bent
 
 
 class AprilTagSettings(StreamSettings):

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds, Setup
-from tetractl.lab.actuators.field.coils import Coils, Pair
+from tetractl.lab.actuators.field.section import Coils, Pair
 from tetractl.model.swimmers import Swimmers
 
 FIELD_NS = 1_000_000  # between two looks at the driver's currents

@@ -20,13 +20,14 @@ from tetractl.lab.actuators.xbee.frames import (
     EXPLICIT_RECEIVE,
     AtCommand,
     AtResponse,
+    Decoder,
     Other,
     Receive16,
     Transmit16,
     TransmitStatus,
     XbeeFrame,
+    encode,
 )
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.hardware import BAUDS
 
 RSSI = 40  # -dBm

@@ -27,9 +27,8 @@ from tetractl.emulate.sides import Facts, Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
-from tetractl.lab.actuators.xbee.frames import Transmit16
-from tetractl.lab.actuators.xbee.framing import Decoder
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
+from tetractl.lab.actuators.xbee.frames import Decoder, Transmit16
 from tetractl.lab.cobs import Splitter
 
 Note = Callable[..., None]
@@ -201,7 +200,6 @@ class EmulatedM3pi(PluggedDevice):
         ]
         self.port = PseudoPort(stage.options.link or Path(section.port))
         module = _module(section, settings)
-        slave = isinstance(section.protocol, SlaveSection)
         self.radio = EmulatedRadio(
             stage.timeline,
             self.port,
@@ -210,7 +208,7 @@ class EmulatedM3pi(PluggedDevice):
             [_address(section, name) for name in stage.setup.names],
             settings.loss,
             stage.options.seed,
-            CommandLog(module.mode, slave, stage.note).read,
+            CommandLog(module.mode, not section.protocol.watchdog, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
         self.readable = self.radio.readable
@@ -270,7 +268,7 @@ def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobo
     given = {name: value for name, value in fields.items() if value is not None}
     true = robot.model_copy(update=given)
     boot: Callable[[], Program] = partial(FirmwareProgram, section.index(robot.name))
-    if isinstance(section.protocol, SlaveSection):
+    if not section.protocol.watchdog:
         boot = SlaveProgram
     battery = EmulatedBattery(float(truth.battery_mv))
     wheels = drivetrain(section, true)

@@ -16,8 +16,10 @@ from tetractl.emulate.optitrack.natnet_server import (
     ServerCounts,
     Streaming,
     Trouble,
+    pack_answer,
+    pack_modeldef,
+    parse_request,
 )
-from tetractl.emulate.optitrack.server_wire import pack_answer, pack_modeldef, parse_request
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
     OLDEST,

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Estimate
-from tetractl.core.table.data import json_text
+from tetractl.core.table.table_files import json_text
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
 from tetractl.log.format.trial_digest import trial_digest

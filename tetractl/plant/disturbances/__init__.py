@@ -1,1 +1,1 @@
-"""Disturbances of the simulated plant: one file each, named in `tetractl.core.registries`."""
+"""Disturbances of the simulated plant, by what they disturb; see `core.registries`."""

@@ -1,4 +1,4 @@
-"""`{type: radio}`: a transmission takes time on the way to the robots, and not all hear it."""
+"""Disturbances from the host to the robots: the time of planning, delay and loss of the radio."""
 
 from dataclasses import replace
 from typing import Literal
@@ -10,6 +10,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, DisturbanceSection
+from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class RadioSection(DisturbanceSection):
@@ -50,3 +51,56 @@ class Radio(Disturbance):
             late_ns = self._late_ns if late_ns is None else late_ns + self._late_ns
         due_ns, reached = command.due_ns + delay_ns, command.reached & heard
         return replace(command, due_ns=due_ns, reached=reached, late_ns=late_ns)
+
+
+class SilentRadioSection(SpellsSection):
+    """Intervals in which no robot receives anything; robots go on with the last command."""
+
+    type: Literal["silent-radio"]
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "SilentRadio":
+        """Return the silences of one trial."""
+        return SilentRadio(self.draw(rng))
+
+
+class SilentRadio(Disturbance):
+    """Loses everything that is sent in an interval."""
+
+    def __init__(self, spells: Spells) -> None:
+        self._spells = spells
+
+    def sent(self, command: DelayedCommand) -> DelayedCommand:
+        """Return the command, which reaches no robot while the radio is silent."""
+        if not self._spells.at(command.sent_ns / SECOND):
+            return command
+        return replace(command, reached=np.zeros_like(command.reached))
+
+
+class PlanningTimeSection(DisturbanceSection):
+    """Every command is sent some time after the frame that it answers was read."""
+
+    type: Literal["planning-time"]
+    least: float = Field(ge=0, le=10, allow_inf_nan=False)
+    """Shortest time of a control step [s]."""
+    spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """A control step takes up to this much longer, uniformly distributed [s]."""
+
+    @property
+    def planning_max_s(self) -> float:
+        """Longest time of a control step [s]."""
+        return self.least + self.spread
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
+        """Return the times of one trial."""
+        return PlanningTime(self, rng)
+
+
+class PlanningTime(Disturbance):
+    """Draws the time of each control step."""
+
+    def __init__(self, section: PlanningTimeSection, rng: np.random.Generator) -> None:
+        self._section, self._rng = section, rng
+
+    def planning_s(self, time_s: float) -> float:
+        """Return the time of one control step [s]."""
+        return self._section.least + self._section.spread * self._rng.random()

@@ -15,10 +15,10 @@ from tetractl.core.colors import BLUE, PALETTE, RED, robot_colors
 from tetractl.core.errors import LogError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
-from tetractl.core.table.numbers import lengths
+from tetractl.core.table.table import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recording import tracked
+from tetractl.replay.player import tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,

@@ -23,7 +23,7 @@ def end_labels(
     size = 6.5 if len(texts) < 8 else 5.5
     figure = axes.get_figure(root=True)
     assert figure is not None
-    figure.draw_without_rendering()  # the height of the axes is known only then
+    style.lay_out(figure)  # the height of the axes is known only then
     low, high = axes.get_ylim()
     line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")

@@ -1,4 +1,6 @@
-"""The paper's Figure 5: the paths of the robots in one trial or in several."""
+"""The paper's Figure 5: the paths of the robots in one trial or in several; under those
+in a dish the microscope's picture.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,15 +12,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
+from matplotlib.transforms import Affine2D
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
-from tetractl.core.table.numbers import lengths
+from tetractl.core.table.table import lengths
 from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.recording import tracked
+from tetractl.replay.dish_pictures import DishPictures
+from tetractl.replay.player import tracked
+from tetractl.replay.redrive import Apart
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
@@ -27,8 +32,37 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
-from tetractl.view.figures.dish import DishGround
 from tetractl.view.figures.labels import HALO, Labels, edge
+
+FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
+
+
+class DishGround:
+    """Shows the picture of a time under the axes of a trial; nothing for a log without pictures."""
+
+    def __init__(self, axes: Axes, log: TrialLog) -> None:
+        self._pictures, self._shown, self._image = DishPictures(log), -1, None
+        if not self._pictures.times:
+            return
+        low, right, up = self._pictures.corners
+        place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
+        limits = axes.axis()
+        self._image = axes.imshow(
+            self._pictures.grey(0), cmap="gray", vmin=0, vmax=255, alpha=FAINT, zorder=0,
+            extent=(0, 1, 0, 1), interpolation="bilinear", transform=place + axes.transData,
+        )  # fmt: skip
+        axes.axis(limits)
+
+    def show(self, when_ns: int) -> bool:
+        """Show the picture of a time on the trial's clock; return whether it is another one."""
+        which = self._pictures.at(when_ns)
+        if which is None or which == self._shown:
+            return False
+        assert self._image is not None, "with a picture there is an image"
+        self._image.set_data(self._pictures.grey(which))
+        self._shown = which
+        return True
+
 
 FAR = 2.0  # arena sizes beyond the arena that a figure may show
 LINE_IN = 0.156  # height of a line of the legend
@@ -300,3 +334,35 @@ def _nice_step(length: float, most: int) -> float:
     """Return the least 1, 2 or 5 times 10^n that divides a length into at most `most` parts."""
     power = 10.0 ** np.floor(np.log10(length / most))
     return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))
+
+
+def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure:
+    """Draw both paths of each robot, recorded ones solid, and their distances over time."""
+    setup = recorded.start.setup
+    unit = unit_of(setup.unit)
+    colors = robot_colors(setup.names, setup.colors)
+    with style.styled():
+        figure = style.figure(style.PAGE_IN, 3.4)
+        paths, over_time = figure.subplots(1, 2)
+        for log, line, what in ((recorded, "-", "recorded"), (again, "--", "driven again")):
+            since = log.mocap_ns >= log.began_ns
+            xy = tracked(log.mocap, log.valid)[since]
+            for robot, color in enumerate(colors):
+                paths.plot(*xy[:, robot].T, line, color=color, lw=1.1)
+            label = f"{what}, {log.origin.value}"
+            paths.plot([], [], line, color=style.INK, lw=1.1, label=label)
+        for shape in setup.obstacles:
+            paths.fill(*shape.outline().T, fc=style.OBSTACLE, ec=style.OBSTACLE_EDGE, lw=0.6)
+        paths.set_aspect("equal", adjustable="datalim")
+        paths.set_xlabel(f"x [{unit}]")
+        paths.set_ylabel(f"y [{unit}]")
+        for robot, (name, color) in enumerate(zip(setup.names, colors, strict=True)):
+            values = apart.distance[:, robot]
+            over_time.plot(apart.time_s, values, color=color, lw=1.1, label=name)
+        over_time.set_ylim(0, max(float(np.nanmax(apart.distance, initial=0.0)) * 1.04, 1e-9))
+        over_time.set_xlabel("time since the first command [s]")
+        over_time.set_ylabel(f"distance [{unit}]")
+        style.panel(paths, "a", "paths")
+        style.panel(over_time, "b", "between the two paths of a robot")
+        figure.legend(loc="outside lower center", ncols=6)
+    return figure

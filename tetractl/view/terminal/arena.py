@@ -12,7 +12,7 @@ from rich.style import Style
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Shape
-from tetractl.replay.recording import Moment
+from tetractl.replay.player import Moment
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
 ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square

@@ -11,7 +11,7 @@ from rich.text import Text
 
 from tetractl.core.clock import milliseconds
 from tetractl.core.plan import Outcome, Plan
-from tetractl.replay.recording import Moment
+from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 

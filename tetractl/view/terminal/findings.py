@@ -4,8 +4,7 @@ from typing import Any
 
 from rich.console import Console
 
-from tetractl.core.table.numbers import NONE, fixed
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import NONE, Column, Table, fixed
 from tetractl.core.table.terminal_table import print_tables
 from tetractl.lab.preflight import Preflight
 

@@ -25,7 +25,7 @@ SEARCHERS = pytest.mark.parametrize("search", [numpy, compiled])
 NO_STOP = {"type": "budget"}
 
 
-def swarm(particles=7, iterations=3, stop=NO_STOP, **weights) -> Pso:
+def swarm(particles=7, iterations=3, stop=NO_STOP, **weights):
     fields = {"particles": particles, "iterations": iterations, "stop": stop, **weights}
     return Pso.model_validate(fields)
 

@@ -135,18 +135,3 @@ def test_files_that_are_no_text(tmp_path, raw, words):
     with pytest.raises(InvalidSpecError) as caught:
         read_text(path)
     assert words in str(caught.value)
-
-
-def test_a_file_of_the_largest_size_is_read(tmp_path):
-    path = tmp_path / "s.yaml"
-    path.write_bytes(b"#" * MAX_BYTES)
-    assert len(read_text(path)) == MAX_BYTES
-
-
-def test_missing_files_and_folders(tmp_path):
-    with pytest.raises(InvalidSpecError, match="there is no such file"):
-        read_text(tmp_path / "none.yaml")
-    with pytest.raises(InvalidSpecError, match="is a folder"):
-        read_text(tmp_path)
-    with pytest.raises(InvalidSpecError, match="cannot be read"):
-        read_text(tmp_path / "a\0b")

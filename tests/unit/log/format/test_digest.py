@@ -1,7 +1,5 @@
 """Two runs of one trial differ in nothing but the host records."""
 
-from pathlib import Path
-
 import pytest
 from mcap.records import Attachment, Metadata
 from support.random_trials import trial, write
@@ -12,21 +10,21 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import scan
 
 
-def _repeating(path: Path) -> list[Entry | Metadata | Attachment]:
+def _repeating(path):
     names = {Entry: "topic", Metadata: "name", Attachment: "name"}
     records = scan(path).records
     return [item for item in records if getattr(item, names[type(item)]) not in HOST_RECORDS]
 
 
 @pytest.fixture
-def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+def elsewhere(monkeypatch):
     """Another machine, another day, another checkout."""
     monkeypatch.setattr(provenance, "now", lambda: "2031-01-01T00:00:00.000+00:00")
     monkeypatch.setattr(provenance, "host", lambda: {"host": "another machine", "cpu": "other"})
     monkeypatch.setattr(provenance, "versions", lambda: {"python": "3.99.0"})
 
 
-def test_the_digest_ignores_how_fast_the_host_was(tmp_path: Path) -> None:
+def test_the_digest_ignores_how_fast_the_host_was(tmp_path):
     one = write(trial(host_ns=5), tmp_path / "one.mcap")
     two = write(trial(host_ns=987_654_321), tmp_path / "two.mcap")
     assert _repeating(one) == _repeating(two)
@@ -34,7 +32,7 @@ def test_the_digest_ignores_how_fast_the_host_was(tmp_path: Path) -> None:
     assert content_digest(one) == content_digest(two) == read_result(one).digest
 
 
-def test_the_digest_ignores_where_and_when(tmp_path: Path, request: pytest.FixtureRequest) -> None:
+def test_the_digest_ignores_where_and_when(tmp_path, request):
     here = write(trial(), tmp_path / "here.mcap")
     request.getfixturevalue("elsewhere")
     there = write(trial(), tmp_path / "there.mcap", environment="other\n")
@@ -53,7 +51,7 @@ def test_the_digest_ignores_where_and_when(tmp_path: Path, request: pytest.Fixtu
         {"simulated": False},
     ],
 )
-def test_the_digest_tells_trials_apart(tmp_path: Path, changed: dict) -> None:
+def test_the_digest_tells_trials_apart(tmp_path, changed):
     one = write(trial(), tmp_path / "one.mcap")
     two = write(trial(**changed), tmp_path / "two.mcap")
     assert content_digest(one) != content_digest(two)

@@ -16,30 +16,13 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
 
 
-def made(**changes: object) -> dict:
+def made(**changes):
     return json.loads(layout(experiment(**changes).setup))
 
 
 def test_the_documented_layouts_are_what_is_written():
     for path, text in make_layouts.layouts().items():
         assert path.read_text("utf-8") == text, "run: python docs/make_layouts.py"
-
-
-@pytest.mark.parametrize("unit", ["um", "mm", "m"])
-def test_the_arena_fills_the_view_in_every_unit(unit):
-    setup = experiment(units={"length": unit}).setup
-    camera = made(units={"length": unit})["configById"]["3D!arena"]["cameraState"]
-    assert camera["perspective"] is False
-    share = setup.arena.height * setup.metres / camera["distance"]
-    assert 0.8 < share < 1
-    assert setup.arena.width * setup.metres < camera["distance"] * 1.1
-    assert camera["targetOffset"] == pytest.approx([1.4 * share_of(unit), 1.25 * share_of(unit), 0])
-    # three.js looks from far / 2 above the plane, and sees from near to far below that
-    assert camera["near"] < camera["far"] / 2 < camera["far"]
-
-
-def share_of(unit: str) -> float:
-    return {"um": 1e-3, "mm": 1.0, "m": 1e3}[unit]
 
 
 def test_every_path_leads_to_a_channel_and_every_panel_is_arranged():

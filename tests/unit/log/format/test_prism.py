@@ -1,6 +1,6 @@
 import numpy as np
 from hypothesis import given
-from support.shapes import L_SHAPE, SHAPES
+from support.shapes import SHAPES
 
 from tetractl.log.format.scene import prism, triangulate
 
@@ -19,12 +19,6 @@ def test_the_triangles_cover_the_outline_and_no_more(shape):
     whole = np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)
     assert np.all(areas >= -1e-9)
     assert np.isclose(areas.sum(), whole, rtol=1e-9)
-
-
-def test_a_concave_polygon_is_not_filled_across_its_notch():
-    outline = L_SHAPE.outline()
-    middles = outline[triangulate(outline)].mean(axis=1)
-    assert L_SHAPE.contain(*middles.T).all()
 
 
 @given(SHAPES)

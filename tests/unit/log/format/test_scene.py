@@ -2,15 +2,13 @@
 
 import math
 from collections import defaultdict
-from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 import pytest
 from google.protobuf.message import Message
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
-from support.random_trials import Made, experiment, trial, write
+from support.random_trials import experiment, trial, write
 
 from tetractl.core.trial import EPOCH_NS
 from tetractl.log.format.codec import Frames
@@ -18,12 +16,12 @@ from tetractl.log.format.scene import Scene
 
 
 @pytest.fixture(scope="module")
-def made() -> Made:
+def made():
     return trial(steps=3, robots=3)
 
 
 @pytest.fixture(scope="module")
-def messages(made: Made, tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[Any]]:
+def messages(made, tmp_path_factory):
     """Messages by topic, through the official indexed reader with CRC validation."""
     path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
     found = defaultdict(list)
@@ -34,7 +32,7 @@ def messages(made: Made, tmp_path_factory: pytest.TempPathFactory) -> dict[str, 
     return found
 
 
-def _numbers(message: Message) -> Iterator[float]:
+def _numbers(message):
     for field, value in message.ListFields():
         for item in value if field.is_repeated else [value]:
             if isinstance(item, Message):
@@ -43,13 +41,11 @@ def _numbers(message: Message) -> Iterator[float]:
                 yield item
 
 
-def corners_of(entity: Any) -> np.ndarray:
+def corners_of(entity):
     return np.array([(point.x, point.y, point.z) for point in entity.triangles[0].points])
 
 
-def test_transforms_are_the_measured_poses_in_metres_at_their_times(
-    made: Made, messages: dict[str, list[Any]]
-) -> None:
+def test_transforms_are_the_measured_poses_in_metres_at_their_times(made, messages):
     """Of 120 Hz every fourth frame is shown; the newest of each message is."""
     names, shown = ["robot/robot 0", "robot/robot 1", "robot/robot 2"], made.samples[1::4]
     (message,) = messages["/tf"]
@@ -68,13 +64,11 @@ def test_transforms_are_the_measured_poses_in_metres_at_their_times(
             assert _stamp(item) == EPOCH_NS + sample.observation.sampled_ns
 
 
-def _stamp(item: Any) -> int:
+def _stamp(item):
     return item.timestamp.seconds * 10**9 + item.timestamp.nanos
 
 
-def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(
-    made: Made, messages: dict[str, list[Any]]
-) -> None:
+def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(made, messages):
     for step, lines in zip(made.steps, messages["/scene/plan"], strict=True):
         assert [item.id for item in lines.entities] == [f"plan/robot {i}" for i in range(3)]
         for i, entity in enumerate(lines.entities):
@@ -84,7 +78,7 @@ def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(
             assert np.allclose(points, step.plan.path[:, i, :2] / 1000)
 
 
-def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, list[Any]]) -> None:
+def test_the_scene_stands_where_the_spec_says(made, messages):
     (scene,) = messages["/scene/static"]
     entities = {item.id: item for item in scene.entities}
     assert len(entities) == len(scene.entities) == 1 + 2 + 2 * 3
@@ -103,7 +97,7 @@ def test_the_scene_stands_where_the_spec_says(made: Made, messages: dict[str, li
     assert body.texts[0].text == "robot 2"
 
 
-def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> None:
+def test_colors_are_the_specs_or_the_lists(messages):
     entities = {item.id: item for item in messages["/scene/static"][0].entities}
     colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
     rgb = [tuple(round(255 * part) for part in (c.r, c.g, c.b)) for c in colors]
@@ -111,7 +105,7 @@ def test_colors_are_the_specs_or_the_lists(messages: dict[str, list[Any]]) -> No
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
+def test_nothing_that_is_not_finite_is_drawn(bad):
     scene = Scene(experiment(2).setup)
     poses = np.ones((3, 2, 3))
     poses[0, 0, 0] = poses[2, 1, 2] = bad
@@ -128,7 +122,7 @@ def test_nothing_that_is_not_finite_is_drawn(bad: float) -> None:
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])
-def test_every_unit_comes_to_metres(unit: str, metres: float) -> None:
+def test_every_unit_comes_to_metres(unit, metres):
     scene = Scene(experiment(1, units={"length": unit}).setup).static(EPOCH_NS)
     box = corners_of(next(item for item in scene.entities if item.id == "obstacle/0"))
     assert np.ptp(box[:, 0]) == pytest.approx(200 * metres)

@@ -17,7 +17,7 @@ from tetractl.log.read.salvage import scan
 FOLDER = Path(tetractl.log.format.__file__).parent
 
 
-def test_the_generated_code_is_up_to_date(tmp_path: Path) -> None:
+def test_the_generated_code_is_up_to_date(tmp_path):
     protoc = pytest.importorskip("grpc_tools.protoc", reason="grpcio-tools is not installed")
     made = tmp_path / "descriptors"
     words = [
@@ -38,7 +38,7 @@ def test_the_generated_code_is_up_to_date(tmp_path: Path) -> None:
     )
 
 
-def test_the_reference_names_every_channel_field_and_fact(tmp_path: Path) -> None:
+def test_the_reference_names_every_channel_field_and_fact(tmp_path):
     page = (ROOT / "docs" / "reference" / "log-format.md").read_text()
     words = set(re.findall(r"`([^`\s]+)`", page))
     assert words >= CHANNELS.keys()

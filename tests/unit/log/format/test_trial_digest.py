@@ -2,26 +2,24 @@
 and another one for any other record."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support.random_trials import Made, trial, write
+from support.random_trials import trial, write
 
 from tetractl.core.commands import Note, Sample
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.text import printable
-from tetractl.core.trial import TrialRecords
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial
 from tetractl.log.write.recorder import Recorder
 
 
-def records(made: Made) -> TrialRecords:
+def records(made):
     """The records of a trial as its loop would emit them."""
     writer = Recorder()
     writer.on_start(made.start)
@@ -32,7 +30,7 @@ def records(made: Made) -> TrialRecords:
     return writer.trial
 
 
-def digest(made: Made) -> str:
+def digest(made):
     return trial_digest(records(made))
 
 
@@ -43,9 +41,7 @@ def digest(made: Made) -> str:
     steps=st.integers(1, 6),
     simulated=st.booleans(),
 )
-def test_the_log_of_a_trial_gives_its_digest(
-    tmp_path_factory: pytest.TempPathFactory, seed: int, robots: int, steps: int, simulated: bool
-) -> None:
+def test_the_log_of_a_trial_gives_its_digest(tmp_path_factory, seed, robots, steps, simulated):
     made = trial(seed, robots=robots, steps=steps, simulated=simulated)
     path = write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
     assert trial_digest(read_trial(path)) == digest(made)
@@ -89,7 +85,7 @@ TEXTS = ("solver:\n  none", "\x1b[2J", "x" * 1999 + "\n", "y" * 2001, "nbsp\xa0"
 
 
 @pytest.mark.parametrize("text", TEXTS)
-def test_texts_are_hashed_as_a_log_gives_them_back(tmp_path: Path, text: str):
+def test_texts_are_hashed_as_a_log_gives_them_back(tmp_path, text):
     made = trial(steps=2)
     written = text.encode(errors="replace").decode() if "\udce9" in text else text
     made = replace(made, result=replace(made.result, outcome=Outcome.ABORTED, reason=written))
@@ -101,7 +97,7 @@ def test_texts_are_hashed_as_a_log_gives_them_back(tmp_path: Path, text: str):
     assert trial_digest(noted) == trial_digest(shown)
 
 
-def test_a_plugins_arrays_may_be_of_any_type(tmp_path: Path):
+def test_a_plugins_arrays_may_be_of_any_type(tmp_path):
     made = trial(steps=1)
     ((samples, step),) = made.rounds
     seen = samples[0].observation

@@ -24,14 +24,14 @@ EXPECTED = {
 }
 
 
-def test_the_version_that_is_written_has_its_golden_logs() -> None:
+def test_the_version_that_is_written_has_its_golden_logs():
     assert f"format-{FORMAT_VERSION}-sim.mcap" in EXPECTED
     assert {path.name for path in FOLDER.glob("*.mcap")} == EXPECTED.keys()
     assert all(path.stat().st_size < 100_000 for path in FOLDER.iterdir() if path.is_file())
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_every_number_is_as_it_was(name: str) -> None:
+def test_every_number_is_as_it_was(name):
     log = read_trial(FOLDER / name)
     assert json.loads(json.dumps(values(log))) == EXPECTED[name]
     if log.damage is None:
@@ -40,14 +40,14 @@ def test_every_number_is_as_it_was(name: str) -> None:
     assert summary.recovered == (log.damage is not None)
 
 
-def test_its_decisions_still_follow_from_it() -> None:
+def test_its_decisions_still_follow_from_it():
     """By their costs on any processor; if this fails, the controller no longer does what it did."""
     found = verify(FOLDER / "format-1-sim.mcap")
     assert found.problems == ()
     assert found.checked == found.steps > 0
 
 
-def test_a_used_up_sequence_is_called_a_completed_one() -> None:
+def test_a_used_up_sequence_is_called_a_completed_one():
     """The file keeps the word of format 1: an older reader takes another for an aborted trial."""
     log = read_trial(FOLDER / "format-1-lab.mcap")
     assert log.result is not None

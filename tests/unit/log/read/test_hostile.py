@@ -38,7 +38,6 @@ from tetractl.log.format.tetractl_pb2 import (
 )
 from tetractl.log.read import limits
 from tetractl.log.read.overview import overview
-from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import MAGIC, scan
@@ -47,19 +46,19 @@ from tetractl.results.open_batch import counts, open_batch
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """Small, so that most bytes matter."""
     made = trial(steps=12, robots=1, frames=2, first=2, iterations=3, length=3)
     return write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")
-def contents(log: Path) -> RawLog:
+def contents(log):
     return scan(log)
 
 
 @pytest.mark.parametrize("kind", ["truncated", "flipped"])
-def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, kind: str) -> None:
+def test_a_damaged_log_is_read_as_far_as_it_is_good(log, tmp_path, kind):
     """Ten thousand of each in benchmarks/log.py."""
     original = Original(log)
     assert len(original.chunks) > 2
@@ -69,7 +68,7 @@ def test_a_damaged_log_is_read_as_far_as_it_is_good(log: Path, tmp_path: Path, k
     assert tally.chunks_recovered == tally.chunks_complete > 100
 
 
-def test_a_record_whose_name_is_damaged_is_not_accepted(log: Path, tmp_path: Path) -> None:
+def test_a_record_whose_name_is_damaged_is_not_accepted(log, tmp_path):
     """Regression: its checksum fits, for it does not cover the name."""
     path = tmp_path / "trial.mcap"
     path.write_bytes(log.read_bytes().replace(b"tetractl.timing", b"tetractl.tiling", 1))
@@ -79,7 +78,7 @@ def test_a_record_whose_name_is_damaged_is_not_accepted(log: Path, tmp_path: Pat
 
 
 @given(st.binary(max_size=2000), st.booleans())
-def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data: bytes, magic: bool) -> None:
+def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data, magic):
     path = tmp_path_factory.getbasetemp() / "any.mcap"
     path.write_bytes(MAGIC * magic + data)
     for read in (read_trial, read_result, overview, recover, verify):
@@ -88,7 +87,7 @@ def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data: bytes, magic: b
         assert "\n" not in str(caught.value)
 
 
-def chunk(data: bytes, size: int | None = None, raw: bytes | None = None) -> bytes:
+def chunk(data, size=None, raw=None):
     """A chunk record that unpacks to `data`, or says it unpacks to `size`."""
     packed = zstandard.compress(data) if raw is None else raw
     said = len(data) if size is None else size
@@ -97,7 +96,7 @@ def chunk(data: bytes, size: int | None = None, raw: bytes | None = None) -> byt
     return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
 
 
-def with_chunks(log: Path, path: Path, chunks: list[bytes]) -> Path:
+def with_chunks(log, path, chunks):
     """A copy with chunks put before the first one."""
     data = log.read_bytes()
     first = data.index(b"\x04\0\0\0zstd") - 37
@@ -106,7 +105,7 @@ def with_chunks(log: Path, path: Path, chunks: list[bytes]) -> Path:
 
 
 @pytest.mark.parametrize("said", [None, 100])
-def test_a_bomb_is_not_unpacked(log: Path, tmp_path: Path, said: int | None) -> None:
+def test_a_bomb_is_not_unpacked(log, tmp_path, said):
     bomb = chunk(b"\0" * (limits.CHUNK + 1), said)
     assert len(bomb) < 10_000
     found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
@@ -114,16 +113,14 @@ def test_a_bomb_is_not_unpacked(log: Path, tmp_path: Path, said: int | None) -> 
     assert found.entries == scan(log).entries
 
 
-def test_a_frame_that_hides_its_size_stops_at_what_the_chunk_says(
-    log: Path, tmp_path: Path
-) -> None:
+def test_a_frame_that_hides_its_size_stops_at_what_the_chunk_says(log, tmp_path):
     hidden = zstandard.ZstdCompressor(write_content_size=False).compress(b"\0" * (1 << 24))
     found = scan(with_chunks(log, tmp_path / "bomb.mcap", [chunk(b"", 100, hidden)]))
     assert found.entries == scan(log).entries
     assert found.problems
 
 
-def test_many_chunks_together_are_bounded(log: Path, tmp_path: Path) -> None:
+def test_many_chunks_together_are_bounded(log, tmp_path):
     padding = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
     path = with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 60)
     assert path.stat().st_size < 200_000
@@ -131,9 +128,7 @@ def test_many_chunks_together_are_bounded(log: Path, tmp_path: Path) -> None:
         scan(path)
 
 
-def test_records_that_claim_the_same_bytes_are_not_all_read(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_records_that_claim_the_same_bytes_are_not_all_read(log, tmp_path, monkeypatch):
     """Each of these would copy the rest of the file: quadratic, were it not for the limit."""
     trace = bytes(28) + b"\x04\0\0\0zstd" + struct.pack("<Q", 1 << 19)
     path = tmp_path / "overlap.mcap"
@@ -144,7 +139,7 @@ def test_records_that_claim_the_same_bytes_are_not_all_read(
     assert scan(path).entries == []
 
 
-def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
+def test_a_tail_of_zeros_is_an_end(log, tmp_path):
     """What a power cut leaves on some file systems."""
     path = tmp_path / "zeros.mcap"
     half = log.read_bytes()[: log.stat().st_size // 2]
@@ -154,7 +149,7 @@ def test_a_tail_of_zeros_is_an_end(log: Path, tmp_path: Path) -> None:
     assert int(found[1]) < len(half) + 10_000
 
 
-def edited(contents: RawLog, path: Path, record: str, changes: dict[str, str]) -> Path:
+def edited(contents, path, record, changes):
     return rewrite(
         contents, path, {}, lambda name, facts: facts | (changes if name == record else {})
     )
@@ -180,9 +175,7 @@ DEEP = "[" * 100_000 + "]" * 100_000
         (TIMING, "solve_ns"),
     ],
 )
-def test_facts_that_are_not_ours_are_one_line(
-    tmp_path: Path, contents: RawLog, record: str, key: str, value: str
-) -> None:
+def test_facts_that_are_not_ours_are_one_line(tmp_path, contents, record, key, value):
     path = edited(contents, tmp_path / "trial.mcap", record, {key: value})
     for read in (read_trial, read_result, overview, verify):
         try:
@@ -193,7 +186,7 @@ def test_facts_that_are_not_ours_are_one_line(
             assert read is not verify or found.problems
 
 
-def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents: RawLog) -> None:
+def test_a_report_that_is_not_ours_still_says_recovered(tmp_path, contents):
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(contents.path.read_bytes()[:-4000])
     path = Path(str(recover(cut).path))
@@ -205,14 +198,14 @@ def test_a_report_that_is_not_ours_still_says_recovered(tmp_path: Path, contents
 NAN, INF = float("nan"), float("inf")
 
 
-def spoilt_frames(**changes: object) -> CameraFrames:
+def spoilt_frames(**changes):
     """A frame of one robot that could be ours, but for the changes."""
     whole = {"x": [1.0], "y": [1.0], "heading": [1.0], "valid": [True]}
     times = {"frame": [0], "sampled_ns": [0], "received_ns": [0]}
     return CameraFrames(**{**whole, **times, **changes})
 
 
-def spoilt_step(**changes: object) -> ControllerStep:
+def spoilt_step(**changes):
     """A step of one robot that could be ours, but for the changes."""
     seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
     one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
@@ -242,9 +235,7 @@ HUGE = "9" * 400  # 10^400 - 1
         (RESULT, {"entered": "[]"}),
     ],
 )
-def test_a_bad_result_costs_its_own_trial_only(
-    tmp_path: Path, contents: RawLog, record: str, changes: dict[str, str]
-) -> None:
+def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, record, changes):
     """Regression: one such log ended `stats` of a whole batch with a traceback."""
     edited(contents, tmp_path / "bad.mcap", record, changes)
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
@@ -268,9 +259,7 @@ def test_a_bad_result_costs_its_own_trial_only(
         {"seed": HUGE},
     ],
 )
-def test_a_bad_run_costs_its_own_trial_only(
-    tmp_path: Path, contents: RawLog, changes: dict[str, str]
-) -> None:
+def test_a_bad_run_costs_its_own_trial_only(tmp_path, contents, changes):
     edited(contents, tmp_path / "bad.mcap", RUN, changes)
     write(trial(steps=3, robots=1, index=2), tmp_path / "good.mcap")
     batch = open_batch([tmp_path])
@@ -307,9 +296,7 @@ def test_a_bad_run_costs_its_own_trial_only(
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),
     ],
 )
-def test_a_message_that_tetractl_would_not_write_is_refused(
-    tmp_path: Path, contents: RawLog, topic: str, message
-) -> None:
+def test_a_message_that_tetractl_would_not_write_is_refused(tmp_path, contents, topic, message):
     """Regression: replay, plot and verify ended with tracebacks."""
     entry = next(entry for entry in contents.entries if entry.topic == topic)
     new = entry._replace(data=message.SerializeToString())
@@ -318,14 +305,14 @@ def test_a_message_that_tetractl_would_not_write_is_refused(
         read_trial(path)
 
 
-def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path: Path, contents: RawLog) -> None:
+def test_the_step_that_is_spoilt_there_is_good_otherwise(tmp_path, contents):
     entry = next(entry for entry in contents.entries if entry.topic == STEP)
     new = entry._replace(data=spoilt_step().SerializeToString())
     assert read_trial(rewrite(contents, tmp_path / "trial.mcap", {entry: new})).steps
 
 
 @pytest.mark.parametrize("name", ["../../escape", "/tmp/escape", "a/b", "..", "nul\0", "x" * 5000])
-def test_names_in_a_log_are_no_paths(tmp_path: Path, log: Path, name: str) -> None:
+def test_names_in_a_log_are_no_paths(tmp_path, log, name):
     """An attachment of that name is carried along inside the log, and nothing else is written."""
     builder = RecordBuilder()
     from mcap.records import Attachment

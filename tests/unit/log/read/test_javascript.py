@@ -3,13 +3,11 @@
 import json
 import shutil
 import subprocess
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from support.paths import ROOT
-from support.random_trials import Made, trial, write
+from support.random_trials import trial, write
 
 from tetractl.log.read.reader import content_digest
 
@@ -22,7 +20,7 @@ INSTALL = (
 
 
 @pytest.fixture(scope="module")
-def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def reader(tmp_path_factory):
     """tests/js with its packages, in a folder of its own."""
     if not (shutil.which("node") and shutil.which("npm")):
         pytest.skip("node and npm are not installed")
@@ -39,7 +37,7 @@ def reader(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def made() -> Made:
+def made():
     made = trial(steps=12)
     made.samples[0].observation.poses.x[1] = np.nan
     made.samples[0].observation.valid[1] = False
@@ -47,15 +45,13 @@ def made() -> Made:
 
 
 @pytest.fixture(scope="module")
-def log(made: Made, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(made, tmp_path_factory):
     return write(made, tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
-def test_our_messages_decode_to_the_values_written(
-    reader: Path, made: Made, log: Path, tmp_path: Path
-) -> None:
+def test_our_messages_decode_to_the_values_written(reader, made, log, tmp_path):
     done = subprocess.run(["node", reader, log], capture_output=True, text=True, check=True)
-    found: dict[str, Any] = json.loads(done.stdout)
+    found = json.loads(done.stdout)
     step = made.steps[0]
     message = found["channels"]["/controller/step"]
     assert (message["type"], message["count"]) == (".tetractl.ControllerStep", 12)

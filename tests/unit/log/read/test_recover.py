@@ -21,21 +21,21 @@ from tetractl.results.open_batch import open_batch
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     return write(trial(steps=34), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
-def damaged(folder: Path, data: bytes, name: str = "trial.mcap") -> Path:
+def damaged(folder, data, name="trial.mcap"):
     path = folder / name
     path.write_bytes(data)
     return path
 
 
-def flipped(data: bytes, at: int) -> bytes:
+def flipped(data, at):
     return data[:at] + bytes([data[at] ^ 0x10]) + data[at + 1 :]
 
 
-def test_a_complete_log_needs_no_recovery(log: Path, tmp_path: Path) -> None:
+def test_a_complete_log_needs_no_recovery(log, tmp_path):
     done = recover(log)
     assert (done.path, done.whole, done.damage.problems) == (None, True, ())
     copy = recover(log, tmp_path / "copy.mcap")
@@ -44,7 +44,7 @@ def test_a_complete_log_needs_no_recovery(log: Path, tmp_path: Path) -> None:
     assert read_trial(tmp_path / "copy.mcap").damage is None
 
 
-def test_a_lost_index_costs_nothing(log: Path, tmp_path: Path) -> None:
+def test_a_lost_index_costs_nothing(log, tmp_path):
     torn = damaged(tmp_path, log.read_bytes()[:-2000], "trial.mcap.part")
     done = recover(torn)
     assert done.path == str(tmp_path / "trial.recovered.mcap")
@@ -55,7 +55,7 @@ def test_a_lost_index_costs_nothing(log: Path, tmp_path: Path) -> None:
     assert not read_result(Path(done.path)).recovered
 
 
-def test_what_is_lost_and_when_is_told(log: Path, tmp_path: Path) -> None:
+def test_what_is_lost_and_when_is_told(log, tmp_path):
     data = log.read_bytes()
     chunks = [i for i in range(len(data)) if data.startswith(b"\x04\0\0\0zstd", i)]
     rotten = damaged(tmp_path, flipped(data, chunks[2] + 60))
@@ -74,7 +74,7 @@ def test_what_is_lost_and_when_is_told(log: Path, tmp_path: Path) -> None:
     assert read_result(Path(str(done.path))).recovered
 
 
-def test_every_intact_record_comes_back(log: Path, tmp_path: Path) -> None:
+def test_every_intact_record_comes_back(log, tmp_path):
     data, rng = log.read_bytes(), random.Random(3)
     for i in range(30):
         cut = damaged(tmp_path, flipped(data, rng.randrange(len(data))), f"{i}.mcap")
@@ -90,7 +90,7 @@ def test_every_intact_record_comes_back(log: Path, tmp_path: Path) -> None:
         assert left == before.records
 
 
-def test_nothing_is_overwritten(log: Path, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(log, tmp_path):
     torn = damaged(tmp_path, log.read_bytes()[:-2000])
     recovered_path(torn).write_text("mine")
     with pytest.raises(LogError, match="exists already"):
@@ -100,7 +100,7 @@ def test_nothing_is_overwritten(log: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["trial-000.mcap", "trial-000.mcap.part"])
 @pytest.mark.parametrize("simulated", [True, False])
-def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: bool) -> None:
+def test_a_recovered_trial_counts_once(tmp_path, name, simulated):
     whole = write(trial(steps=34, simulated=simulated), tmp_path / "whole")
     damaged(tmp_path, whole.read_bytes()[: whole.stat().st_size // 2], name)
     whole.unlink()
@@ -116,11 +116,11 @@ def test_a_recovered_trial_counts_once(tmp_path: Path, name: str, simulated: boo
     assert describe(batch).experiment.name == "made-up"
 
 
-def torn(log: Path, folder: Path) -> Path:
+def torn(log, folder):
     return damaged(folder, log.read_bytes()[:-2000], "trial.mcap.part")
 
 
-def test_what_a_killed_recovery_left_is_replaced(log: Path, tmp_path: Path) -> None:
+def test_what_a_killed_recovery_left_is_replaced(log, tmp_path):
     """Regression: `recover` refused to run again."""
     source = torn(log, tmp_path)
     left = tmp_path / f"trial.recovered.mcap{PART_SUFFIX}"
@@ -132,7 +132,7 @@ def test_what_a_killed_recovery_left_is_replaced(log: Path, tmp_path: Path) -> N
     assert same(read_trial(Path(str(done.path))).steps, read_trial(log).steps)
 
 
-def test_a_recovery_that_is_under_way_is_left_alone(log: Path, tmp_path: Path) -> None:
+def test_a_recovery_that_is_under_way_is_left_alone(log, tmp_path):
     source = torn(log, tmp_path)
     sink = Sink(recovered_path(source), PART_SUFFIX)
     with pytest.raises(LogError, match="another process is writing it"):
@@ -141,7 +141,7 @@ def test_a_recovery_that_is_under_way_is_left_alone(log: Path, tmp_path: Path) -
     assert recover(source).whole
 
 
-def test_an_unfinished_trial_is_never_replaced(log: Path, tmp_path: Path) -> None:
+def test_an_unfinished_trial_is_never_replaced(log, tmp_path):
     source = torn(log, tmp_path)
     part = tmp_path / "other.mcap.part"
     part.write_bytes(b"a trial that runs")
@@ -150,7 +150,7 @@ def test_an_unfinished_trial_is_never_replaced(log: Path, tmp_path: Path) -> Non
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root mounts file systems")
-def test_a_full_disk_leaves_nothing_behind(log: Path, tmp_path: Path) -> None:
+def test_a_full_disk_leaves_nothing_behind(log, tmp_path):
     source = torn(log, tmp_path)
     with small_disk(tmp_path / "disk", "16k") as disk:
         with pytest.raises(LogError, match="No space left on device"):
@@ -159,7 +159,7 @@ def test_a_full_disk_leaves_nothing_behind(log: Path, tmp_path: Path) -> None:
     assert recover(source).whole
 
 
-def test_a_log_of_format_1_without_channels_comes_back(tmp_path: Path) -> None:
+def test_a_log_of_format_1_without_channels_comes_back(tmp_path):
     """Regression, found by benchmarks/fuzz.py: its channels are no longer written."""
     data = (ROOT / "tests" / "golden" / "format-1-sim.mcap").read_bytes()
     first = data.index(b"\x04\0\0\0zstd") + 60

@@ -2,7 +2,6 @@
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,22 +17,21 @@ from tetractl.log.format.digest import CHECKSUM
 from tetractl.log.format.metadata import add_checksum
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
-from tetractl.log.read.trial_log import TrialLog
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(tmp_path_factory):
     """A small log of a few chunks."""
     return write(trial(steps=34), tmp_path_factory.mktemp("log") / "trial.mcap")
 
 
 @pytest.fixture(scope="module")
-def whole(log: Path) -> TrialLog:
+def whole(log):
     return read_trial(log)
 
 
 @pytest.fixture(scope="module")
-def chunks(log: Path) -> list[tuple[int, int, int]]:
+def chunks(log):
     """Of each chunk: first byte, byte behind it, messages; by the official reader."""
     found = []
     with log.open("rb") as file:
@@ -48,7 +46,7 @@ def chunks(log: Path) -> list[tuple[int, int, int]]:
     return found
 
 
-def assert_part_of(damaged: TrialLog, whole: TrialLog) -> None:
+def assert_part_of(damaged, whole):
     """Every number of a damaged log is one of the whole log's."""
     assert same(damaged.experiment, whole.experiment)
     assert damaged.start.spec_text in ("", whole.start.spec_text)
@@ -64,20 +62,14 @@ def assert_part_of(damaged: TrialLog, whole: TrialLog) -> None:
     assert any(same(damaged.result, result) for result in (None, untimed, whole.result))
 
 
-def _damaged(tmp_path: Path, data: bytes) -> Path:
+def _damaged(tmp_path, data):
     path = tmp_path / "damaged.mcap"
     path.write_bytes(data)
     return path
 
 
 @pytest.mark.parametrize("field", range(1, 9))
-def test_a_bad_record_length_costs_nothing(
-    tmp_path: Path,
-    log: Path,
-    whole: TrialLog,
-    chunks: list[tuple[int, int, int]],
-    field: int,
-) -> None:
+def test_a_bad_record_length_costs_nothing(tmp_path, log, whole, chunks, field):
     data = bytearray(log.read_bytes())
     data[chunks[1][0] + field] ^= 0x41
     found = read_trial(_damaged(tmp_path, bytes(data)))
@@ -87,9 +79,7 @@ def test_a_bad_record_length_costs_nothing(
     assert_part_of(found, whole)
 
 
-def test_without_first_chunk_and_index_the_rest_is_read(
-    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
-) -> None:
+def test_without_first_chunk_and_index_the_rest_is_read(tmp_path, log, whole, chunks):
     data = bytearray(log.read_bytes()[: chunks[-1][1]])
     for begin, end, _ in chunks[:2]:  # the scene's chunk with all channel records, and the next
         data[(begin + end) // 2] ^= 0xFF
@@ -98,7 +88,7 @@ def test_without_first_chunk_and_index_the_rest_is_read(
     assert_part_of(found, whole)
 
 
-def test_a_file_that_lost_its_head_is_read(tmp_path: Path, log: Path, whole: TrialLog) -> None:
+def test_a_file_that_lost_its_head_is_read(tmp_path, log, whole):
     data = log.read_bytes()
     for head in (data[8:], b"\0" * 40 + data[40:], b"some text before\n" + data):
         found = read_trial(_damaged(tmp_path, head))
@@ -108,9 +98,7 @@ def test_a_file_that_lost_its_head_is_read(tmp_path: Path, log: Path, whole: Tri
 
 
 @pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, MAGIC])
-def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
-    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]], tail: bytes
-) -> None:
+def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(tmp_path, log, whole, chunks, tail):
     found = read_trial(_damaged(tmp_path, log.read_bytes()[: chunks[-2][1]] + tail))
     assert found.damage is not None
     assert found.result is None
@@ -118,9 +106,7 @@ def test_what_a_crash_leaves_behind_the_last_chunk_does_no_harm(
     assert len(found.steps) >= 10
 
 
-def test_a_lost_result_is_computed_from_the_last_true_poses(
-    tmp_path: Path, log: Path, whole: TrialLog, chunks: list[tuple[int, int, int]]
-) -> None:
+def test_a_lost_result_is_computed_from_the_last_true_poses(tmp_path, log, whole, chunks):
     cut = _damaged(tmp_path, log.read_bytes()[: chunks[-2][1]])
     found, result = read_trial(cut), read_result(cut)
     assert result.recovered
@@ -142,7 +128,7 @@ def test_a_lost_result_is_computed_from_the_last_true_poses(
     assert result.result.verdict.entered == tuple(inside)
 
 
-def test_in_the_lab_the_last_tracked_pose_counts(tmp_path: Path) -> None:
+def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
     made = trial(steps=12, simulated=False)
     made.samples[-1].observation.valid[:] = [False, True, True]
     for sample in made.samples:  # an untracked robot's pose is no measurement
@@ -161,7 +147,7 @@ def test_in_the_lab_the_last_tracked_pose_counts(tmp_path: Path) -> None:
     assert summary.result.verdict.final.x.tolist() == expected
 
 
-def test_without_any_pose_there_is_no_result(tmp_path: Path) -> None:
+def test_without_any_pose_there_is_no_result(tmp_path):
     made = trial(steps=1)
     data = write(made, tmp_path / "trial.mcap").read_bytes()
     empty = data[: data.index(b"\x04\0\0\0zstd")]
@@ -180,14 +166,14 @@ def test_without_any_pose_there_is_no_result(tmp_path: Path) -> None:
         (random.Random(3).randbytes(100_000), "not an MCAP file"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, data: bytes, message: str) -> None:
+def test_what_is_no_log_is_refused(tmp_path, data, message):
     path = _damaged(tmp_path, data)
     for read in (read_trial, read_result):
         with pytest.raises(LogError, match=message):
             read(path)
 
 
-def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
+def test_a_missing_file_and_a_folder_are_refused(tmp_path):
     for read in (read_trial, read_result, content_digest):
         with pytest.raises(LogError, match="No such file"):
             read(tmp_path / "none.mcap")
@@ -195,7 +181,7 @@ def test_a_missing_file_and_a_folder_are_refused(tmp_path: Path) -> None:
             read(tmp_path)
 
 
-def test_an_mcap_file_of_somebody_else_is_refused(tmp_path: Path) -> None:
+def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
     path = tmp_path / "other.mcap"
     with path.open("wb") as file:
         writer = Writer(file)
@@ -207,7 +193,7 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path: Path) -> None:
         read_trial(path)
 
 
-def _with_run(path: Path, facts: dict[str, str]) -> Path:
+def _with_run(path, facts):
     with path.open("wb") as file:
         writer = Writer(file)
         writer.start()
@@ -217,7 +203,7 @@ def _with_run(path: Path, facts: dict[str, str]) -> Path:
     return path
 
 
-def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
+def test_a_log_of_a_newer_format_is_refused(tmp_path, log):
     facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
     del facts[CHECKSUM]
     with pytest.raises(LogError, match="of log format 3; this tetractl reads up to 2") as caught:
@@ -225,7 +211,7 @@ def test_a_log_of_a_newer_format_is_refused(tmp_path: Path, log: Path) -> None:
     assert caught.value.hint == "update tetractl"
 
 
-def test_a_flipped_bit_is_seen_without_reading_the_trial(log: Path, tmp_path: Path) -> None:
+def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
     """Regression: `stats` and `--resume`, which read by the index, missed nine of ten."""
     data, rng = log.read_bytes(), random.Random(7)
     path = tmp_path / "trial.mcap"

@@ -2,7 +2,6 @@
 
 import errno
 import threading
-from pathlib import Path
 
 import pytest
 from support.random_trials import trial, write
@@ -18,26 +17,24 @@ from tetractl.log.write.writer import LogWriter
 class Disk:
     """A disk whose syncs, from `stick` on, end only when the test sets `free`."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, monkeypatch):
         self.stuck, self.free = False, threading.Event()
         monkeypatch.setattr(sink, "_sync_data", self.sync)
 
-    def sync(self, handle: int) -> None:
+    def sync(self, handle):
         if self.stuck:
             self.free.wait(60)
 
-    def stick(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stick(self, monkeypatch):
         self.stuck = True
         monkeypatch.setattr(sink, "CHUNK_S", 0.0)
 
 
-def log_threads() -> list[threading.Thread]:
+def log_threads():
     return [thread for thread in threading.enumerate() if thread.name.startswith("log ")]
 
 
-def test_a_disk_that_stands_still_does_not_hold_up_the_loop(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_stands_still_does_not_hold_up_the_loop(tmp_path, monkeypatch):
     """Every call returns while the disk stands still: nothing but the end waits."""
     disk = Disk(monkeypatch)
     made = trial(steps=40)
@@ -54,9 +51,7 @@ def test_a_disk_that_stands_still_does_not_hold_up_the_loop(
     assert (len(log.steps), len(log.frames), log.damage) == (40, len(made.samples), None)
 
 
-def test_a_simulation_waits_for_the_disk_and_loses_nothing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_simulation_waits_for_the_disk_and_loses_nothing(tmp_path, monkeypatch):
     plain = write(trial(steps=30), tmp_path / "plain.mcap")
     monkeypatch.setattr(module, "SIZE", 1)
     monkeypatch.setattr(sink, "CHUNK_S", 0.0)
@@ -65,9 +60,7 @@ def test_a_simulation_waits_for_the_disk_and_loses_nothing(
     assert read_trial(slow).damage is None
 
 
-def test_a_disk_that_stays_still_ends_the_trial(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_stays_still_ends_the_trial(tmp_path, monkeypatch):
     disk = Disk(monkeypatch)
     monkeypatch.setattr(module, "SIZE", 4)
     monkeypatch.setattr(module, "PATIENCE_S", 0.5)
@@ -89,15 +82,13 @@ def test_a_disk_that_stays_still_ends_the_trial(
 
 
 @pytest.mark.parametrize("number", [errno.EIO, errno.ENOSPC])
-def test_what_fails_in_the_thread_reaches_the_loop_at_its_next_call(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, number: int
-) -> None:
+def test_what_fails_in_the_thread_reaches_the_loop_at_its_next_call(tmp_path, monkeypatch, number):
     made = trial(steps=3)
     writer = LogWriter(tmp_path / "trial.mcap", real_time=True)
     with writer:
         writer.on_start(made.start)
 
-        def refuse(handle: int) -> None:
+        def refuse(handle):
             raise OSError(number, "the disk says no")
 
         monkeypatch.setattr(sink, "_sync_data", refuse)

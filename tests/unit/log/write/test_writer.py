@@ -3,7 +3,6 @@
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 from support.paths import ROOT
@@ -14,7 +13,7 @@ from tetractl.log.read.reader import read_trial
 from tetractl.log.write.writer import LogWriter
 
 
-def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path: Path) -> None:
+def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path):
     made = trial(steps=1)
     path, part = tmp_path / "trial.mcap", tmp_path / "trial.mcap.part"
     writer = LogWriter(path)
@@ -29,7 +28,7 @@ def test_a_log_is_a_part_until_its_trial_has_ended(tmp_path: Path) -> None:
     assert read_trial(path).result is not None
 
 
-def test_a_trial_without_an_end_stays_a_part(tmp_path: Path) -> None:
+def test_a_trial_without_an_end_stays_a_part(tmp_path):
     made = trial(steps=2)
     with pytest.raises(RuntimeError), LogWriter(tmp_path / "trial.mcap") as writer:
         writer.on_start(made.start)
@@ -44,7 +43,7 @@ def test_a_trial_without_an_end_stays_a_part(tmp_path: Path) -> None:
     assert found.damage is not None
 
 
-def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path: Path) -> None:
+def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path):
     made = trial(steps=32)
     writer = LogWriter(tmp_path / "trial.mcap")
     writer.on_start(made.start)
@@ -59,7 +58,7 @@ def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])
-def test_a_log_is_never_overwritten(tmp_path: Path, left: str) -> None:
+def test_a_log_is_never_overwritten(tmp_path, left):
     old = write(trial(), tmp_path / "old.mcap").rename(tmp_path / left)
     before = old.read_bytes()
     with pytest.raises(LogError, match=f"{left}: this log exists already"):
@@ -71,9 +70,7 @@ def test_a_log_is_never_overwritten(tmp_path: Path, left: str) -> None:
     ("folder", "why"),
     [("a-file", "Not a directory"), ("missing", "No such file or directory"), ("n" * 300, "long")],
 )
-def test_a_folder_that_cannot_be_written_to_is_one_line(
-    tmp_path: Path, folder: str, why: str
-) -> None:
+def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path, folder, why):
     (tmp_path / "a-file").write_text("")
     with pytest.raises(LogError, match=why) as caught:
         LogWriter(tmp_path / folder / "trial.mcap").on_start(trial().start)
@@ -81,7 +78,7 @@ def test_a_folder_that_cannot_be_written_to_is_one_line(
     assert caught.value.hint is None
 
 
-def test_a_folder_removed_during_the_trial_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):
     made, folder = trial(steps=1), tmp_path / "logs"
     folder.mkdir()
     writer = LogWriter(folder / "trial.mcap")
@@ -98,7 +95,7 @@ def test_a_folder_removed_during_the_trial_is_one_line(tmp_path: Path) -> None:
     assert [step.k for step in put_back.steps] == [0]
 
 
-def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path: Path) -> None:
+def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path):
     made, folder = trial(steps=1), tmp_path / "logs"
     folder.mkdir()
     writer = LogWriter(folder / "trial.mcap")
@@ -142,7 +139,7 @@ print(*errors, sep="\\n")
 
 
 @pytest.mark.parametrize("limit", [0, 60_000])
-def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path: Path, limit: int) -> None:
+def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path, limit):
     path = tmp_path / "trial.mcap"
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK, str(path), str(limit)],

@@ -50,11 +50,6 @@ def test_a_dot_links_to_its_trial(tmp_path):
     assert "#trial-" not in svg(batch_figure([found])).decode()
 
 
-def test_dots_of_equal_errors_lie_side_by_side():
-    (axes, _) = batch_figure([group(batch([[100.0]] * 9))]).axes
-    assert len(set(dots(axes)[0].get_offsets()[:, 0])) == 9
-
-
 def test_nothing_to_plot_is_an_error():
     aborted = group(batch(ERRORS.tolist(), outcome=Outcome.ABORTED))
     with pytest.raises(LogError, match="no complete trial"):

@@ -9,13 +9,12 @@ from matplotlib.figure import Figure
 from support.trials import THREE_M3PI, cut_short, experiment, three_robots
 
 from tetractl.core.clock import SECOND
-from tetractl.core.colors import BLUE, GREEN, RED, robot_colors
+from tetractl.core.colors import BLUE, GREEN, RED
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
-from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.labels import separated
@@ -28,18 +27,18 @@ COURSES = tuple(kind for kind in FIGURES.names() if kind not in OF_BATCHES)
 
 
 @pytest.fixture(scope="module")
-def log() -> TrialLog:
+def log():
     log = three_robots()
     valid = log.valid.copy()
     valid[100:110, 1] = False  # the cameras lose a robot
     return estimated(replace(log, valid=valid))
 
 
-def estimated(log: TrialLog, **more: object) -> TrialLog:
+def estimated(log, **more):
     """The trial with an estimate at each step that comes nearer to 5 % above the spec."""
     setup = log.start.setup
 
-    def estimate(k: int) -> Estimate:
+    def estimate(k):
         share = 0.05 * (1 - 0.5**k)
         a, speed = setup.a * (1 + share), setup.speed * (1 + share)
         return Estimate(a, 0.1 * a / (k + 1), speed, 0.1 * speed / (k + 1), **more)
@@ -50,7 +49,7 @@ def estimated(log: TrialLog, **more: object) -> TrialLog:
     return replace(log, steps=steps)
 
 
-def many(log: TrialLog, count: int) -> TrialLog:
+def many(log, count):
     """The trial with its robots copied, a little apart, until there are `count`."""
     spec = experiment(
         robots=[
@@ -81,7 +80,7 @@ def many(log: TrialLog, count: int) -> TrialLog:
     return estimated(replace(made, truth=None))
 
 
-def unseen(figure: Figure) -> set[int]:
+def unseen(figure):
     """The numbers of marks outside what their axis shows, and the numbers of marks on a trail."""
     found = set()
     for axes in figure.axes:
@@ -94,7 +93,7 @@ def unseen(figure: Figure) -> set[int]:
     return found
 
 
-def overlapping(figure: Figure) -> list[tuple[str, str]]:
+def overlapping(figure):
     """The pairs of texts of a figure that lie over one another, or beyond its edge."""
     figure.draw_without_rendering()
     hidden, page = unseen(figure), figure.bbox
@@ -113,7 +112,7 @@ def overlapping(figure: Figure) -> list[tuple[str, str]]:
     return found
 
 
-def words(figure: Figure) -> str:
+def words(figure):
     """All text of a figure, after drawing it once."""
     figure.draw_without_rendering()
     found = figure.findobj(matplotlib.text.Text)
@@ -279,16 +278,6 @@ def test_the_estimate_figure_shows_what_was_estimated(log):
     assert "dead time [ms]" in words(figure)
 
 
-def test_one_wild_estimate_does_not_squash_the_others(log):
-    wild = log.steps[1].plan.estimate
-    assert wild is not None
-    wild = replace(wild, speed=wild.speed * np.array([30.0, 1, 1]))
-    steps = list(log.steps)
-    steps[1] = replace(steps[1], plan=replace(steps[1].plan, estimate=wild))
-    low, high = draw("estimate", [replace(log, steps=tuple(steps))]).axes[1].get_ylim()
-    assert high - low < 60
-
-
 @pytest.mark.parametrize("kind", FIGURES.names())
 def test_no_text_hides_another_dashes_are_in_the_legend_and_the_plant_is_named(log, kind):
     info = PlantInfo("lab", False, 120.0, {"emulated": "camera"})
@@ -311,14 +300,6 @@ def test_no_text_hides_another_of_many_robots(log, kind):
 @pytest.mark.parametrize("kind", SEVERAL)
 def test_no_text_hides_another_in_a_batch_of_many_robots(log, kind):
     assert overlapping(draw(kind, [many(three_robots(seed), 14) for seed in (1, 2, 3)])) == []
-
-
-def test_from_eight_robots_on_they_have_numbers(log):
-    text = words(trajectory_figure([many(log, 8)]))
-    assert "every 2 s" in text
-    assert "2 s\n" not in text.replace("every 2 s", "")
-    lines = text.split("\n")
-    assert all(lines.count(str(number)) >= 2 for number in range(1, 9))  # at start and target
 
 
 @pytest.mark.parametrize("kind", ["trajectory", "timing"])
@@ -367,23 +348,6 @@ def test_an_empty_log_still_shows_the_scene(log):
 def test_most_figures_show_one_trial(log, kind):
     with pytest.raises(UsageError, match="one trial"):
         draw(kind, [log, log])
-
-
-def test_colours_follow_own_choice_then_name_then_palette():
-    robots = experiment().robots
-    made = [
-        robots[0],
-        replace_robot(robots[1], name="r1", color="black"),
-        replace_robot(robots[2], name="r2"),
-        replace_robot(robots[2], name="r3"),
-    ]
-    colors = robot_colors([r.name for r in made], [r.color for r in made])
-    assert colors[:2] == [GREEN, "#000000"]
-    assert len(set(colors)) == 4
-
-
-def replace_robot(robot, **changes):
-    return robot.model_copy(update={"color": None, **changes})
 
 
 def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
@@ -483,13 +447,6 @@ def test_the_scatter_shows_mean_and_covariance_of_each_robot(log):
         along = np.einsum("ni,ij,nj->n", edge, inverse, edge)[::3]  # between them: control points
         assert along == pytest.approx(5.991, rel=0.01)
     assert "covariance, 95 % of a normal distribution" in words(figure)
-
-
-def test_the_histogram_of_solve_times_counts_every_step(log):
-    shares = draw("timing", [log]).axes[1]
-    assert sum(patch.get_width() for patch in shares.patches) == len(log.steps)
-    median = np.percentile([s.solve_ns / 1e6 for s in log.steps], 50, method="inverted_cdf")
-    assert f"p50 {median:.3g} ms" in [text.get_text() for text in shares.texts]
 
 
 def test_distribution_functions_have_a_curve_and_a_band_for_each_folder(log):

@@ -8,7 +8,7 @@ from rich.style import Style
 from support.trials import experiment, three_robots
 
 from tetractl.core.setup import Bounds
-from tetractl.replay.recording import Moment, Recording
+from tetractl.replay.player import Moment, Recording
 from tetractl.view.terminal.arena import ACROSS, DOWN, Canvas, Projection, draw
 from tetractl.view.terminal.glyphs import ASCII, UNICODE, arrow, bar, sparkline
 
@@ -90,16 +90,6 @@ def test_the_robots_stand_where_they_are_and_look_where_they_head():
         column, row = view.cell(*frame.setup.targets[robot])
         assert text[row][column] == "□"
     assert [row for row in range(len(text)) if "⣿" in text[row]]
-
-
-def test_ascii_tells_robots_and_targets_by_number():
-    frame = Recording(three_robots()).at(2_000_000_000)
-    text = "\n".join(draw(frame, COLORS, ASCII, 60, 30).text())
-    assert text.isascii()
-    for robot in "123":
-        assert f"[{robot}]" in text
-        assert text.count(robot) == 2
-    assert "#" in text
 
 
 def test_a_canvas_keeps_the_last_style_of_a_cell_and_cuts_where_it_changes():

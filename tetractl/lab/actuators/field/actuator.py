@@ -16,16 +16,16 @@ from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
-from tetractl.lab.actuators.field.coils import Pair, approach
-from tetractl.lab.actuators.field.driver import HINT, Driver
-from tetractl.lab.actuators.field.driver_protocol import (
+from tetractl.lab.actuators.field.driver import (
+    HINT,
     UNKNOWN_TEMPERATURE,
     VERSION,
+    Driver,
     DriverStatus,
     FieldFlag,
     FieldReply,
 )
-from tetractl.lab.actuators.field.section import FieldSection
+from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 
 STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
 OFF: Pair = (0.0, 0.0)

@@ -10,7 +10,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, SlaveSection, WheelSection
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.m3pi.serial_protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.model.motion.exact import step as exact
@@ -73,7 +73,7 @@ class M3piActuator:
     def check(self) -> Health:
         """Warn of robots without a watchdog; return what is wrong or unknown about the radio."""
         warnings: tuple[str, ...] = ()
-        if isinstance(self.section.protocol, SlaveSection):
+        if not self.section.protocol.watchdog:
             warnings = ("the robots have no watchdog: one that loses the radio drives on",)
         return Health(self.link.problems(), warnings, questions=self.link.questions)
 

@@ -11,12 +11,15 @@ from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.lab_section import ActuatorSection, RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.model.wheels import COUNT_MAX
 
 
 class BroadcastSection(Model):
     """One frame steers all robots, which run the mbed firmware: they stop by themselves after
     250 ms of silence."""
 
+    watchdog: ClassVar[bool] = True
+    limit: ClassVar[int] = COUNT_MAX
     type: Literal["broadcast"]
 
 
@@ -24,6 +27,7 @@ class SlaveSection(Model):
     """One message a robot, which runs the 3pi's serial-slave program. It has no watchdog: a robot
     that loses the radio drives on."""
 
+    watchdog: ClassVar[bool] = False
     type: Literal["slave"]
     accept_no_watchdog: Literal[True]
     """Must be true: confirms that a person stands by to switch the robots off."""
@@ -86,7 +90,7 @@ class M3piSection(XbeeSection, ActuatorSection):
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
         yield from mismatches(indexed, setup.names, ("index", "address"))
-        slave = isinstance(self.protocol, SlaveSection)
+        slave = not self.protocol.watchdog
         if slave and self.mode == "transparent":
             message = "cannot address one robot, which the slave protocol needs; use api2"
             yield ("mode",), message
@@ -104,6 +108,12 @@ class M3piSection(XbeeSection, ActuatorSection):
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= limit:
                     yield ("robots", i, side, "dead_zone"), f"must be below its limit, {limit}"
+
+    def require_port(self) -> None:
+        """Raise AbortError if the port of the radio is not there."""
+        from tetractl.lab.serial_port import require_port
+
+        require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
         """Return the radio's port and rate, and how fast wheels may turn."""
@@ -123,9 +133,7 @@ class M3piSection(XbeeSection, ActuatorSection):
 
     def limit(self, robot: M3piRobot) -> int:
         """Return the greatest count ever sent to a robot: less if nothing would stop it."""
-        if isinstance(self.protocol, SlaveSection):
-            return min(robot.limit, self.protocol.limit)
-        return robot.limit
+        return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, whatever its program; latched until switched off if

@@ -16,7 +16,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_reply,
     encode_command,
 )
-from tetractl.lab.actuators.m3pi.section import M3piSection, SlaveSection
+from tetractl.lab.actuators.m3pi.section import M3piSection
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter
 from tetractl.model.wheels import STOP
@@ -36,10 +36,9 @@ def build_protocol(
     section: M3piSection, names: Sequence[str], link: Link, clock: Clock
 ) -> "BroadcastProtocol | SlaveProtocol":
     """Return the protocol of a spec for the robots of these names, in which it sends and polls."""
-    if isinstance(section.protocol, SlaveSection):
-        addresses = [section.robot(name).address or 0 for name in names]
-        return SlaveProtocol(link, clock, addresses)
-    return BroadcastProtocol(link, clock, [section.index(name) for name in names])
+    if section.protocol.watchdog:
+        return BroadcastProtocol(link, clock, [section.index(name) for name in names])
+    return SlaveProtocol(link, clock, [section.robot(name).address or 0 for name in names])
 
 
 class BroadcastProtocol:

@@ -14,6 +14,7 @@ from tetractl.lab.actuators.xbee.frames import (
     EXPLICIT_RECEIVE,
     AtCommand,
     AtResponse,
+    Decoder,
     Other,
     Receive,
     Receive16,
@@ -21,8 +22,8 @@ from tetractl.lab.actuators.xbee.frames import (
     Transmit16,
     TransmitStatus,
     XbeeFrame,
+    encode,
 )
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.serial_port import SerialPort
 

@@ -114,8 +114,8 @@ class CellCamera(PictureCamera[SeenDish]):
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
         self._cells = cells
         identities = self._bound(cells)
-        parted = {born.beside for born in self._tracker.born}
-        self.divided |= {i for i, identity in enumerate(identities) if identity in parted}
+        mothers = {born.divided for born in self._tracker.born}
+        self.divided |= {i for i, identity in enumerate(identities) if identity in mothers}
         found = {cell.identity: cell for cell in cells}
         robots = [found.get(identity) for identity in identities]
         self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))

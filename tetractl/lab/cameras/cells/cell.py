@@ -1,5 +1,6 @@
 """A tracked cell, and its state in one picture."""
 
+import math
 from dataclasses import dataclass
 
 from tetractl.core.poses import Floats
@@ -49,13 +50,13 @@ class CellAnswer:
 class Born:
     """A new cell, and the path (M, 4) by which it was recognised: seconds, x, y [um], axis.
 
-    It was first seen next to the cell `beside`, None for none: that has divided, or was one blob
-    with it.
+    `divided` is the cell out of whose blob it came although nothing had come into it, None for
+    none.
     """
 
     identity: int
     path: Floats
-    beside: int | None
+    divided: int | None
 
 
 @dataclass(slots=True)
@@ -77,6 +78,10 @@ class FollowedCell:
     place: int = 0  # of this track in the question
     begun: tuple[float, float, float] | None = None  # s, x, y: where it began, until it swims
     measured: tuple[float, ...] | None = None
+    alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
+    size: tuple[float, float] = (math.nan, math.nan)  # its length and width then
+    large_s: float = -math.inf  # when that last was so
+    met: bool = False  # whether something not followed may have come into its blob
 
 
 @dataclass(slots=True)

@@ -29,6 +29,7 @@ STATES = 12
 
 HELIX = 2 * math.pi * 2.5, 2.0  # rad/s: mean and deviation among cells
 HELIX_UM = 6.0  # deviation of c and s
+NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
@@ -66,8 +67,7 @@ class HelixFilter:
         turn = TURN_KNOWN if self.known else TURN_UNKNOWN
         a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
         self.mean[row] = (x, y, heading, speed, 0, 0, HELIX[0], a, 0, 0, 0, 0)
-        helix, flow = (HELIX_UM, HELIX_UM, HELIX[1]), (FLOW_UM_S, FLOW_UM_S)
-        deviations = (6, 6, 0.35, 80, *helix, a_sd, BIAS_PRIOR, turn, *flow)
+        deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S)
         self.covariance[row] = np.diag(np.square(deviations))
         return row
 
@@ -76,6 +76,15 @@ class HelixFilter:
         new = self._free()
         self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
         self.growth[new] = self.growth[row]
+        return new
+
+    def moved(self, row: int, x: float, y: float, heading: float) -> int:
+        """Return a row of the same cell somewhere else: its speed, helix and turning are kept."""
+        new = self.copied(row)
+        for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
+            self.mean[new, state] = value
+            self.covariance[new, state, :] = self.covariance[new, :, state] = 0.0
+            self.covariance[new, state, state] = NEW[state] ** 2
         return new
 
     def drop(self, row: int) -> None:

@@ -17,8 +17,13 @@ from tetractl.lab.cameras.cells.helix import HelixFilter
 
 MOST = 4  # cells of one question: 24 assignments
 SURE = 0.998  # then the question is closed
+LEAST_S = 0.25  # before which it is not
 PATIENCE_S = 10.0  # after which it is closed without an answer: the cells are indistinguishable
 TEMPER = 0.7  # of the likelihood: errors of successive pictures are not independent
+FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
+FAR = 25.0  # squared deviations of a cell from where it was predicted
+SIZE_SD, SIZE_TAIL = 0.1, 4.0  # of the logarithm of a cell's length and width, a Student variable
+SIZED = 6  # pictures that give the sizes of a question's tracks
 
 
 @dataclass(slots=True)
@@ -26,23 +31,36 @@ class Question:
     """Which of K cells each of K tracks is.
 
     `rows` (K, K) are the filter's rows: track t as if it were cell i. `likelihood` (K, K) is the
-    logarithm of each, summed since the question was opened at `since_s`.
+    logarithm of each, summed since the question was opened at `since_s`. `sizes` (K, 2) are length
+    and width [um] of the cells, NaN where not known.
     """
 
     identities: tuple[int, ...]
     rows: np.ndarray
     since_s: float
+    sizes: Floats
     likelihood: Floats = field(init=False)
     _orders: np.ndarray = field(init=False)
+    _sized: np.ndarray = field(init=False)
 
     def __post_init__(self) -> None:
         count = len(self.identities)
         self.likelihood = np.zeros((count, count))
+        self._sized = np.zeros(count, int)
         self._orders = np.array(list(permutations(range(count))))
 
     def add(self, track: int, likelihood: Floats) -> None:
         """Add the log-likelihoods of a track in one picture (K,)."""
         self.likelihood[track] += TEMPER * likelihood
+
+    def add_size(self, track: int, size: Sequence[float]) -> None:
+        """Add the length and width [um] of a track's blob in one picture, if it is one of its
+        first."""
+        if self._sized[track] < SIZED:
+            self._sized[track] += 1
+            squared = np.square(np.log(np.array(size) / self.sizes) / SIZE_SD)
+            each = -(SIZE_TAIL + 1) / 2 * np.log1p(squared / SIZE_TAIL).sum(axis=1)
+            self.likelihood[track] += np.nan_to_num(each) / SIZED
 
     def probabilities(self) -> Floats:
         """Return the probability of each assignment, in the order of `orders`."""
@@ -59,12 +77,34 @@ class Question:
 
     def closed(self, now_s: float) -> bool:
         """Whether the answer is certain, or will never be."""
-        return self.best()[1] > SURE or now_s - self.since_s > PATIENCE_S
+        open_s = now_s - self.since_s
+        return (self.best()[1] > SURE and open_s > LEAST_S) or open_s > PATIENCE_S
 
 
 def opened(
-    bank: HelixFilter, identities: Sequence[int], coasted: Sequence[int], now_s: float
+    bank: HelixFilter,
+    identities: Sequence[int],
+    coasted: Sequence[int],
+    seen: Floats,
+    sizes: Floats,
+    now_s: float,
 ) -> Question:
-    """Return the question of the cells' identities; their rows `coasted` since they merged."""
-    rows = np.array([[bank.copied(row) for row in coasted] for _ in identities])
-    return Question(tuple(identities), rows, now_s)
+    """Return the question which cells of rows `coasted` since they merged are at x, y, heading.
+
+    `seen` (K, 3) are those of the tracks now [um, rad]; `sizes` (K, 2) those of the cells [um],
+    NaN for a new one. A cell that the prediction has far from there is put there, with what lasts
+    of its state.
+    """
+    count = len(identities)
+    rows = np.array([[bank.copied(row) for row in coasted] for _ in seen])
+    question = Question(tuple(identities), rows, now_s, sizes)
+    for track, place in enumerate(seen):
+        likelihood, distance = bank.update(
+            rows[track], np.tile(place, (count, 1)), np.tile(FIRST, (count, 1))
+        )
+        new = np.isnan(sizes[:, 0])  # those may have been anywhere
+        question.add(track, np.where(new, 0.0, likelihood))
+        for i in np.flatnonzero((distance > FAR) | new).tolist():
+            bank.drop(int(rows[track, i]))
+            rows[track, i] = bank.moved(coasted[i], *place.tolist())
+    return question

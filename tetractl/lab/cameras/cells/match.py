@@ -19,6 +19,8 @@ SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
 ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
 COVER = 0.6  # of a cell's width: so far from a blob, it may still be a part of it
 FAR_PX = 20.0  # further from its middle than its length and this, a cell is no part of a blob
+PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one that has left it
+SPECK_UM = 25.0  # from where a speck was
 PLACE_UM = 2.0  # deviation of a blob, in addition to the filter's
 ROUNDS = 4  # of parting a blob
 
@@ -125,6 +127,38 @@ def shared_blobs(
             owner[i] = j
             shared.setdefault(j, []).append(i)
     return shared
+
+
+def separated(
+    cells: Sequence[FollowedCell],
+    expected: Floats,
+    places: Floats,
+    owner: dict[int, int],
+    shared: dict[int, list[int]],
+    specks: set[int],
+    hidden: Floats,
+) -> None:
+    """Give free blobs to owners of a shared blob next to them; `owner` and `shared` are changed.
+
+    So cells that have been one blob, and are not where they are expected, are found again. What is
+    at `hidden` (S, 2) is a speck that they were over.
+    """
+    away = np.linalg.norm(places[:, None, :2] - hidden, axis=2).min(axis=1, initial=np.inf)
+    free = [
+        k for k in range(len(places)) if k not in shared and k not in specks and away[k] > SPECK_UM
+    ]
+    for j in [j for j, owners in shared.items() if len(owners) > 1]:
+        for k in free:
+            owners = shared[j]
+            if len(owners) < 2 or np.linalg.norm(places[k, :2] - places[j, :2]) > PARTED_UM:
+                continue
+            sizes = np.array([(cells[i].long, cells[i].wide) for i in owners])
+            alike = np.abs(np.log(places[k, 3:5] / sizes)).max(axis=1) < ALIKE
+            gaps = np.linalg.norm(expected[owners, None, :2] - places[None, (k, j), :2], axis=2)
+            cost = np.where(alike, gaps[:, 0] - gaps[:, 1], np.inf)
+            if k not in shared and np.isfinite(cost.min()):
+                i = owners.pop(int(cost.argmin()))
+                owner[i], shared[k] = k, [i]
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:

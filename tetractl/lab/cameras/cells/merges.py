@@ -7,13 +7,13 @@ from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.cell import CellAnswer, FollowedCell, Merge
-from tetractl.lab.cameras.cells.helix import HelixFilter
+from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter
 from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
 
 CLEAR = 25.0  # squared deviations between assignments that leave no question
 CLEAR_UM = 3.0  # deviation of a position, in addition to the filter's
-FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
+REMEMBERED_S = 0.5  # after its blob was too large: as long as it takes to recognise another cell
 
 
 class Merges:
@@ -39,12 +39,35 @@ class Merges:
                 merge.cells += other.cells
                 merge.coasted |= other.coasted
         for cell in together:
+            self._drop_alone(cell)
             if cell.merge is None:
                 cell.merge = merge
                 merge.cells.append(cell)
                 merge.coasted[cell.identity] = self._bank.copied(cell.row)
         if merge not in self._merges:
             self._merges.append(merge)
+
+    def watch(self, cell: FollowedCell, large: bool, met: bool, seconds: float) -> None:
+        """Keep a copy of a cell, predicted by the signal alone, while its blob is too large for it
+        and shortly after; `met` is whether something not followed may have come into the blob.
+        """
+        if large:
+            cell.large_s = seconds
+            if cell.alone is None and cell.question is None:
+                cell.size = cell.long, cell.wide
+                cell.alone, cell.met = self._bank.copied(cell.row), met
+        elif seconds - cell.large_s > REMEMBERED_S:
+            self._drop_alone(cell)
+
+    def ask(self, cell: FollowedCell, new: FollowedCell, seen: Floats, since_s: float) -> None:
+        """Open the question which of two at `seen` (2, 3) the known cell is: it, or a new one out
+        of its blob."""
+        assert cell.alone is not None, "only a cell that was watched is known"
+        new_row = self._bank.copied(new.row)
+        sizes = np.array([cell.size, (np.nan, np.nan)])
+        self._ask([cell, new], [cell.alone, new_row], seen, sizes, since_s)
+        self._bank.drop(new_row)
+        self._drop_alone(cell)
 
     def part(self, places: dict[int, Floats], seconds: float) -> None:
         """Open the question of identity of cells that have been one blob, once each has its own
@@ -77,6 +100,7 @@ class Merges:
 
     def forget(self, cell: FollowedCell, cells: Sequence[FollowedCell]) -> None:
         """Remove a lost cell from its blob and its question."""
+        self._drop_alone(cell)
         if cell.question is not None:
             self._close(cell.question, cells)
         if cell.merge is not None:
@@ -85,6 +109,11 @@ class Merges:
             self._bank.drop(merge.coasted.pop(cell.identity))
             if not merge.cells:
                 self._merges.remove(merge)
+
+    def _drop_alone(self, cell: FollowedCell) -> None:
+        if cell.alone is not None:
+            self._bank.drop(cell.alone)
+            cell.alone = None
 
     def _open(self, merge: Merge, seen: Floats, seconds: float) -> None:
         """Open a question, unless the signal alone decides."""
@@ -101,16 +130,26 @@ class Merges:
         clear = best < CLEAR and second_best(squared, best) - best > CLEAR
         if clear and (cell == track).all():
             return
-        question = opened(self._bank, identities, coasted, seconds)
-        count = len(identities)
-        for i, each in enumerate(merge.cells):
-            self._bank.drop(each.row)
-            each.question, each.place = question, i
-            each.row = int(question.rows[i, i])
-            likelihood, _ = self._bank.update(
-                question.rows[i], np.tile(seen[i], (count, 1)), np.tile(FIRST, (count, 1))
-            )
-            question.add(i, likelihood)
+        sizes = np.array([(cell.long, cell.wide) for cell in merge.cells])
+        self._ask(merge.cells, coasted, seen, sizes, seconds)
+
+    def _ask(
+        self,
+        cells: Sequence[FollowedCell],
+        coasted: Sequence[int],
+        seen: Floats,
+        sizes: Floats,
+        seconds: float,
+    ) -> None:
+        """Open the question which cells of rows `coasted` are at x, y, axis `seen` (K, 3)."""
+        heading = self._bank.mean[[cell.row for cell in cells], HEADING]
+        places = seen.copy()
+        places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
+        identities = [cell.identity for cell in cells]
+        question = opened(self._bank, identities, coasted, places, sizes, seconds)
+        for i, cell in enumerate(cells):
+            self._bank.drop(cell.row)
+            cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
         """Accept the likeliest answer; its probability stays with the cells."""
@@ -118,6 +157,8 @@ class Merges:
         members = [cell for cell in cells if cell.question is question]
         for cell in members:
             chosen = order[cell.place]
+            if chosen != cell.place and np.isfinite(question.sizes[chosen]).all():
+                cell.long, cell.wide = question.sizes[chosen].tolist()
             cell.identity = question.identities[chosen]
             cell.row = int(question.rows[cell.place, chosen])
             cell.certainty *= probability

@@ -22,6 +22,7 @@ FROM_UM = 80.0  # of a cell, where it is first seen: they were one blob, or one 
 LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # of something that may be a cell
 REACH_UM, FIRST_UM = 25.0, 40.0  # from where a speck should be; without a path, where it was
 MISSED = 3  # pictures
+HIDDEN = 90  # pictures for which one that stays is remembered: cells may be over it
 
 Entry = tuple[float, float, float, float, float, float]
 """A blob: seconds, x, y [um], axis [rad], length and width [um]."""
@@ -73,8 +74,20 @@ class Specks:
 
     @property
     def places(self) -> Floats:
-        """Where they were last seen (S, 2) [um]."""
-        return np.array([speck.path[-1][1:3] for speck in self.all]).reshape(-1, 2)
+        """Where those of the last pictures were last seen (S, 2) [um]."""
+        recent = [speck for speck in self.all if speck.missed <= MISSED]
+        return np.array([speck.path[-1][1:3] for speck in recent]).reshape(-1, 2)
+
+    @property
+    def next_to(self) -> set[int | None]:
+        """Tracks of the cells next to which those that may be cells were first seen."""
+        return {speck.beside for speck in self.all if len(speck.path) <= NEAR_BORN}
+
+    @property
+    def hidden(self) -> Floats:
+        """Where those that have not been seen since are (S, 2) [um]."""
+        gone = [speck for speck in self.all if speck.missed > MISSED]
+        return np.array([speck.path[-1][1:3] for speck in gone]).reshape(-1, 2)
 
     def follow(
         self, places: Floats, cells: Floats, tracks: Sequence[int], seconds: float
@@ -101,7 +114,11 @@ class Specks:
             speck.path = [*speck.path[-2 * NEAR_BORN :], entry]
             if speck.swims(NEAR_BORN if nearest < NEAR_UM else BORN):
                 swimming.append(speck)
-        kept = [speck for speck in self.all if speck.missed <= MISSED]
+        kept = [
+            speck
+            for speck in self.all
+            if speck.missed <= (HIDDEN if len(speck.path) > 2 * NEAR_BORN else MISSED)
+        ]
         begun = [id(speck) for speck in swimming]
         self.all = ([speck for speck in kept if id(speck) not in begun] + fresh)[:SPECKS]
         return swimming

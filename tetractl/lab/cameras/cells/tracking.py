@@ -19,11 +19,12 @@ from tetractl.lab.cameras.cells.match import (
     assigned,
     parted,
     places_of,
+    separated,
     shared_blobs,
     stopped,
 )
 from tetractl.lab.cameras.cells.merges import Merges
-from tetractl.lab.cameras.cells.specks import BORN, Speck, Specks
+from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
 LARGE = 1.45  # ratio above which a blob shows more than its cell
@@ -37,7 +38,9 @@ POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # deviations of a blob
 ODD = (8.0, 8.0, 0.5)  # those of one that is cut, or larger than its cell
 MERGED = (7.0, 7.0, 10.0)  # those of a cell in a blob with several owners
 ODD_RUN, ODD_DISTANCE = 3, 30.0  # blobs in a row that are not where they should be
+ENTERED_UM = 120.0  # nearer the edge of the picture, what is new has swum into it
 EITHER = 0.5  # probability that a cell is the one known, once another one came out of its blob
+DOUBT = 0.75  # the same, while another one may have been in its blob
 SHAPE_SHARE = 0.05  # of a new blob in a cell's usual size
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
@@ -72,7 +75,7 @@ class CellTracker:
         self._merges = Merges(self.bank)
         self._next = 1
         self._time: float | None = None
-        self._height = 0
+        self._height = self._width = 0
 
     def learn(self, pictures: Sequence[Grey]) -> None:
         """Make the background of pictures over a second or more."""
@@ -96,7 +99,7 @@ class CellTracker:
         """Return the cells of a picture taken at a time [s]."""
         passed = 0.0 if self._time is None else seconds - self._time
         pieces = () if self._time is None else field(self._time, seconds)
-        self._time, self._height = seconds, picture.shape[0]
+        self._time, (self._height, self._width) = seconds, picture.shape
         self.born, self.gone, self._merges.closed = [], [], []
         self.bank.predict(pieces)
         blobs = self.finder.find(picture)
@@ -106,7 +109,7 @@ class CellTracker:
                 cell.missed_s += passed
         else:
             self._match(blobs, seconds, passed)
-        self._give_up(picture.shape[1])
+        self._give_up()
         self.finder.follow(self._kept())
         return self._shown([cell for cell in self._cells if cell.missed_s < HIDDEN_S])
 
@@ -120,6 +123,7 @@ class CellTracker:
         for i in stopped(cells, expected, places, owner, specks):
             self.bank.loosen([cells[i].row])
         shared = shared_blobs(cells, self._pixels(expected), blobs, owner, self.um_px)
+        separated(cells, expected, places, owner, shared, specks, self._specks.hidden)
         for i, cell in enumerate(cells):
             j = owner.get(i)
             cell.blob = None if j is None else blobs[j]
@@ -158,8 +162,11 @@ class CellTracker:
             cell, (x, y, axis, long, wide) = cells[0], places[j].tolist()
             larger = long * wide / (cell.long * cell.wide)
             odd = larger > LARGE or larger < 1 / LARGE**2 or blob.at_edge
+            self._merges.watch(cell, larger > LARGE, self._meets(cell), self._time or 0.0)
             deviations = ODD if odd else (least, least, AXIS / max(1 - wide / long, 0.05))
             cell.measured = (x, y, axis, *deviations)
+            if cell.question is not None and not blob.at_edge:
+                cell.question.add_size(cell.place, (long, wide))
             found.append(_Reading(cell, (x, y, axis), deviations, False))
             if not odd:
                 cell.long += SHAPE_SHARE * (long - cell.long)
@@ -204,14 +211,30 @@ class CellTracker:
         begun = (float(path[-1, 0]), x, y)
         self._cells.append(FollowedCell(self._next, self._next, row, long, wide, begun=begun))
         beside = next((cell for cell in self._cells if cell.track == speck.beside), None)
-        if beside is not None:
+        divided = None
+        if beside is not None and beside.alone is not None and beside.met:
+            seen, _ = self.bank.seen(np.array([beside.row, row]))
+            self._merges.ask(beside, self._cells[-1], seen, float(path[0, 0]))
+        elif beside is not None and not self._near_edge(*path[0, 1:3].tolist()):
             beside.certainty *= EITHER
-        self.born.append(Born(self._next, path[:, :4], beside and beside.identity))
+            divided = beside.identity
+        self.born.append(Born(self._next, path[:, :4], divided))
         self._next += 1
 
-    def _give_up(self, width: int) -> None:
+    def _meets(self, cell: FollowedCell) -> bool:
+        """Whether something that is not followed may come into a cell's blob."""
+        x, y = self.bank.mean[cell.row, :2].tolist()
+        near = np.linalg.norm(self._specks.places - (x, y), axis=1) < FROM_UM
+        return bool(near.any()) or cell.begun is not None or self._near_edge(x, y)
+
+    def _near_edge(self, x: float, y: float) -> bool:
+        """Whether a cell may have swum into the picture to a position."""
+        right, top = self._width * self.um_px, self._height * self.um_px
+        return min(x, y, right - x, top - y) < ENTERED_UM
+
+    def _give_up(self) -> None:
         """Forget cells that have not been seen for long, have left, or never swam."""
-        right, top = width * self.um_px, self._height * self.um_px
+        right, top = self._width * self.um_px, self._height * self.um_px
         for cell in list(self._cells):
             (x, y), rim = self.bank.mean[cell.row, :2].tolist(), OUTSIDE * cell.long
             outside = min(x, y, right - x, top - y) < rim
@@ -260,9 +283,10 @@ class CellTracker:
         rows = np.array([cell.row for cell in cells], int)
         seen, _ = self.bank.seen(rows)
         means, covariances = self.bank.mean[rows], self.bank.covariance[rows]
-        found = []
+        found, next_to = [], self._specks.next_to
         for i, cell in enumerate(cells):
             x, y, axis = seen[i].tolist()
+            doubtful = (cell.alone is not None and cell.met) or cell.track in next_to
             open_share = 1.0 if cell.question is None else cell.question.best()[1]
             found.append(
                 SeenCell(
@@ -273,7 +297,7 @@ class CellTracker:
                     heading=float(means[i, HEADING]),
                     mean=means[i],
                     covariance=covariances[i],
-                    probability=cell.certainty * open_share,
+                    probability=cell.certainty * open_share * (DOUBT if doubtful else 1.0),
                     found=cell.blob is not None,
                     merged=cell.merged,
                     long_um=cell.long,

@@ -1,6 +1,13 @@
 """A NatNet connection without its sockets: datagrams in, camera frames and counts out.
 
 The same code reads a live server and a recorded wire.
+
+The server's clock on the host's, its offset and drift, comes from echoes. An echo says that the
+server's clock read `ticks` at some time between its sending and its return; halfway is the best
+guess, wrong by half the round trip at most. So the echoes of shortest round trip decide, and the
+drift is fitted to those. Two echoes also bound how the clock ran between them, however late the
+network or the host was. A clock that gained or lost more than `DRIFT_MAX` was set or runs wrongly:
+`fault` says so.
 """
 
 from collections import Counter, deque
@@ -25,8 +32,100 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.sync import ClockSync
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
+
+KEPT = 120
+BEST = 0.25  # share of the echoes that decide
+DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be distinguished from noise
+DRIFT_MAX = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class Echo:
+    """One echo: host time halfway [ns], what the server's clock read there [ns], round trip."""
+
+    host_ns: int
+    server_ns: int
+    round_trip_ns: int
+
+
+class ClockSync:
+    """Maps the ticks of a server's clock to the host's clock; without an echo it cannot."""
+
+    def __init__(self, clock_hz: int) -> None:
+        self.clock_hz = clock_hz
+        self.drift = 0.0  # the server gains this much on the host, per unit of time
+        self.fault = ""  # the fault of the clock, permanent
+        self._echoes: deque[Echo] = deque(maxlen=KEPT)
+        self._at = Echo(0, 0, 0)
+
+    @property
+    def synced(self) -> bool:
+        """Whether `to_host` can convert a time."""
+        return bool(self._echoes)
+
+    @property
+    def round_trip_ns(self) -> int:
+        """Round trip of the reference echo [ns]; half of it bounds the error."""
+        return self._at.round_trip_ns
+
+    def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
+        """Take an echo: host times of sending and return [ns], and the server's ticks between."""
+        if not 0 <= returned_ns - sent_ns <= SECOND:
+            return
+        halfway = (sent_ns + returned_ns) // 2
+        echo = Echo(halfway, self._ns(ticks), returned_ns - sent_ns)
+        self.fault = self.fault or self._contradiction(echo)
+        self._echoes.append(echo)
+        best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
+        best = best[: max(1, round(BEST * len(best)))]
+        self._at = max(best, key=lambda echo: echo.host_ns)
+        self.drift = _slope(best)
+
+    def to_host(self, ticks: int) -> int:
+        """Return the host time [ns] when the server's clock read `ticks`."""
+        since = self._ns(ticks) - self._at.server_ns
+        return self._at.host_ns + round(since / (1.0 + self.drift))
+
+    def error_ns(self, host_ns: int) -> int:
+        """Return how far `to_host` may be off at a time of the host's [ns]."""
+        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)  # `drift` is off by twice at most
+        return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
+
+    def _contradiction(self, new: Echo) -> str:
+        """Return the fault of the clock since an earlier echo, "" for none."""
+        for old in reversed(self._echoes):
+            span = new.host_ns - old.host_ns
+            gained = new.server_ns - old.server_ns - span
+            unsure = (old.round_trip_ns + new.round_trip_ns) // 2 + self._resolution_ns
+            if abs(gained) > unsure + DRIFT_MAX * abs(span):
+                return (
+                    f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
+                    f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
+                    "it was set, or runs wrongly"
+                )
+        return ""
+
+    @property
+    def _resolution_ns(self) -> int:
+        return 2 * SECOND // self.clock_hz + 1
+
+    def _ns(self, ticks: int) -> int:
+        return ticks * SECOND // self.clock_hz
+
+
+def _slope(echoes: list[Echo]) -> float:
+    """Least squares slope of server minus host against host; 0 if it cannot be estimated."""
+    first = echoes[0]
+    t = [echo.host_ns - first.host_ns for echo in echoes]
+    if max(t) - min(t) < DRIFT_SPAN:
+        return 0.0
+    d = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
+    mean_t, mean_d = sum(t) / len(t), sum(d) / len(d)
+    covariance = sum((x - mean_t) * (y - mean_d) for x, y in zip(t, d, strict=True))
+    slope = covariance / sum((x - mean_t) ** 2 for x in t)
+    return max(-DRIFT_MAX, min(DRIFT_MAX, slope))
+
 
 AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
 MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock

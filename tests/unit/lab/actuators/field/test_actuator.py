@@ -17,7 +17,7 @@ from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
 from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver_protocol import FieldFlag
+from tetractl.lab.actuators.field.driver import FieldFlag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
@@ -136,11 +136,6 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     assert (stop.turning == 0).all()
     assert (stop.outputs["current_x_a"], stop.outputs["current_y_a"]) == (0, 0)
     assert stop.outputs["field_mt"] == pytest.approx(0.05)  # the ambient field stays
-
-
-def test_cells_cannot_be_polled():
-    actuator, _ = virtual()
-    assert [status.answers for status in actuator.poll(1.0)] == [None, None]
 
 
 # from here on: before an emulated driver

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.actuators.field.coils import Coils, approach
+from tetractl.lab.actuators.field.section import Coils, approach
 
 angles = st.floats(-10, 10)
 gains = st.floats(0.1, 10) | st.floats(-10, -0.1)

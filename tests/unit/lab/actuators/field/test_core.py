@@ -8,7 +8,7 @@ from support.field_twin import Twin
 from tetractl.emulate import firmware
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.driver_protocol import (
+from tetractl.lab.actuators.field.driver import (
     DriverStatus,
     FieldCommand,
     FieldFlag,

@@ -5,7 +5,7 @@ from support.paths import ROOT
 
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
-from tetractl.lab.actuators.field.driver_protocol import (
+from tetractl.lab.actuators.field.driver import (
     DriverStatus,
     FieldCommand,
     FieldFlag,

@@ -23,16 +23,6 @@ def test_documented_bytes():
     assert decode_battery(b"\x39\x15") == 5433
 
 
-@given(left=counts, right=counts)
-def test_wheels_round_trip(left, right):
-    decoder = SlaveDecoder()
-    assert decoder.feed(encode_wheels(left, right)) == [
-        MotorCount(Motor.M1, left),
-        MotorCount(Motor.M2, right),
-    ]
-    assert decoder.ignored == 0
-
-
 def test_a_lost_data_byte_costs_that_command_only():
     decoder = SlaveDecoder()
     found = decoder.feed(b"\xc1" + encode_wheels(3, 4)[2:] + SIGNATURE_REQUEST + b"\x05\xba")

@@ -15,11 +15,12 @@ from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol
 from tetractl.lab.actuators.xbee.frames import (
     AtCommand,
     AtResponse,
+    Decoder,
     Receive16,
     Transmit16,
     TransmitStatus,
+    encode,
 )
-from tetractl.lab.actuators.xbee.framing import Decoder, encode
 from tetractl.lab.actuators.xbee.hardware import FAMILIES, XbeeSection, protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.cobs import Splitter

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.tag_scene import FLOOR, LARGE, MM, ROBOTS, look, rendered, tracker
 
-from tetractl.emulate.apriltag.renderer import Optics, Renderer
-from tetractl.lab.cameras.apriltag.plane import SQUARE, Plane
+from tetractl.emulate.apriltag.side import Optics, Renderer
+from tetractl.lab.cameras.apriltag.floor import SQUARE, Plane
 
 OPTICS = Optics.facing(FLOOR, MM, *LARGE)
 SIDE = 0.12

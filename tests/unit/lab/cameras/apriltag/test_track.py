@@ -19,8 +19,8 @@ from support.tag_scene import (
 )
 
 from tetractl.core.poses import Poses
+from tetractl.lab.cameras.apriltag.camera import Tracker
 from tetractl.lab.cameras.apriltag.section import FloorTag
-from tetractl.lab.cameras.apriltag.track import Tracker
 
 OVERHEAD = {"tilt": 0.0}
 

@@ -9,7 +9,7 @@ from support.virtual_wires import VirtualCamera
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.natnet_messages import (

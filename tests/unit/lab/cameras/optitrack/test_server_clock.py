@@ -6,7 +6,7 @@ import re
 import pytest
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Connect,
     EchoRequest,

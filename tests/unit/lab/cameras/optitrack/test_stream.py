@@ -2,7 +2,7 @@ import struct
 
 import pytest
 
-from tetractl.emulate.optitrack.server_wire import pack_answer
+from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,

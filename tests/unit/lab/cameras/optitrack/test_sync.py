@@ -1,7 +1,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.cameras.optitrack.sync import SECOND, ClockSync
+from tetractl.lab.cameras.optitrack.stream import SECOND, ClockSync
 
 MS = 1_000_000
 

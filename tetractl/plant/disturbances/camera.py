@@ -1,0 +1,199 @@
+"""Disturbances from the robots to the host: frames that are late, lost or wrong."""
+
+from collections import deque
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.plant.disturbances.spells import ByTurns, Spells, SpellsSection
+
+
+class TrackingLossSection(DisturbanceSection):
+    """The camera loses each robot occasionally, independently of the others."""
+
+    type: Literal["tracking-loss"]
+    every: Positive
+    """Mean time a robot is tracked between two losses [s], exponentially distributed."""
+    duration: Positive = 0.2
+    """Mean time it then stays lost [s], exponentially distributed."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "TrackingLoss":
+        """Return the losses of one trial."""
+        return TrackingLoss(self, len(setup.names), rng)
+
+
+class TrackingLoss(Disturbance):
+    """Each robot is tracked and lost by turns; it is tracked initially."""
+
+    def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
+        self._tracked = ByTurns(
+            robots,
+            lambda: rng.exponential(section.every),
+            lambda: rng.exponential(section.duration),
+        )
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the poses as they are, the robots lost at this time as not tracked."""
+        return poses, valid & self._tracked.well(time_s)
+
+
+class CameraLatencySection(DisturbanceSection):
+    """Every frame reaches the host after a latency that varies a little."""
+
+    type: Literal["camera-latency"]
+    mean: float = Field(ge=0, le=10, allow_inf_nan=False)
+    """Mean time from exposure to arrival [s]."""
+    deviation: float = Field(default=0.0, ge=0, le=1, allow_inf_nan=False)
+    """Standard deviation of a frame's latency [s], normally distributed, truncated at 4 standard
+    deviations."""
+    late_share: Fraction = 0.0
+    """Fraction of the frames that are late."""
+    late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
+    """Late frames are late by up to this, uniformly distributed [s]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
+        """Return the latencies of one trial."""
+        return CameraLatency(self, rng)
+
+
+class CameraLatency(Disturbance):
+    """Adds a latency to each frame."""
+
+    def __init__(self, section: CameraLatencySection, rng: np.random.Generator) -> None:
+        self._section, self._rng = section, rng
+
+    def received(self, exposed_ns: int, received_ns: int) -> int:
+        """Return the time of arrival with the latency added, never before the exposure."""
+        section, rng = self._section, self._rng
+        latency = section.mean + section.deviation * min(4.0, max(-4.0, rng.standard_normal()))
+        if rng.random() < section.late_share:
+            latency += section.late_by * rng.random()
+        return received_ns + max(0, round(latency * SECOND))
+
+
+class FrameLossSection(DisturbanceSection):
+    """Frames are lost in bursts of geometrically distributed length (Gilbert's model)."""
+
+    type: Literal["frame-loss"]
+    share: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False)]
+    """Share of all frames that are lost."""
+    burst: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False)] = 1.0
+    """Mean number of frames lost in a row."""
+
+    @property
+    def loses_frames(self) -> bool:
+        """Whether there is anything to lose."""
+        return self.share > 0
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "FrameLoss":
+        """Return the losses of one trial."""
+        return FrameLoss(self, rng)
+
+
+class FrameLoss(Disturbance):
+    """A Markov chain of two states, frame by frame; the first frame is not lost."""
+
+    def __init__(self, section: FrameLossSection, rng: np.random.Generator) -> None:
+        self._begin = section.share / (1 - section.share) / section.burst
+        self._end = 1 / section.burst
+        self._rng = rng
+        self._losing = False
+
+    def received(self, exposed_ns: int, received_ns: int) -> int | None:
+        """Return the time of arrival unchanged, None for a frame that is lost."""
+        lost, draw = self._losing, self._rng.random()
+        self._losing = draw >= self._end if lost else draw < self._begin
+        return None if lost else received_ns
+
+
+class FrozenCameraSection(SpellsSection):
+    """Intervals in which every frame repeats the last one before, or none comes."""
+
+    type: Literal["frozen-camera"]
+    repeats: bool = True
+    """Whether frames repeat the last picture as a new one; else no frame reaches the host."""
+
+    @property
+    def loses_frames(self) -> bool:
+        """Whether frames stop coming."""
+        return not self.repeats
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
+        """Return the intervals of one trial."""
+        return FrozenCamera(self.repeats, self.draw(rng))
+
+
+class FrozenCamera(Disturbance):
+    """Repeats, or loses, the frames of an interval."""
+
+    def __init__(self, repeats: bool, spells: Spells) -> None:
+        self._repeats, self._spells = repeats, spells
+        self._last: tuple[Poses, Bools] | None = None
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the last picture before the interval while one is on."""
+        if self._last is None or not (self._repeats and self._spells.at(time_s)):
+            self._last = poses, valid
+        return self._last
+
+    def received(self, exposed_ns: int, received_ns: int) -> int | None:
+        """Return the time of arrival unchanged, None for a frame that does not come."""
+        lost = not self._repeats and self._spells.at(exposed_ns / SECOND)
+        return None if lost else received_ns
+
+
+class MarkerOffSection(DisturbanceSection):
+    """Each robot's measured heading is off by this, to one side or the other, drawn once a
+    trial."""
+
+    type: Literal["marker-off"]
+    heading: NonNegative
+    """Offset of the measured heading, in either direction [rad]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":
+        """Return the sides of one trial."""
+        return MarkerOff(self.heading * rng.choice([-1.0, 1.0], len(setup.names)))
+
+
+class MarkerOff(Disturbance):
+    """Turns what the camera shows by an offset for each robot (N,) [rad]."""
+
+    def __init__(self, off: Floats) -> None:
+        self._off = off
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the poses with their headings off."""
+        return Poses(poses.x, poses.y, poses.heading + self._off), valid
+
+
+class StaleCameraSection(SpellsSection):
+    """Intervals in which frames hold old poses."""
+
+    type: Literal["stale-camera"]
+    age: Positive = 0.1
+    """Age of the poses [s]; early in the trial, that of the oldest ones."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
+        """Return the intervals of one trial."""
+        return StaleCamera(self.age, self.draw(rng))
+
+
+class StaleCamera(Disturbance):
+    """Keeps the measurements, and shows them `age_s` later while an interval is on."""
+
+    def __init__(self, age_s: float, spells: Spells) -> None:
+        self._age_s, self._spells = age_s, spells
+        self._kept: deque[tuple[float, Poses, Bools]] = deque()
+
+    def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
+        """Return the poses; in an interval, the newest that are at least `age_s` old."""
+        self._kept.append((time_s, poses, valid))
+        while len(self._kept) > 1 and self._kept[1][0] <= time_s - self._age_s:
+            self._kept.popleft()
+        return self._kept[0][1:] if self._spells.at(time_s) else (poses, valid)

@@ -1,0 +1,153 @@
+"""Disturbances of the robots themselves: where they start, how fast they move and turn."""
+
+from typing import Literal
+
+import numpy as np
+
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+from tetractl.plant.disturbances.spells import ByTurns
+
+
+class BatterySection(DisturbanceSection):
+    """All robots slow down steadily, and then stay as slow as they are."""
+
+    type: Literal["battery"]
+    speed: Fraction
+    """Share of its speed that each robot loses."""
+    a: Fraction = 0.0
+    """Share of its a that each robot loses."""
+    over: Positive = 30.0
+    """Time of the trial until these fractions are lost [s]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
+        """Return the batteries of one trial."""
+        return Battery(self)
+
+
+class Battery(Disturbance):
+    """Takes a share of a and speed that grows with time."""
+
+    def __init__(self, section: BatterySection) -> None:
+        self._section = section
+
+    def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
+        """Return a and speed minus the present loss."""
+        used = min(1.0, time_s / self._section.over)
+        return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)
+
+
+class HeadingDriftSection(DisturbanceSection):
+    """A turning rate is added to that of (3), as by uneven wheels or a bent cell."""
+
+    type: Literal["heading-drift"]
+    rate: NonNegative
+    """Greatest rate; each robot's is uniform in [-rate, rate], drawn once per trial [rad/s]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "HeadingDrift":
+        """Return the drift of one trial."""
+        return HeadingDrift(self.rate * rng.uniform(-1, 1, len(setup.names)))
+
+
+class HeadingDrift(Disturbance):
+    """Turns each robot that moves at its own rate (N,) [rad/s]."""
+
+    def __init__(self, rates: Floats) -> None:
+        self._rates = rates
+
+    def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
+        """Return the poses turned by `seconds` of the drift."""
+        return Poses(poses.x, poses.y, poses.heading + self._rates * moving * seconds)
+
+
+class StickingSection(DisturbanceSection):
+    """Each robot sticks occasionally, as at a cable or on dust, independently of the others."""
+
+    type: Literal["sticking"]
+    every: Positive
+    """Mean time between two times that a robot sticks [s], exponentially distributed."""
+    duration: NonNegative = 0.5
+    """Time for which it then neither moves nor turns [s]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "Sticking":
+        """Return the sticking of one trial."""
+        return Sticking(self, len(setup.names), rng)
+
+
+class Sticking(Disturbance):
+    """Holds each robot independently."""
+
+    def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
+        free_s, stuck_s = section.every, section.duration
+        self._free = ByTurns(robots, lambda: rng.exponential(free_s), lambda: stuck_s)
+
+    def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
+        """Return no turning and no speed for the robots that stick."""
+        free = self._free.well(time_s)
+        return a * free, speed * free
+
+
+class WanderSection(DisturbanceSection):
+    """Relative errors of a and speed that change slowly, independently for each robot and quantity.
+    Their logarithms are stationary Ornstein-Uhlenbeck processes.
+    """
+
+    type: Literal["wander"]
+    a: NonNegative = 0.0
+    """Standard deviation of ln a."""
+    speed: NonNegative = 0.0
+    """Standard deviation of ln speed."""
+    time: Positive = 5.0
+    """Correlation time of the errors [s]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "Wander":
+        """Return the errors of one trial."""
+        return Wander(self, len(setup.names), rng)
+
+
+class Wander(Disturbance):
+    """Draws the errors at each requested time; their statistics do not depend on the frame rate."""
+
+    def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
+        self._size = np.array([[section.a], [section.speed]])
+        self._time_s, self._rng = section.time, rng
+        self._state = rng.standard_normal((2, robots))
+        self._last_s = 0.0
+
+    def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
+        """Return a and speed with the errors of this time."""
+        kept = np.exp(-(time_s - self._last_s) / self._time_s)
+        self._last_s = time_s
+        drawn = self._rng.standard_normal(self._state.shape)
+        self._state = kept * self._state + np.sqrt(1 - kept**2) * drawn
+        in_a, in_speed = np.exp(self._size * self._state)
+        return a * in_a, speed * in_speed
+
+
+class StartErrorSection(DisturbanceSection):
+    """Each robot is put down near its start, uniformly distributed, again in every trial."""
+
+    type: Literal["start-error"]
+    position: NonNegative = 0.0
+    """x and y are off by up to this [length unit]."""
+    heading: NonNegative = 0.0
+    """The heading is off by up to this [rad]."""
+
+    def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":
+        """Return the error of one trial."""
+        return StartError(self, rng)
+
+
+class StartError(Disturbance):
+    """Draws the errors of the start poses."""
+
+    def __init__(self, section: StartErrorSection, rng: np.random.Generator) -> None:
+        self._section, self._rng = section, rng
+
+    def placed(self, poses: Poses) -> Poses:
+        """Return the poses with their errors."""
+        x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
+        off, turned = self._section.position, self._section.heading
+        return Poses(poses.x + off * x, poses.y + off * y, poses.heading + turned * heading)

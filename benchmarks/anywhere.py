@@ -28,9 +28,8 @@ from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner, steering
 from tetractl.control.lengths import Searcher, choose, least_length
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.plan import Limits
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.problem import Problem
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval

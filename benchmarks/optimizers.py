@@ -13,8 +13,7 @@ import numpy as np
 from solverbench.problems import LENGTH, printed, recommended
 from solverbench.report import load
 
-from tetractl.core.plan import Limits
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.registries import OPTIMIZERS
 from tetractl.experiment.controller import OptimizerSection
 

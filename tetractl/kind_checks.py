@@ -15,9 +15,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from tetractl.core.errors import AbortError, UsageError
-from tetractl.core.plan import Limits
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model

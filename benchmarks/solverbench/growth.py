@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.colors import BLUE, GREEN, RED
-from tetractl.core.plan import Limits
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Limits, Problem
 from tetractl.view.style import GREY, figure, panel, save, styled
 
 from .problems import PARTICLES, SIGNALS, SWARM, crowd, printed

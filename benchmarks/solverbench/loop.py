@@ -10,9 +10,8 @@ import numpy as np
 from tetractl.control.build import build_controller
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo
-from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
 from tetractl.core.poses import Observation
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment

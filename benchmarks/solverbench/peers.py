@@ -19,9 +19,8 @@ from tetractl.control.optimizers.pso import pso
 from tetractl.control.optimizers.pso_section import Pso
 from tetractl.control.rng import mix
 from tetractl.control.stop import TargetStop
-from tetractl.core.plan import Limits
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.experiment.controller import OptimizerSection
 
 from .problems import PARTICLES

@@ -8,8 +8,8 @@ import numpy as np
 
 from tetractl.control.optimizers.pso_section import Pso
 from tetractl.control.stop import BudgetStop
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.problem import Problem
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
 

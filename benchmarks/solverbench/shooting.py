@@ -8,7 +8,7 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.control.lengths import Candidate
 from tetractl.control.mpc import Mpc
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Problem
 
 from .peers import Meter
 from .problems import LENGTH

@@ -11,8 +11,7 @@ from tetractl.control.kernels import pso as kernel
 from tetractl.control.kernels.options import ENTRY_FAST, inlined
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers import compiled_pso, pso
-from tetractl.core.plan import Limits
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Limits, Problem
 from tetractl.model.motion.polynomials import horner
 
 from .peers import OPTIONS, available

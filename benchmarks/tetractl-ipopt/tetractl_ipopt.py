@@ -24,9 +24,8 @@ from pydantic import Field
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.curves import bearing, interpolate
 from tetractl.control.search_progress import Progress
-from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 

@@ -34,8 +34,8 @@ import numpy as np
 
 from tetractl.control.cost import predict
 from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGRESS
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 
 NUDGE = 0.02  # rad, for derivatives

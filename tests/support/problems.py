@@ -6,8 +6,8 @@ from support.oracle import World
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.pso import Swarm
 from tetractl.control.optimizers.pso_section import Pso
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
-from tetractl.core.problem import Problem
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.polygon import Polygon

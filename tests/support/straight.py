@@ -12,8 +12,7 @@ import numpy as np
 from tetractl.control.cost import costs_along, predict
 from tetractl.control.curves import bearing
 from tetractl.control.rng import mix
-from tetractl.core.plan import Outcome, Plan, Search, StopReason
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.registries import CONTROLLERS
 from tetractl.experiment.controller import ControllerSection, same
 from tetractl.model.obstacles import Obstacles

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
-from tetractl.core.ellipse import ellipse
+from tetractl.core.poses import ellipse
 from tetractl.core.table.table import Column, Table, fixed
 
 OF_PLANS = (

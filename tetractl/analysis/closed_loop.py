@@ -29,8 +29,8 @@ import numpy as np
 from scipy.special import ellipe
 
 from tetractl.control.cost import predict
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 from tetractl.experiment.plant import PlantSection
 

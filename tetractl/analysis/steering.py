@@ -11,9 +11,8 @@ import numpy as np
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.control.mpc import MpcSection
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.plan import Plan
+from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.problem import Problem
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.task import trial_seeds

@@ -45,9 +45,9 @@ def analyze(
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
+    from tetractl.core.errors import printable
     from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
-    from tetractl.core.text import printable
 
     if out:
         from tetractl.view.style import file_format

@@ -39,8 +39,7 @@ from tetractl.cli import (
     warm,
     what_if,
 )
-from tetractl.core.errors import Exit, TetractlError
-from tetractl.core.text import printable
+from tetractl.core.errors import Exit, TetractlError, printable
 
 PLAIN = (  # typer's words for a bad value, and those that errors of specs use
     ("Input should be a valid integer, unable to parse string as an integer", "is no whole number"),

@@ -30,7 +30,7 @@ def info(
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
     from tetractl.log.read.find import find_log
     from tetractl.log.read.overview import overview
 

@@ -98,7 +98,7 @@ def init(
                 "give --example alone",
             )
         return _example(example)
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
 
     name = "experiment" if name is None else name
     if lab and cells:

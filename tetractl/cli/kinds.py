@@ -81,8 +81,8 @@ def _list(as_json: bool) -> int:
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.init import template
+    from tetractl.core.errors import printable
     from tetractl.core.table.table_files import json_text
-    from tetractl.core.text import printable
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value
     from tetractl.kind_checks import check_kind

@@ -69,7 +69,7 @@ def open_trial(path: Path) -> "TrialLog":
 
 def warn_of_damage(log: "TrialLog") -> None:
     """Print a damaged log's problems and losses to stderr."""
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
 
     if log.damage:
         for problem in log.damage.problems:

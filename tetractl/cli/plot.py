@@ -47,7 +47,7 @@ def plot(
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
     from tetractl.log.read.find import find_logs
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save

@@ -26,7 +26,7 @@ def recover(
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
     from tetractl.log.read.find import find_log
     from tetractl.log.read.recover import recover as save
 

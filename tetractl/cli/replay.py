@@ -113,7 +113,7 @@ def _as_text(
     rate: float | None,
     loop: bool,
 ) -> int:
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
     from tetractl.replay.player import Recording, span
     from tetractl.view.terminal.replay_screen import print_lines
 

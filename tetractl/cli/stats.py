@@ -92,8 +92,7 @@ def show(found: "GroupComparison", form: str) -> None:
 
 def _described(listed: "Sequence[Source]") -> "list[Group]":
     """Read and describe batches; name what is damaged on stderr."""
-    from tetractl.core.errors import LogError
-    from tetractl.core.text import printable
+    from tetractl.core.errors import LogError, printable
     from tetractl.results.describe import describe
 
     groups = []

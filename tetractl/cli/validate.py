@@ -39,7 +39,7 @@ def validate(
 
 
 def _check(path: Path, sets: list[str]) -> tuple[dict[str, Any], list[str]]:
-    from tetractl.core.text import printable
+    from tetractl.core.errors import printable
     from tetractl.experiment.load import spec_hash
     from tetractl.experiment.yaml.problems import InvalidSpecError
     from tetractl.run.plausibility import CheckContext

@@ -28,8 +28,7 @@ def verify(
 
     Example: tetractl verify logs/batch
     """
-    from tetractl.core.errors import LogError
-    from tetractl.core.text import printable
+    from tetractl.core.errors import LogError, printable
     from tetractl.log.read.find import find_logs
     from tetractl.replay.verify import verify as check
 

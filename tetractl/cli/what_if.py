@@ -38,9 +38,9 @@ def what_if(
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
+    from tetractl.core.errors import printable
     from tetractl.core.table.table_files import json_text
     from tetractl.core.table.terminal_table import print_tables
-    from tetractl.core.text import printable
     from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.replay import what_if as replay

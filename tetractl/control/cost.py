@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.errors import ControlError
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 

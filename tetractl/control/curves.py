@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 
 
 def bearing(problem: Problem) -> float:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS
 
 Held = tuple[int, int, Floats]

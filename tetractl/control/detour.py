@@ -18,8 +18,8 @@ from tetractl.control.delay import driven
 from tetractl.control.lengths import GROWTH
 from tetractl.control.margins import Margins
 from tetractl.core.clock import SECOND
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.problem import Problem
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round

@@ -24,9 +24,8 @@ from tetractl.control.fixed_sequence import plain_problem, search_of
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import Outcome, Plan
+from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation, Poses
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Positive

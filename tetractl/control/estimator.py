@@ -15,9 +15,8 @@ from tetractl.control.filter import FilterBank, Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
-from tetractl.core.plan import Estimate
+from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Bools, Floats, Observation
-from tetractl.core.problem import Problem
 from tetractl.core.tour import Losses, LossRule
 
 REMEMBERED = SECOND  # ns for which commands are remembered after they stopped acting

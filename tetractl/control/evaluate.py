@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tetractl.control.cost import Foreseen, require_finite
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 
 
 def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:

@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
-from tetractl.core.plan import Plan, Search, StopReason
+from tetractl.core.plan import Plan, Problem, Region, Search, StopReason
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem, Region
 from tetractl.core.setup import Setup
 
 

@@ -14,9 +14,8 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.control.rng import normal
 from tetractl.control.search_progress import Progress
-from tetractl.core.plan import Limits, Search
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.problem import Problem
 from tetractl.experiment.controller import OptimizerSection
 
 AHEAD_S = 4.0  # duration of the plan: one or two circles

@@ -9,9 +9,8 @@ from collections.abc import Callable, Iterable, Sequence
 import numpy as np
 
 from tetractl.control.rng import mix
-from tetractl.core.plan import Limits, Search, never
+from tetractl.core.plan import Limits, Problem, Search, never
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 

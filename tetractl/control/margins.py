@@ -23,9 +23,8 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.control.evaluate import compiled_path
-from tetractl.core.plan import Estimate
+from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.problem import Problem
 from tetractl.core.setup import Bounds, Shape
 from tetractl.model.obstacles import Obstacles
 

@@ -47,9 +47,8 @@ from tetractl.control.mpc_section import MpcFields
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Estimate, Limits, Outcome, Plan, Search, never
+from tetractl.core.plan import End, Estimate, Limits, Outcome, Plan, Problem, Search, never
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same

@@ -5,8 +5,8 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, PositiveInt, model_validator
 
 from tetractl.control.filter import Prior
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
-from tetractl.core.problem import Problem
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent

@@ -22,9 +22,8 @@ from tetractl.control.estimator import StateEstimator
 from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.plan import End, Outcome, Plan, Problem, Region
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.problem import Problem, Region
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Bounds, Setup
 from tetractl.experiment.base import Fraction, NonNegative, Positive

@@ -13,9 +13,8 @@ from tetractl.control.fixed_sequence import given_search, make_plan, plain_probl
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.plan import End, Outcome, Plan, Problem
 from tetractl.core.poses import Observation
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative

@@ -1,5 +1,6 @@
-"""Where the robots are: poses, camera frames and observations."""
+"""Where the robots are: poses, camera frames, observations, and the ellipse of a covariance."""
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -95,3 +96,19 @@ class Observation:
     received_ns: int
     poses: Poses
     valid: Bools
+
+
+INSIDE = 0.95
+"""The share of a normal distribution that lies in the ellipse."""
+DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
+"""Distance from the ellipse's centre to its edge, in standard deviations."""
+
+
+def ellipse(covariance: Floats) -> tuple[float, float, float]:
+    """Return the ellipse that holds INSIDE of a normal distribution of a covariance (2, 2): its
+    half axes [length unit], the longer first, and the angle of the longer one [rad].
+    """
+    values, vectors = np.linalg.eigh(covariance)
+    short, long = DEVIATIONS * np.sqrt(np.maximum(values, 0.0))
+    angle = math.atan2(float(vectors[1, 1]), float(vectors[0, 1]))
+    return float(long), float(short), math.remainder(angle, math.pi)

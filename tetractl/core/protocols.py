@@ -3,7 +3,6 @@
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from types import TracebackType
 from typing import Protocol, Self
 
 from tetractl.core.commands import (
@@ -16,9 +15,8 @@ from tetractl.core.commands import (
     Transmission,
     Verdict,
 )
-from tetractl.core.plan import End, Limits, Outcome, Plan, Search
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
 from tetractl.core.poses import CameraFrame, Floats, Observation, Pose
-from tetractl.core.problem import Problem
 from tetractl.core.trial import Result, Start, Step
 
 
@@ -82,13 +80,7 @@ class Device(Protocol):
 
     def __enter__(self) -> Self: ...
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-        /,
-    ) -> None: ...
+    def __exit__(self, *error: object) -> None: ...
 
     def check(self) -> Health:
         """Return problems, warnings and facts; moves nothing.

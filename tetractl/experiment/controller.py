@@ -11,9 +11,8 @@ from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.plan import Limits, Search
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive

@@ -11,8 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from tetractl.core.commands import PlantInfo
-from tetractl.core.errors import SpecError
-from tetractl.core.text import printable
+from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot

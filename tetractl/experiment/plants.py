@@ -7,9 +7,8 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import PLANTS
-from tetractl.core.text import printable
 from tetractl.experiment.base import Model
 from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from tetractl.core.cache import compiler_settings
 from tetractl.core.cache import digest as cache_name
-from tetractl.core.text import printable
+from tetractl.core.errors import printable
 from tetractl.core.version import __version__
 
 PACKAGES = (

@@ -17,9 +17,18 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Search, StopReason, never
+from tetractl.core.plan import (
+    PAUSE_S,
+    End,
+    Limits,
+    Outcome,
+    Plan,
+    Problem,
+    Search,
+    StopReason,
+    never,
+)
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import OptimizerSection

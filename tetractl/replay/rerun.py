@@ -4,8 +4,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tetractl.core.errors import Exit
-from tetractl.core.text import printable
+from tetractl.core.errors import Exit, printable
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec

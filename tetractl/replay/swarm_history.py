@@ -15,9 +15,8 @@ from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.pso import LOWER, UPPER
 from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.core.plan import Limits, Search
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 from tetractl.log.read import limits

@@ -16,7 +16,7 @@ from pathlib import Path
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
-from tetractl.core.text import printable
+from tetractl.core.errors import printable
 from tetractl.experiment.load import resolved_yaml
 from tetractl.experiment.registry_fields import packages
 from tetractl.log import provenance

@@ -11,11 +11,10 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, unit_of
 from tetractl.core.table.table import NONE, Column, Table, lengths
 from tetractl.core.table.table_files import plain
 from tetractl.core.table.terminal_table import html
-from tetractl.core.text import unit_of
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog

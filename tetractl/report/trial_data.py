@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from tetractl.core.colors import robot_colors
+from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import MOST, DishPictures
 

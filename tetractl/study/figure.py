@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
-from tetractl.core.text import unit_of
+from tetractl.core.errors import unit_of
 from tetractl.study.arm_table import FieldValue, field_values, numeric, origins
 from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store

@@ -15,9 +15,8 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import SWEEPS
-from tetractl.core.text import printable
 from tetractl.experiment.base import Model, Name
 from tetractl.experiment.experiment import Trials
 from tetractl.experiment.load import LoadedSpec, arm_hash, load_spec

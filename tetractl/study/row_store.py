@@ -5,10 +5,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
-from tetractl.core.text import printable
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format.channels import TEXT
 from tetractl.log.read.find import ROWS

@@ -21,9 +21,8 @@ from PIL import Image
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, unit_of
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import Moment, Recording
 from tetractl.view import style

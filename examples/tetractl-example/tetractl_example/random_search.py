@@ -6,9 +6,8 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.evaluate import compiled_costs
-from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 

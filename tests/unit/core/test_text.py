@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.core.text import cell, printable
+from tetractl.core.errors import cell, printable
 
 
 @pytest.mark.parametrize(

@@ -78,20 +78,6 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         calibrated(experiment, MEASURED.replace(before, after), "m")
 
 
-@pytest.mark.parametrize("place", ["lab", "plant"])
-@pytest.mark.parametrize(
-    "old", ["{mocap: {server: 127.0.0.1x}, radio: {port: no}, robots: []}", "{type: lab, radio: 3}"]
-)
-def test_a_lab_of_the_old_form_gets_one_error_that_names_the_page(place, old):
-    spec = load_spec(EXPERIMENTS / "three_m3pi.yaml").text
-    lines = spec.partition("\nplant:")[0].count("\n") + 2
-    with pytest.raises(InvalidSpecError) as caught:
-        parse_spec(f"{spec.partition(chr(10) + 'plant:')[0]}\n{place}: {old}\n", "s.yaml")
-    (line,) = caught.value.lines()
-    assert line.startswith(f"s.yaml:{lines}:{len(place) + 3}: {place}: is of an old form; ")
-    assert line.endswith("docs/reference/spec.md#lab shows them")
-
-
 @pytest.mark.parametrize(
     ("settings", "line"),
     [

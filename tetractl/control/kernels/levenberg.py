@@ -22,8 +22,8 @@ from tetractl.control.kernels.gradient import Trace, backward, trace, workspace
 from tetractl.control.kernels.motion import constants
 from tetractl.control.kernels.obstacles import count_deepest, outward
 from tetractl.control.kernels.options import INLINE_FAST
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 
 Integers = NDArray[np.int64]
 

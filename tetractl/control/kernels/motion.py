@@ -12,7 +12,7 @@ from typing import Any
 from numba.extending import overload
 
 from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
-from tetractl.core.problem import Problem
+from tetractl.core.plan import Problem
 from tetractl.core.registries import MOTIONS
 
 

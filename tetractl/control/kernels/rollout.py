@@ -14,8 +14,8 @@ from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import advance, constants
 from tetractl.control.kernels.obstacles import SingleShape, count_hits, row
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, entries, inlined
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.model.motion.polynomials import sincos
 
 LINE = 64  # bytes in a cache line

@@ -23,9 +23,8 @@ from tetractl.control.curves import bearing, interpolate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import normal
 from tetractl.control.search_progress import Progress
-from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
-from tetractl.core.problem import Problem
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 

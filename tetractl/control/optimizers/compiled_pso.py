@@ -9,9 +9,8 @@ from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
 from tetractl.control.optimizers.pso import PsoFields, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
-from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 
 NO_LIMIT = 2**62
 BETWEEN_LOOKS = 130_000  # robot-steps between two checks of the deadline, about 0.1 ms

@@ -14,9 +14,8 @@ from pydantic import Field
 from tetractl.control.cost import evaluate
 from tetractl.control.rng import mix, uniform, uniform_pair
 from tetractl.control.stop import PaperStop, Stop, stopped
-from tetractl.core.plan import Limits, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 from tetractl.experiment.controller import OptimizerSection
 
 LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)

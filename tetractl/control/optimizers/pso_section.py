@@ -1,9 +1,8 @@
 """The section `type: pso`, which runs the compiled Algorithm 1 and imports it when it is needed."""
 
 from tetractl.control.optimizers.pso import PsoFields
-from tetractl.core.plan import Limits, Search
+from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
-from tetractl.core.problem import Problem
 
 
 class Pso(PsoFields):

@@ -8,14 +8,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict, is_dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Protocol, Self, TextIO
 
 import numpy as np
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Column, Table
-from tetractl.core.text import cell
 
 PART = ".part"
 
@@ -174,12 +172,7 @@ class TableFiles:
         except OSError as error:
             raise _refused(error) from error
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
         try:
             for file in self._files.values():
                 file.close()

@@ -5,8 +5,8 @@ from collections.abc import Callable, Mapping, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from tetractl.core.errors import printable
 from tetractl.core.table.table import NONE, Table
-from tetractl.core.text import printable
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -7,7 +7,7 @@ from typing import Any
 
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
-from tetractl.core.text import printable
+from tetractl.core.errors import printable
 from tetractl.experiment.yaml.core_yaml import (
     CORE,
     STR,

@@ -4,8 +4,7 @@ import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
-from tetractl.core.errors import SpecError
-from tetractl.core.text import printable
+from tetractl.core.errors import SpecError, printable
 
 Loc = tuple[str | int, ...]
 """Where something is in a spec, as keys and list indices: ("robots", 0, "start")."""

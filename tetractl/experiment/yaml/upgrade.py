@@ -5,136 +5,84 @@ locations of the values stay, so that errors point at the written text; each cha
 in the document.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 from tetractl.experiment.yaml.document import Document
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
 
-
-@dataclass(frozen=True, slots=True)
-class Renamed:
-    """A key that has another name now: two dotted paths that differ in their last step."""
-
-    old: str
-    new: str
-
-    def apply(self, document: Document) -> None:
-        """Rename the key, which keeps its rank; with both names given, the old one is a problem."""
-        *home, old = loc = self.old.split(".")
-        new = self.new.split(".")[-1]
-        holder = _mapping(document.data, home)
-        if old not in holder:
-            return
-        _notice(document, tuple(loc), f"{self.old} is now called {self.new}")
-        if new in holder:
-            message = f"is now called {self.new}, which is given too; keep that one"
-            document.problems.append(document.key(tuple(loc)).problem(tuple(loc), message))
-            del holder[old]
-            return
-        items = [(new if key == old else key, value) for key, value in holder.items()]
-        holder.clear()
-        holder.update(items)
-        for notes in document.notes:
-            for place in [place for place in notes if place[: len(loc)] == tuple(loc)]:
-                notes[(*home, new, *place[len(loc) :])] = notes.pop(place)
-
-    def path(self, steps: list[str]) -> list[str]:
-        """Return the path of a `--set`, with the new name for the old one."""
-        old = self.old.split(".")
-        same = steps[: len(old)] == old
-        return [*self.new.split("."), *steps[len(old) :]] if same else steps
-
-
-@dataclass(frozen=True, slots=True)
-class Revalued:
-    """A value of a key that is called something else now."""
-
-    at: str
-    old: str
-    new: str
-
-    def apply(self, document: Document) -> None:
-        """Replace the value."""
-        *home, key = loc = self.at.split(".")
-        holder = _mapping(document.data, home)
-        if holder.get(key) == self.old:
-            holder[key] = self.new
-            _notice(document, tuple(loc), f"{self.at}: {self.old} is now called {self.new}")
-
-    def path(self, steps: list[str]) -> list[str]:
-        """Return the path of a `--set`, which stays."""
-        return steps
-
-
-@dataclass(frozen=True, slots=True)
-class Removed:
-    """A key that is no longer needed."""
-
-    at: str
-    why: str
-
-    def apply(self, document: Document) -> None:
-        """Leave the key out."""
-        *home, key = loc = self.at.split(".")
-        if _mapping(document.data, home).pop(key, None) is not None:
-            _notice(document, tuple(loc), f"{self.at} is left out: {self.why}")
-
-    def path(self, steps: list[str]) -> list[str]:
-        """Return the path of a `--set`, which stays."""
-        return steps
-
-
-UPGRADES: tuple[Renamed | Revalued | Removed, ...] = (
-    Renamed("controller.swarm", "controller.optimizer"),
-    Renamed("controller.model", "controller.motion"),
-    Revalued("controller.type", "pso-mpc", "mpc"),
-    Revalued("plant.motion", "continuous", "exact"),
-    Renamed("controller.accept", "controller.accept_error"),
-    Renamed("controller.first_lengths", "controller.initial_lengths"),
-    Revalued("controller.initial_lengths", "spread", "geometric"),
-    Renamed("controller.collision.check", "controller.collision.test"),
-    Renamed("controller.collision.stop", "controller.collision.stop_before_collision"),
-    Removed("controller.losses", "with 'estimate' lost commands are always detected"),
-    Removed("controller.optimizer.precision", "particles are in double precision always"),
+RENAMED = {
+    "controller.swarm": "controller.optimizer",
+    "controller.model": "controller.motion",
+    "controller.accept": "controller.accept_error",
+    "controller.first_lengths": "controller.initial_lengths",
+    "controller.collision.check": "controller.collision.test",
+    "controller.collision.stop": "controller.collision.stop_before_collision",
+}
+"""Keys by their old path; old and new differ in the last step."""
+REVALUED = (
+    ("controller.type", "pso-mpc", "mpc"),
+    ("plant.motion", "continuous", "exact"),
+    ("controller.initial_lengths", "spread", "geometric"),
 )
-"""In the order of application: a later one may name a key that an earlier one renamed."""
-
-OLD_LAB = {"mocap", "radio", "protocol", "robots"}
-LAB_PAGE = "docs/reference/spec.md#lab shows them"
+"""Values that have another name, at today's paths."""
+REMOVED = {
+    "controller.losses": "with 'estimate' lost commands are always detected",
+    "controller.optimizer.precision": "particles are in double precision always",
+}
+"""Keys that are no longer needed, and why."""
 
 
 def upgrade(document: Document) -> None:
     """Bring a document to today's names; what was changed joins its notices."""
-    for change in UPGRADES:
-        change.apply(document)
-    _refuse_old_lab(document)
+    for old, new in RENAMED.items():
+        _rename(document, old, new)
+    for at, old, new in REVALUED:
+        holder, loc = _holder(document, at)
+        if holder.get(loc[-1]) == old:
+            holder[loc[-1]] = new
+            _notice(document, loc, f"{at}: {old} is now called {new}")
+    for at, why in REMOVED.items():
+        holder, loc = _holder(document, at)
+        if holder.pop(loc[-1], None) is not None:
+            _notice(document, loc, f"{at} is left out: {why}")
 
 
 def upgraded_path(steps: list[str]) -> list[str]:
     """Return the path of a `--set` in today's names."""
-    for change in UPGRADES:
-        steps = change.path(steps)
+    for old, new in RENAMED.items():
+        length = old.count(".") + 1
+        if steps[:length] == old.split("."):
+            steps = [*new.split("."), *steps[length:]]
     return steps
 
 
-def _refuse_old_lab(document: Document) -> None:
-    """Report a lab in the format without cameras and actuators, once, and drop it from the data."""
-    for key in ("plant", "lab"):
-        section = document.data.get(key)
-        if not isinstance(section, dict) or {"camera", "actuator"} & section.keys():
-            continue
-        if OLD_LAB & section.keys():
-            message = f"is of an old form; write camera and actuator: {LAB_PAGE}"
-            document.problems.append(document.place((key,)).problem((key,), message))
-            del document.data[key]
+def _rename(document: Document, old: str, new: str) -> None:
+    """Rename a key, which keeps its rank; with both names given, the old one is a problem."""
+    holder, loc = _holder(document, old)
+    key, name = loc[-1], new.split(".")[-1]
+    if key not in holder:
+        return
+    _notice(document, loc, f"{old} is now called {new}")
+    if name in holder:
+        message = f"is now called {new}, which is given too; keep that one"
+        document.problems.append(document.key(loc).problem(loc, message))
+        del holder[key]
+        return
+    items = [(name if one == key else one, value) for one, value in holder.items()]
+    holder.clear()
+    holder.update(items)
+    for notes in document.notes:
+        for place in [place for place in notes if place[: len(loc)] == loc]:
+            notes[(*loc[:-1], name, *place[len(loc) :])] = notes.pop(place)
 
 
-def _mapping(data: Any, home: list[str]) -> dict[str, Any]:
-    """Return the mapping at a path, an empty one if there is none."""
+def _holder(document: Document, path: str) -> tuple[dict[Any, Any], Loc]:
+    """Return the mapping that holds a key, an empty one if there is none, and the key's place."""
+    *home, key = path.split(".")
+    data: Any = document.data
     for step in home:
         data = data.get(step) if isinstance(data, dict) else None
-    return data if isinstance(data, dict) else {}
+    return data if isinstance(data, dict) else {}, (*home, key)
 
 
 def _notice(document: Document, loc: Loc, text: str) -> None:

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from tetractl.core.commands import Command, Sample
+from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Plan, Search, StopReason
 from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.core.text import printable
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
@@ -124,17 +125,17 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     )
 
 
+def _named(record: object, *names: str) -> dict[str, Any]:
+    """Return the named fields of a record as a message takes them; None for one that is unset."""
+    found = ((name, getattr(record, name)) for name in names)
+    return {k: value.tolist() if isinstance(value, np.ndarray) else value for k, value in found}
+
+
 def encode_observation(observation: Observation) -> pb.MocapSample:
     """Encode the frame that a decision was taken on."""
-    poses = observation.poses
     return pb.MocapSample(
-        frame=observation.frame,
-        sampled_ns=observation.sampled_ns,
-        received_ns=observation.received_ns,
-        x=poses.x.tolist(),
-        y=poses.y.tolist(),
-        heading=poses.heading.tolist(),
-        valid=observation.valid.tolist(),
+        **_named(observation, "frame", "sampled_ns", "received_ns", "valid"),
+        **_named(observation.poses, "x", "y", "heading"),
     )
 
 
@@ -161,14 +162,8 @@ def decode_poses(message: pb.MocapSample | pb.Truth, robots: int) -> Poses:
 
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
-    return pb.WheelCommand(
-        direction=command.direction,
-        stop=command.stops,
-        sent_ns=command.sent_ns,
-        delivered=command.delivered,
-        left=None if command.left is None else command.left.tolist(),
-        right=None if command.right is None else command.right.tolist(),
-    )
+    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right")
+    return pb.WheelCommand(stop=command.stops, **fields)
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
@@ -187,22 +182,17 @@ def decode_command(message: pb.WheelCommand) -> Command:
 def encode_step(step: Step) -> pb.ControllerStep:
     """Encode one control step without its solve time, which has its own message."""
     plan = step.plan
+    x, y, heading = plan.path.reshape(-1, 3).T.tolist()
     return pb.ControllerStep(
         k=step.k,
         observation=encode_observation(step.observation),
         command=encode_command(step.command),
-        signals=plan.signals.tolist(),
-        cost=plan.cost,
-        target_cost=plan.target_cost,
-        obstacle_cost=plan.obstacle_cost,
         searches=[_encode_search(search) for search in plan.searches],
-        chosen=plan.chosen,
-        generator=plan.generator,
-        path_x=plan.path[..., 0].ravel().tolist(),
-        path_y=plan.path[..., 1].ravel().tolist(),
-        path_heading=plan.path[..., 2].ravel().tolist(),
-        leg=plan.leg,
-        delay_ns=plan.delay_ns,
+        path_x=x,
+        path_y=y,
+        path_heading=heading,
+        **_named(plan, "signals", "cost", "target_cost", "obstacle_cost"),
+        **_named(plan, "chosen", "generator", "leg", "delay_ns"),
     )
 
 
@@ -248,23 +238,16 @@ def decode_step(
 
 def encode_timing(step: Step) -> pb.StepTiming:
     """Encode the solve time of a control step."""
-    return pb.StepTiming(k=step.k, solve_ns=step.solve_ns, deadline_missed=step.deadline_missed)
+    return pb.StepTiming(**_named(step, "k", "solve_ns", "deadline_missed"))
 
 
 def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
     """Encode the estimate of control step `k`."""
-    bias, bias_std = estimate.heading_bias, estimate.heading_bias_std
-    return pb.Estimate(
-        k=k,
-        a=estimate.a.tolist(),
-        a_std=estimate.a_std.tolist(),
-        speed=estimate.speed.tolist(),
-        speed_std=estimate.speed_std.tolist(),
-        heading_bias=None if bias is None else bias.tolist(),
-        heading_bias_std=None if bias_std is None else bias_std.tolist(),
-        dead_time=estimate.dead_time,
-        dead_time_std=estimate.dead_time_std,
+    each = (
+        _named(estimate, name, f"{name}_std")
+        for name in ("a", "speed", "heading_bias", "dead_time")
     )
+    return pb.Estimate(k=k, **{key: value for two in each for key, value in two.items()})
 
 
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
@@ -284,14 +267,8 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
 
 
 def _encode_search(search: Search) -> pb.Search:
-    return pb.Search(
-        length=search.length,
-        signals=search.signals.tolist(),
-        cost=search.cost,
-        history=search.history.tolist(),
-        evaluations=search.evaluations,
-        stopped=printable(search.stopped, STOPPED),
-    )
+    fields = _named(search, "length", "signals", "cost", "history", "evaluations")
+    return pb.Search(stopped=printable(search.stopped, STOPPED), **fields)
 
 
 def _decode_search(message: pb.Search) -> Search:

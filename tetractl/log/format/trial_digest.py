@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 
 from google.protobuf.message import Message
 
-from tetractl.core.text import printable
+from tetractl.core.errors import printable
 from tetractl.core.trial import TrialRecords
 from tetractl.log.format import codec
 from tetractl.log.format.channels import TEXT

@@ -9,8 +9,7 @@ from pathlib import Path
 
 from mcap.records import Attachment, Channel, Metadata, Schema
 
-from tetractl.core.errors import LogError
-from tetractl.core.text import printable
+from tetractl.core.errors import LogError, printable
 from tetractl.core.trial import Result
 from tetractl.log import provenance
 from tetractl.log.format import channels

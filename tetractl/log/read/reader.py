@@ -11,10 +11,9 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
 from tetractl.core.commands import Command, Note, Sample, Verdict
-from tetractl.core.errors import LogError, SpecError
+from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.text import printable
 from tetractl.core.trial import OWN_FILES, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec, spec_hash

@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
-from tetractl.core.text import printable
 from tetractl.core.trial import Result, Step
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames

@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 
 from tetractl.core.commands import Command, Note, Sample
-from tetractl.core.text import printable
+from tetractl.core.errors import printable
 from tetractl.core.trial import Result, Start, Step, TrialRecords
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames

@@ -1,7 +1,6 @@
 """The log writer: an observer that stores a trial in an MCAP file."""
 
 from pathlib import Path
-from types import TracebackType
 from typing import Self
 
 from tetractl.core.clock import SECOND
@@ -179,12 +178,7 @@ class LogWriter:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def _close(self, complete: bool) -> None:

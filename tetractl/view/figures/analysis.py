@@ -10,9 +10,8 @@ from matplotlib.patches import Ellipse
 from tetractl.analysis.analyze import Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.colors import robot_colors
-from tetractl.core.ellipse import ellipse
-from tetractl.core.errors import UsageError
-from tetractl.core.text import unit_of
+from tetractl.core.errors import UsageError, unit_of
+from tetractl.core.poses import ellipse
 from tetractl.view import style
 from tetractl.view.figures.axes import robot_labels
 

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from tetractl.core.colors import BLUE, PALETTE, RED
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.results.describe import Group
 from tetractl.results.estimate import Distribution, published_distribution
 from tetractl.results.open_batch import counts

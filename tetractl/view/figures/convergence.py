@@ -13,8 +13,8 @@ from matplotlib.ticker import MaxNLocator
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.colors import BLUE, RED
+from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style

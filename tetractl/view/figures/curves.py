@@ -12,11 +12,10 @@ from matplotlib.patches import Patch
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import BLUE, PALETTE, RED, robot_colors
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.table.table import lengths
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import tracked
 from tetractl.view import style

@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from tetractl.core.colors import PALETTE
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, unit_of
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.results.describe import Group
 from tetractl.results.estimate import CONFIDENCE

@@ -11,10 +11,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.errors import LogError
+from tetractl.core.errors import LogError, unit_of
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, one_trial

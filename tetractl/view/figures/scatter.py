@@ -10,10 +10,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse
 
 from tetractl.core.colors import robot_colors
-from tetractl.core.ellipse import DEVIATIONS, INSIDE, ellipse
-from tetractl.core.errors import LogError
-from tetractl.core.poses import Floats
-from tetractl.core.text import unit_of
+from tetractl.core.errors import LogError, unit_of
+from tetractl.core.poses import DEVIATIONS, INSIDE, Floats, ellipse
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import (

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tetractl.core.colors import BLUE, GREEN
-from tetractl.core.text import unit_of
+from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.swarm_history import Frame, SwarmHistory, first_swarm
 from tetractl.view import style

@@ -16,10 +16,10 @@ from matplotlib.transforms import Affine2D
 
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
+from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Setup
 from tetractl.core.table.table import lengths
-from tetractl.core.text import unit_of
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
 from tetractl.replay.player import tracked

@@ -10,9 +10,8 @@ from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.plan import Limits
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses, wrap
-from tetractl.core.problem import Problem
 from tetractl.experiment.load import load_spec
 from tetractl.model.obstacles import Obstacles
 

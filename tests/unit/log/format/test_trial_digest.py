@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from support.random_trials import trial, write
 
 from tetractl.core.commands import Note, Sample
+from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
-from tetractl.core.text import printable
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.reader import read_trial

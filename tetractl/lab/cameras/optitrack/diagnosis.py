@@ -1,8 +1,7 @@
 """Diagnoses why robots are not seen: what came from the camera server, and which setting to
 change."""
 
-from tetractl.core.errors import AbortError, WireError
-from tetractl.core.text import printable
+from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
 from tetractl.lab.cameras.optitrack.section import OptitrackSection

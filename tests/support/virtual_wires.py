@@ -30,7 +30,6 @@ HOST_CLOCKS = (
     "tetractl.lab.actuators.m3pi.serial_protocols",
     "tetractl.plant.lab_plant",
 )
-Address = tuple[str, int]
 
 
 class LabClock(VirtualClock):

@@ -111,7 +111,8 @@ def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
         }
         print(json_text(plain))
         return
-    knots = [0, *(i for i in range(1, len(design.directions)) if _turns(design, i))]
+    u = design.directions
+    knots = [0, *(i for i in range(1, len(u)) if u[i] != u[i - 1])]
     print(
         f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} "
         "away from edges and obstacles at least, by the spec's values"
@@ -121,7 +122,3 @@ def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
     print(f"  dead time {design.dead_time_std:.5f} s")
     for name, a, bias in zip(setup.names, design.a_std, design.heading_bias_std, strict=True):
         print(f"  {name}: a {100 * a:.2f} %, heading bias {bias:.4f} rad")
-
-
-def _turns(design: "Design", i: int) -> bool:
-    return bool(design.directions[i] != design.directions[i - 1])

@@ -29,12 +29,9 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
     return kinds[name].model_validate(value, strict=True)
 
 
-def _camera_settings(value: Any, info: ValidationInfo) -> Model:
-    return _sides(info).camera.Settings.model_validate(value, strict=True)
-
-
-def _actuator_settings(value: Any, info: ValidationInfo) -> Model:
-    return _sides(info).actuator.Settings.model_validate(value, strict=True)
+def _settings(value: Any, info: ValidationInfo) -> Model:
+    """Return the settings of the device that a field is called after."""
+    return getattr(_sides(info), str(info.field_name)).Settings.model_validate(value, strict=True)
 
 
 class Placed(Model):
@@ -51,9 +48,9 @@ class Placed(Model):
 class Emulation(Model):
     """How the emulated lab differs from what the spec says."""
 
-    camera: Annotated[Model, PlainValidator(_camera_settings)] | None = None
+    camera: Annotated[Model, PlainValidator(_settings)] | None = None
     """The camera's side; its fields depend on the camera's type."""
-    actuator: Annotated[Model, PlainValidator(_actuator_settings)] | None = None
+    actuator: Annotated[Model, PlainValidator(_settings)] | None = None
     """The actuator's side; its fields depend on the actuator's type."""
     robots: tuple[Placed, ...] = ()
     """The robots whose true start differs from the spec's."""

@@ -77,7 +77,7 @@ class TrueMotion:
         self._acting_ns = due
         for when in np.unique(due).tolist():
             part = replace(command, due_ns=when, reached=command.reached & (due == when))
-            insort(self._under_way, part, key=_due_ns)
+            insort(self._under_way, part, key=lambda one: one.due_ns)
         return command
 
     def advance(self, until: int) -> None:
@@ -190,8 +190,3 @@ class TrueMotion:
             x, y = (np.vstack(column) for column in zip(*self._path, strict=True))
             self.path_check.add(x, y)
             self._path = []
-
-
-def _due_ns(command: DelayedCommand) -> int:
-    """Return when a command acts [ns], as the key of a sorted queue."""
-    return command.due_ns

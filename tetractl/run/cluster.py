@@ -97,7 +97,7 @@ class Cluster:
         running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         wall_s, count = 0.0, 0
-        while not self._stopping:
+        while not (self._ended or self._interrupt.requested):
             window = max(AHEAD * self.workers, FEWEST)
             while (waiting or alone) and len(running) < window:
                 size = chunk_size(wall_s / count if count else None, len(waiting), window)
@@ -129,10 +129,6 @@ class Cluster:
     def end(self) -> None:
         """Start no further trial, and give up those that run."""
         self._ended = True
-
-    @property
-    def _stopping(self) -> bool:
-        return self._ended or self._interrupt.requested
 
     @property
     def _connected(self) -> bool:

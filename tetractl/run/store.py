@@ -140,7 +140,8 @@ class LogStore:
         folder, count = self.folder, self._experiment.trials.count
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder}: not a folder", "name another with --out")
-        if not resume and folder.exists() and any(map(_is_log, folder.iterdir())):
+        names = (path.name for path in folder.iterdir()) if folder.exists() else ()
+        if not resume and any(name.endswith((SUFFIX, PART)) for name in names):
             raise UsageError(
                 f"{folder}: holds logs already", "name another folder with --out, or add --resume"
             )
@@ -195,7 +196,3 @@ def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
     """Return the logs of one trial that were set aside under a number."""
     stem = log.name.partition(SUFFIX)[0]
     return [p for p in folder.iterdir() if p.name.startswith(f"{stem}.attempt-{number}.")]
-
-
-def _is_log(path: Path) -> bool:
-    return path.name.endswith((SUFFIX, PART))

@@ -114,21 +114,15 @@ def test_a_trial_without_an_outcome_is_an_error(monkeypatch, tmp_path, error, li
     assert watcher.events[1] == ("ended", 0, None, line, None)
 
 
-def test_an_interrupted_trial_ends_the_run(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("outcomes", "interrupted"), [({1: Outcome.INTERRUPTED}, True), ({}, False)]
+)
+def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupted):
+    """Regression: between two trials it came too late, and the batch ended as if done."""
     interrupt = Interrupt()
-    scripted(
-        monkeypatch, {1: Outcome.INTERRUPTED}, lambda trial: trial == 1 and interrupt.request()
-    )
+    scripted(monkeypatch, outcomes, lambda trial: trial == 1 and interrupt.request())
     report = run(tmp_path, interrupt=interrupt, fail_fast=False)
-    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, True)
-
-
-def test_an_interruption_between_two_trials_ends_the_run_too(monkeypatch, tmp_path):
-    """Regression: it came too late for the trial under way, and the batch ended as if done."""
-    interrupt = Interrupt()
-    scripted(monkeypatch, {}, lambda trial: trial == 1 and interrupt.request())
-    report = run(tmp_path, interrupt=interrupt)
-    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, False)
+    assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, interrupted)
 
 
 def test_what_a_trial_in_the_lab_needs_is_there_while_it_runs(monkeypatch, tmp_path):

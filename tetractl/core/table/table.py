@@ -111,7 +111,8 @@ class Table:
         columns = [
             Column(name, cells, words=True) for name, cells in zip(header, values, strict=True)
         ]
-        return cls(title, (columns[0], *filter(_filled, columns[1:])), note)
+        filled = (one for one in columns[1:] if any(text not in ("", NONE) for text in one.texts))
+        return cls(title, (columns[0], *filled), note)
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
@@ -145,7 +146,3 @@ class Table:
     def as_dict(self) -> dict[str, Any]:
         """Return the values by column key, to make a data frame from."""
         return {column.key: column.values for column in self.columns}
-
-
-def _filled(column: Column) -> bool:
-    return any(text not in ("", NONE) for text in column.texts)

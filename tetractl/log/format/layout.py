@@ -1,10 +1,12 @@
 """The layout in which Lichtblick and Foxglove show a trial, as JSON for their import from a file.
 
 The format is that of Lichtblick's `LayoutData`: `configById` holds a panel's settings by its type
-and an id, `layout` the arrangement, `userNodes` scripts whose outputs are topics like others.
+and an id, `layout` the arrangement, `userNodes` scripts whose outputs are topics like others. What
+is the same for every experiment is in `layout.json` and `layout_error.ts`.
 """
 
 import json
+from importlib.resources import files
 from typing import Any
 
 from tetractl.core.colors import robot_colors
@@ -19,23 +21,7 @@ MARGIN = 1.08
 ERROR = "/studio_script/error"
 MOST_CURVES = 20
 
-_SCRIPT = """\
-import { Input } from "./types";
-
-type Output = { total: number; robots: number[] };
-
-// The targets, in the unit of the spec.
-const targets = %TARGETS%;
-
-export const inputs = ["%STEP%"];
-export const output = "%ERROR%";
-
-export default function script(event: Input<"%STEP%">): Output {
-  const seen = event.message.observation as unknown as { x: number[]; y: number[] };
-  const robots = targets.map(([x, y], i) => Math.hypot(seen.x[i] - x, seen.y[i] - y));
-  return { total: robots.reduce((sum, error) => sum + error, 0), robots };
-}
-"""
+_FILES = files("tetractl.log.format")
 
 
 def layout(setup: Setup) -> str:
@@ -43,56 +29,50 @@ def layout(setup: Setup) -> str:
     robots = range(min(len(setup.names), MOST_CURVES))
     curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
     step, timing, estimate = channels.STEP, channels.HOST_TIMING, channels.ESTIMATE
+    parts = json.loads((_FILES / "layout.json").read_text())
+
+    def plot(title: str, *curves: tuple[str, str, str]) -> dict[str, Any]:
+        """Return a panel of curves: the path, label and colour of each."""
+        keys = ("value", "label", "color")
+        paths = [parts["curve"] | dict(zip(keys, curve, strict=True)) for curve in curves]
+        titles = dict.fromkeys(("foxglovePanelTitle", "lichtblickPanelTitle"), title)
+        return parts["plot"] | titles | {"paths": paths}
+
     panels = {
-        "3D!arena": _view(setup),
-        "Plot!error": _plot(
+        "3D!arena": _view(setup, parts["view"]),
+        "Plot!error": plot(
             f"error [{setup.unit}]",
-            [
-                _curve(f"{ERROR}.total", "total", "#888888"),
-                *(_curve(f"{ERROR}.robots[{i}]", name, color) for i, name, color in curves),
-            ],
+            (f"{ERROR}.total", "total", "#888888"),
+            *((f"{ERROR}.robots[{i}]", name, color) for i, name, color in curves),
         ),
-        "Plot!cost": _plot(
+        "Plot!cost": plot(
             f"cost of the plan [{setup.unit}]",
-            [
-                _curve(f"{step}.cost", "J", "#0072B2"),
-                _curve(f"{step}.target_cost", "without obstacles", "#888888"),
-            ],
+            (f"{step}.cost", "J", "#0072B2"),
+            (f"{step}.target_cost", "without obstacles", "#888888"),
         ),
-        "Plot!time": _plot(
+        "Plot!time": plot(
             "solve time [ns]",
-            [
-                _curve(f"{timing}.solve_ns", "solve time", "#0072B2"),
-                _curve(str(round(setup.period_s * 1e9)), "control period", "#B00020"),
-            ],
+            (f"{timing}.solve_ns", "solve time", "#0072B2"),
+            (str(round(setup.period_s * 1e9)), "control period", "#B00020"),
         ),
-        "Plot!estimate": _plot(
+        "Plot!estimate": plot(
             "estimated a [rad/s]",
-            [_curve(f"{estimate}.a[{i}]", name, color) for i, name, color in curves],
+            *((f"{estimate}.a[{i}]", name, color) for i, name, color in curves),
         ),
     }
     plots = [name for name in panels if name.startswith("Plot")]
-    script = (
-        _SCRIPT.replace("%TARGETS%", json.dumps(setup.targets.tolist()))
-        .replace("%STEP%", channels.STEP)
-        .replace("%ERROR%", ERROR)
-    )
-    whole = {
-        "configById": panels,
-        "globalVariables": {},
-        "userNodes": {"tetractl-error": {"name": "error", "sourceCode": script}},
-        "playbackConfig": {"speed": 1},
-        "layout": {
-            "direction": "row",
-            "first": "3D!arena",
-            "second": _column(plots),
-            "splitPercentage": 60,
-        },
-    }
+    script = (_FILES / "layout_error.ts").read_text()
+    targets = json.dumps(setup.targets.tolist())
+    for mark, text in (("%TARGETS%", targets), ("%STEP%", step), ("%ERROR%", ERROR)):
+        script = script.replace(mark, text)
+    whole = parts["whole"]
+    whole["configById"] = panels
+    whole["userNodes"]["tetractl-error"]["sourceCode"] = script
+    whole["layout"]["second"] = _column(plots)
     return json.dumps(whole, ensure_ascii=False) + "\n"
 
 
-def _view(setup: Setup) -> dict[str, Any]:
+def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
     """Return the 3D panel: looking down, not in perspective, the arena as large as it fits.
 
     A camera that is not in perspective is `far` / 2 above the plane, whatever its `distance`, which
@@ -103,57 +83,11 @@ def _view(setup: Setup) -> dict[str, Any]:
     height = MARGIN * max(arena.height, arena.width / ASPECT) * metres
     centre = [(arena.left + arena.right) / 2 * metres, (arena.bottom + arena.top) / 2 * metres, 0]
     frames = [WORLD, *map(frame_of, setup.names)]
-    return {
-        "cameraState": {
-            "distance": height,
-            "perspective": False,
-            "phi": 0,
-            "thetaOffset": 0,
-            "target": [0, 0, 0],
-            "targetOffset": centre,
-            "targetOrientation": [0, 0, 0, 1],
-            "fovy": 45,
-            "near": height / 100,
-            "far": height * 100,
-        },
-        "followMode": "follow-none",
-        "followTf": WORLD,
-        "scene": {"transforms": {"axisScale": height / 20, "showLabel": False}},
-        "transforms": {f"frame:{frame}": {"visible": False} for frame in frames},
-        "topics": {
-            channels.SCENE: {"visible": True},
-            channels.SCENE_PLAN: {"visible": True},
-        },
-        "layers": {},
-        "publish": {},
-        "imageMode": {},
-    }
-
-
-def _plot(title: str, curves: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "foxglovePanelTitle": title,
-        "lichtblickPanelTitle": title,
-        "paths": curves,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "showLegend": True,
-        "legendDisplay": "floating",
-        "showPlotValuesInLegend": False,
-        "isSynced": True,
-        "xAxisVal": "timestamp",
-        "sidebarDimension": 240,
-    }
-
-
-def _curve(path: str, label: str, color: str) -> dict[str, Any]:
-    return {
-        "value": path,
-        "label": label,
-        "color": color,
-        "enabled": True,
-        "timestampMethod": "receiveTime",
-    }
+    near_far = {"near": height / 100, "far": height * 100}
+    view["cameraState"] |= {"distance": height, "targetOffset": centre, **near_far}
+    view["scene"]["transforms"]["axisScale"] = height / 20
+    view["transforms"] = {f"frame:{frame}": {"visible": False} for frame in frames}
+    return view
 
 
 def _column(panels: list[str]) -> Any:

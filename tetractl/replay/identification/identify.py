@@ -194,12 +194,16 @@ def tables(found: IdentifiedRobots) -> list[Table]:
     """Return each value with its 95 % interval, a column per robot."""
     logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
     since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
+    labels = [
+        f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
+        for name, unit in QUANTITIES.items()
+    ]
     parts = [found.robots[i : i + _ABREAST] for i in range(0, len(found.robots), _ABREAST)]
     return [
         Table(
             f"{logs}, {found.commands} directions: {found.origin}; 95 % intervals",
             (
-                Column("quantity", [_label(name, found.unit) for name in QUANTITIES] + ["lost"]),
+                Column("quantity", [*labels, "lost"]),
                 *(
                     Column(
                         robot.name,
@@ -212,10 +216,6 @@ def tables(found: IdentifiedRobots) -> list[Table]:
         )
         for robots in parts
     ]
-
-
-def _label(name: str, unit: str) -> str:
-    return f"{name.replace('_', ' ')} [{QUANTITIES[name].format(unit=unit)}]"
 
 
 def cell(interval: SampleInterval) -> str:

@@ -23,7 +23,8 @@ class FilmScript:
     """The script of a film of `seconds` at `rate` pictures per second.
 
     `cells` are magnetised, `strangers` are not. The field's direction changes after `hold` seconds,
-    drawn evenly between the two. `events`: one cell rests for a while, one divides.
+    drawn evenly between the two. `events`: one cell rests for a while, one divides. Each pair of
+    cells is made to cross once, with the probability that its `crossings` per minute give.
     """
 
     seconds: float = 10.0
@@ -32,7 +33,7 @@ class FilmScript:
     strangers: int = 0
     hold: tuple[float, float] = (0.3, 1.2)
     events: bool = True
-    crossings: bool = True
+    crossings: float = 6.0
 
 
 @dataclass(slots=True)
@@ -119,7 +120,9 @@ class SyntheticFilm:
                 continue
             self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - own
             other = i - 1
-            for _ in range(TRIES if i % 2 and self.script.crossings else 0):
+            share = self.script.crossings * end / 60 if i % 2 else 0.0
+            crosses = share >= 1 or (share > 0 and random.random() < share)
+            for _ in range(TRIES if crosses else 0):
                 when = random.uniform(0.15 * end, 0.95 * end)
                 at = self._at(when)
                 place = np.array([at.x[other], at.y[other]]) + self._shift[other]

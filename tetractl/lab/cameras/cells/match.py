@@ -23,6 +23,7 @@ PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one t
 SPECK_UM = 25.0  # from where a speck was
 PLACE_UM = 2.0  # deviation of a blob, in addition to the filter's
 ROUNDS = 4  # of parting a blob
+SAMPLED = 200  # pixels of it
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
@@ -165,8 +166,9 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
     """Return the middles (K, 2) [um] of cells in one blob of pixels at `points` (M, 2) [um].
 
     Each pixel belongs to the cells in proportion to ellipses of their sizes about where they are
-    `expected` (K, 3); some rounds of expectation and maximisation.
+    `expected` (K, 3); some rounds of expectation and maximisation, over a sample of the pixels.
     """
+    points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()
     cos, sin = np.cos(expected[:, 2]), np.sin(expected[:, 2])
     halves = np.array([(cell.long / 4, cell.wide / 4) for cell in owners])

@@ -58,9 +58,15 @@ def film(
 
 
 def films(count: int, seconds: float) -> None:
+    """Once with as many crossings as the bar has, and once with six times as many."""
+    for crossings in (1.0, 6.0):
+        films_of(count, seconds, crossings)
+
+
+def films_of(count: int, seconds: float, crossings: float) -> None:
     score, times = Score(), []
     for seed in range(FIRST_SEED, FIRST_SEED + count):
-        made = film(seed, seconds, 1024, 2.3, strangers=seed % 11)
+        made = film(seed, seconds, 1024, 2.3, strangers=seed % 11, crossings=crossings)
         score.add(made, follow(reel := Reel(made), made.look.um_px, record(made)))
         times += timed(made, reel)
         print(f"seed {seed}: F1 {score.f1:.4f}, {len(score.changed)} wrong so far", flush=True)
@@ -70,6 +76,7 @@ def films(count: int, seconds: float) -> None:
 
     quiet = float(np.quantile(np.abs(score.axis), 0.95))
     print(f"{count} synthetic films of {seconds:g} s, 20 cells and 0 to 10 strangers, 2.3 um/px")
+    print(f"each pair of cells is made to cross {crossings:g} times a minute")
     print(f"position RMSE {rms(score.position):.2f} um a coordinate, n {len(score.position)}")
     print(f"axis RMSE {rms(score.axis):.3f} rad, 95 % within {quiet:.3f}")
     middle = np.median(np.abs(score.heading))

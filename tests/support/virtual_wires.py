@@ -27,7 +27,7 @@ HOST_CLOCKS = (
     "tetractl.core.clock",
     "tetractl.experiment.lab_section",
     "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.serial_protocols",
+    "tetractl.lab.actuators.m3pi.stop_sequence",
     "tetractl.plant.lab_plant",
 )
 

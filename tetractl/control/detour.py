@@ -51,6 +51,11 @@ def longer(count: int, most: int) -> Iterator[int]:
         length = max(length + 1, round(GROWTH * length))
 
 
+def nearly_done(problem: Problem, count: int) -> bool:
+    """Return whether going round with `count` signals left raises the accepted error."""
+    return count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
+
+
 def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
     """Return the best moment of the coming control period for a stop.
 

@@ -64,11 +64,6 @@ class StateEstimator:
         """The latest estimate of the robots that are not lost, None without one."""
         return self.estimate and self.estimate.only(self.left)
 
-    @property
-    def heard(self) -> bool:
-        """Whether any robot is estimated to follow the last command that should act by now."""
-        return self.filter is None or self.filter.heard()
-
     def seen(
         self,
         observation: Observation,

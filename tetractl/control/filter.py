@@ -315,12 +315,6 @@ class FilterBank:
         _, z, _, _ = self._likely()
         return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
 
-    def heard(self) -> bool:
-        """Return whether any robot follows the last direction that should act by the last frame."""
-        best, _, _, u = self._likely()
-        acting = int(self._bank.next[best]) - 1
-        return acting < 0 or bool((u == self._u[acting]).any() or np.isnan(self._u[acting]))
-
     def held(self, until: int) -> list[Held]:
         """Return the directions that act from the last frame to a time [ns], oldest first."""
         assert self._last is not None

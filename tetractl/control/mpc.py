@@ -10,7 +10,7 @@ Where each line of Algorithm 2 is:
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
             H first if the optimiser has a tolerance                   Searcher.search_all
-    12      feedback of the robots, once per step                           plan, _problem
+    12      feedback of the robots, once per step                           plan
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
@@ -18,12 +18,11 @@ Where each line of Algorithm 2 is:
 
 Extensions of Algorithm 2, each with its own field: the plan's grid may be coarser than the
 control's (`hold`); the state may be predicted over the dead time; the motion may be identified
-while the robots drive, and lost commands inferred with it (`estimate`); margins may grow with the
-uncertainty (`collision.adaptive`); robots may pause before an obstacle that no plan avoids
-(`stop_before_collision`); longer sequences may be searched if no short one ends at the targets
-(`accept_error`); the stop may come between two steps (`stop_between`); an optimiser may count costs
-as equally good; the searches of a step may be limited; and robots may pass way-points
-(`robots.via`) and stay at their targets (`hold`).
+while the robots drive (`estimate`); margins may grow with the uncertainty (`collision.adaptive`);
+robots may pause before an obstacle that no plan avoids, and at the end (`stop_before_collision`);
+longer sequences may be searched if no short one ends at the targets (`accept_error`); the stop may
+come between two steps (`stop_between`); an optimiser may count costs as equally good; searches may
+be limited; and robots may pass way-points (`robots.via`) and stay at their targets (`hold`).
 """
 
 import time
@@ -36,15 +35,7 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import (
-    ACCEPT_GROWTH,
-    ENOUGH,
-    LAST_LEAST_S,
-    LAST_S,
-    best_stop,
-    longer,
-    way_out,
-)
+from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer, nearly_done, way_out
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -62,15 +53,13 @@ from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same
 
-RESTED_S = 2.0
-"""Least time between a pause and the next one for lack of a safe plan [s]."""
+RESTED_S = 2.0  # least time between a pause and the next one for lack of a safe plan
 NEXT = 2  # next signals of the present plan that must be safe if robots receive nothing
 UNSURE = 2  # last signals of a plan that need not be safe
 KEPT = 0.2  # clearance that robots keep then, as a fraction of their radius
+LATE = 2.0  # dead times after which a stop acts at the latest: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes of a leg after which the next leg begins."""
-LATE = 2.0
-"""Dead times after which a stop acts at the latest: it may be lost once."""
 
 
 class Mpc:
@@ -104,9 +93,9 @@ class Mpc:
         self.k, self.moving = 0, False
         self.leaving = False  # whether the present plan leads, or led, robots out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
+        self.left_over = 0.0  # total error that the last plan leaves
         self.began = 0  # step k at which a plan was made for standing robots
         self.stuck = False  # whether no standing robot could move safely
-        self.unheard = False  # whether a command ever reached no robot: a stop may be lost, too
         self.resume = 0  # length to continue with if the time for longer sequences was up
 
     def plan(
@@ -116,17 +105,16 @@ class Mpc:
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         """Do one control step: decide u_(opt), or end the trial."""
-        phase = (self.k - self.began) % self.section.hold  # control periods since a plan's knot
-        if self.warm is not None and phase == 0:
+        if self.warm is not None and self._phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
-        first_period = (self.section.hold - phase) * self.section.period
+        first_period = (self.section.hold - self._phase) * self.section.period
         known = self.estimator.seen(observation, last_command, earlier)
-        self.unheard |= not self.estimator.heard
         if (self.estimator.left != self.left).any():
             self._begin_leg()
         while True:
             targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
-            problem = self._problem(replace(known, targets=targets), first_period)
+            problem = replace(known, targets=targets, first_period=first_period)
+            problem = self._with_margins(problem, self.estimator.known)
             decision = (self._drive if self.held is None else self._stay)(problem, observation)
             if isinstance(decision, Plan):
                 self.moving = not decision.pauses
@@ -140,14 +128,18 @@ class Mpc:
                 self.held, self.warm = (observation.sampled_ns, Outcome(decision)), None
 
     @property
+    def _phase(self) -> int:
+        """Control periods since the signal under way began."""
+        return 0 if self.warm is None else (self.k - self.began) % self.section.hold
+
+    @property
     def last_leg(self) -> int:
         """Number of the leg that ends the trial: the one to the targets, or the hold."""
         return len(self.legs) - (self.hold is None)
 
     def _begin_leg(self) -> None:
         """Start planning for the next way-points or targets, of the robots left, from their present
-        poses.
-        """
+        poses."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
@@ -191,21 +183,26 @@ class Mpc:
             return Outcome.STEPS_MAX
         if self.stuck:
             return Outcome.NOTHING_BETTER
-        if self.warm is None and self.k > 0 and float(gaps.sum()) <= self.accept:
-            return Outcome.NOTHING_BETTER  # at rest, and near enough
-        wary = self.blocked and self.section.collision.stop_before_collision
-        if wary and self.warm is not None and self._enters(problem, observation, self.warm):
-            return self._pause(problem)
-        if self.leaving and self.warm is not None:
-            return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
+        if self.warm is None and self.k > 0 and self.accept > 0:
+            least = min(least_length(problem), self.section.horizon_max)
+            in_time = self.moving or least <= self._signals_left()
+            if float(gaps.sum()) <= self.accept or not in_time:
+                return Outcome.NOTHING_BETTER
+        stops = self.section.collision.stop_before_collision
+        if self.warm is not None:
+            if stops and self.blocked and self._enters(problem, observation, self.warm):
+                self.leaving = False  # the way out ended too early
+                return self._pause(problem)
+            if self.leaving:
+                return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
         if ended := self._ended(problem, observation, gaps):
-            stops = self.section.collision.stop_before_collision and self.leg == self.last_leg
-            if self.unheard and stops:
-                return self._pause(problem)  # a pause, so that the trial ends at rest
-            return ended
+            if not stops or self.accept == 0 or self.leg < self.last_leg:
+                return ended
+            delay_ns = ended.delay_ns if isinstance(ended, End) else 0
+            return replace(self._pause(problem), delay_ns=delay_ns)  # to end at rest
         plan = self._decide(problem)
-        self.blocked = plan.obstacle_cost > 0
-        if self.blocked and self.k > 0 and self.section.collision.stop_before_collision:
+        self.blocked, self.left_over = plan.obstacle_cost > 0, plan.target_cost
+        if stops and self.blocked and self.k > 0:
             if self.warm is None:
                 enters = self._enters(problem, observation, plan.signals)
                 apart = self.section.collision.separation
@@ -229,8 +226,7 @@ class Mpc:
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
         """Return the plan that stops all robots, so that the next plan is for standing robots;
-        `found` holds the searches without a better plan.
-        """
+        `found` holds the searches without a better plan."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -246,16 +242,9 @@ class Mpc:
         self.k += 1
         return replace(plan, estimate=self.estimator.estimate)
 
-    def _problem(self, known: Problem, first_period: float) -> Problem:
-        """Return the problem with poses where a direction decided now will act, and estimated
-        motion.
-        """
-        return self._with_margins(replace(known, first_period=first_period), self.estimator.known)
-
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Grow obstacles and separation; if the margin is adaptive, also by the deviation that the
-        uncertainty of `estimate` allows. None: the motion is known.
-        """
+        uncertainty of `estimate` allows. None: the motion is known."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -275,28 +264,25 @@ class Mpc:
         is as good or safer.
 
         `gaps` (N,) are the distances to the targets. This needs no search, so the log holds
-        everything that the end depends on.
-        """
-        if self.warm is None:
-            return None
-        if len(self.warm) > 0 and self.section.accept_error == 0:
+        everything that the end depends on."""
+        if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
             return None
         between = self.section.stop_between and self.leg == self.last_leg  # stops on no other
         period = self.section.period if between else 0.0
-        if 0 < self.accept < float((gaps - problem.speed * period).sum()):
+        in_time = len(self.warm) + 2 <= self._signals_left()  # to go round
+        accept = self.accept if in_time else max(self.accept, self.left_over)
+        if 0 < accept < float((gaps - problem.speed * period).sum()):
             return None  # even at full speed no stop would be near enough
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
-        if 0 < self.accept < stopping.error:
-            return None
-        if len(self.warm) and float(evaluate(problem, self.warm[None]).total[0]) < stopping.error:
+        cost = evaluate(problem, self.warm[None]).total[0] if len(self.warm) else np.inf
+        if 0 < accept < stopping.error or float(cost) < stopping.error:
             return None
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
         """Return whether a robot enters an obstacle before the next stop could act, under a plan
-        and, after its end, the direction held.
-        """
+        and, after its end, the direction held."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
@@ -308,10 +294,11 @@ class Mpc:
 
         A limit of evaluations is shared equally. If it is too small for all horizons of step 0,
         fewer are tried, evenly spread, each with WORTHWHILE times the least evaluations of a
-        search.
-        """
+        search."""
         section, step_key = self.section, mix(self.key, self.k)
-        wanted, most = list(candidates(self.warm, section.horizon_max)), section.evaluations_max
+        horizon, most = self._signals_left(), section.evaluations_max
+        wanted = list(candidates(self.warm, horizon))
+        wanted = [one for one in wanted if one[0] <= horizon] or wanted[:1]
         if most is not None:
             wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
         searcher = Searcher(
@@ -326,10 +313,10 @@ class Mpc:
         good_enough = section.optimizer.good_enough
         count = 0 if self.warm is None else len(self.warm)
         if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
-            searcher.search_spread(least_length(problem), section.horizon_max, good_enough)
+            searcher.search_spread(least_length(problem), horizon, good_enough)
             if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
                 later = self._with_margins(problem, None)  # the motion is identified while driving
-                problem = searcher.search_thoroughly(later, section.horizon_max, good_enough)
+                problem = searcher.search_thoroughly(later, horizon, good_enough)
         else:
             enough = good_enough
             if enough is not None and self.accept > 0:
@@ -342,8 +329,7 @@ class Mpc:
             good = [search for search in searcher.found if searcher.good(search, accepted)]
         among = good or searcher.found
         best = among[choose(among, good_enough, count)]
-        last = max(LAST_LEAST_S, LAST_S * len(problem.a))
-        if self.warm is not None and best.length > count + 1 and count * problem.period <= last:
+        if self.warm is not None and best.length > count + 1 and nearly_done(problem, count):
             self.accept *= 1 + ACCEPT_GROWTH
         chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
@@ -357,20 +343,20 @@ class Mpc:
 
     def _detour(self, searcher: Searcher) -> None:
         """Search longer sequences, as far as horizon, remaining steps and control period allow; the
-        next step continues the search.
-        """
+        next step continues the search."""
         assert self.warm is not None
-        section = self.section
-        most = min((section.steps_max - self.k) // section.hold, section.horizon_max)
-        lengths = [n for n in longer(len(self.warm), most) if n >= self.resume]
-        self.resume = searcher.search_longer(lengths, section.period, ENOUGH * self.accept)
+        lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
+        self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
+
+    def _signals_left(self) -> int:
+        """Return the most signals of a plan that ends within the steps."""
+        return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if, from any one signal on, they receive nothing for
         `silence`, or until their watchdog stops them.
 
-        The last UNSURE signals are not tested; of the present plan, only the next ones are.
-        """
+        The last UNSURE signals are not tested; of the present plan, only the next ones are."""
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:
@@ -399,8 +385,7 @@ class MpcSection(MpcFields):
 
     def warm_up(self, setup: Setup) -> None:
         """Compile by use: search for one signal from the starts, predict its path, and identify the
-        robots from a few frames.
-        """
+        robots from a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)

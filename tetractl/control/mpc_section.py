@@ -39,10 +39,10 @@ class Collision(Model):
     """
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
-    is about to enter one, or no plan within `accept_error` keeps clear; once they     stand, a new
-    plan is searched, and the trial ends if no robot can move safely. For robots that     can stand
-    still.
-    """
+    is about to enter one, or no plan within `accept_error` keeps clear; once they stand, a new plan
+    is searched, and the trial ends if no robot can move safely. With an `accept_error` they pause
+    at the end too, and go on if they then stand further from their targets. For robots that can
+    stand still."""
     silence: NonNegative = 0.0
     """Time for which robots may receive nothing and keep to the direction held [s]: plans are
     preferred     that keep clear during such a time, at whichever signal it begins.
@@ -111,10 +111,10 @@ class MpcFields(ControllerSection):
     """The prior uncertainty of the identified values."""
     accept_error: NonNegative = 0.0
     """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within this error,
-    longer     sequences are searched, and the trial ends if stopping leaves at most this error and
-    is as good     as any plan. A smaller value makes trials longer. Each time the robots go round,
-    a tenth more is     accepted. 0 is Algorithm 2, which ends only with its sequence.
-    """
+    longer sequences are searched, and the trial ends if stopping leaves at most this error and is
+    as good as any plan. A smaller value makes trials longer. Each time the robots go round, a tenth
+    more is accepted; with no steps left to go round, whatever the plan leaves. 0 is Algorithm 2,
+    which ends only with its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -158,6 +158,11 @@ class MpcFields(ControllerSection):
         if most := self.optimizer.evaluations_max:
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
+
+    def signals_within(self, steps: int) -> int:
+        """Return the most signals of a plan with so many control steps left; Algorithm 2, which
+        accepts no error, begins plans that it cannot complete."""
+        return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
         """Return how many numbers the longest search stores: positions, velocities, bests and poses

@@ -146,8 +146,9 @@ class Plan:
     `chosen` indexes the best. `generator` is the key all random draws of this step came from.
     `estimate` are the values used for the plan, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
-    then not sent. With `pauses` all robots are stopped instead, and stand for PAUSE_S. `leg` is the
-    number of way-points passed; while the robots hold, one more than the number of way-points.
+    then not sent. With `pauses` all robots are stopped instead, `delay_ns` after the decision, and
+    stand for PAUSE_S. `leg` is the number of way-points passed; while the robots hold, one more
+    than the number of way-points.
     """
 
     signals: Floats
@@ -161,6 +162,7 @@ class Plan:
     estimate: Estimate | None = None
     field_off: bool = False
     pauses: bool = False
+    delay_ns: int = 0
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":

@@ -129,6 +129,7 @@ class _LoggedPlans:
 
     def __init__(self, log: TrialLog, ending: _Ending) -> None:
         self._steps, self._ending, self._k = log.steps, ending, 0
+        self._period_ns = round(log.start.setup.period_s * SECOND)
         self._outcome = log.result.outcome if log.result else Outcome.ABORTED
 
     def plan(
@@ -145,6 +146,8 @@ class _LoggedPlans:
         if step.observation.frame != observation.frame:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
+        if not 0 <= step.plan.delay_ns <= self._period_ns:
+            raise AbortError(f"step {step.k} pauses {step.plan.delay_ns} ns after its decision")
         return step.plan
 
 

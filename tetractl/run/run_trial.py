@@ -102,6 +102,8 @@ class Trial:
                 return decision.outcome, ""
             begins = self._tour.step(decision.leg, observation)
             if decision.pauses:
+                self._sleep_until(self.clock.now() + decision.delay_ns)
+                began += decision.delay_ns
                 command = self._pause(again=standing and k > 0)
             else:
                 command = self._steer(decision.direction)
@@ -202,7 +204,7 @@ class Trial:
         """Stop the robots for a pause, and record it unless they stand already."""
         command = self.plant.pause()
         if not again:
-            self._say(command, "all robots pause, and a plan is made from standing")
+            self._say(command, "all robots pause: a plan is made from standing, or the trial ends")
         return command
 
     def _say(self, command: Command, text: str) -> None:

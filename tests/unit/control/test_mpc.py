@@ -355,6 +355,41 @@ def test_the_stop_comes_between_two_steps_where_that_is_best():
     assert ended.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
 
 
+def ends_at_rest(steps_max=20):
+    """A controller whose robots, 15 mm from their targets, are to stop 0.1 s from now."""
+    experiment = spec(
+        accept_error=20,
+        stop_between=True,
+        motion="exact",
+        steps_max=steps_max,
+        collision={"test": "swept", "stop_before_collision": True},
+    )
+    controller = mpc(experiment, 99, Scripted({1: 0.0}))
+    controller.plan(seen())
+    controller.estimator.sent(Command(0.0, 0, (True,) * 3))
+    poses = TARGETS.copy()
+    poses[:, 0] -= [18, 20, 15]
+    pause = controller.plan(seen(poses, now=200_000_000))
+    assert pause.pauses
+    assert pause.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
+    return controller, Command(None, 300_000_000, (True,) * 3)
+
+
+def test_a_trial_of_robots_that_can_stand_ends_at_rest():
+    controller, stop = ends_at_rest()
+    assert controller.plan(seen(near(19), now=1_000_000_000), stop) is Outcome.NOTHING_BETTER
+
+
+def test_robots_that_rest_off_their_targets_go_on():
+    controller, stop = ends_at_rest()
+    assert controller.plan(seen(near(21), now=1_000_000_000), stop).direction is not None
+
+
+def test_robots_that_rest_off_their_targets_without_time_for_a_plan_end_there():
+    controller, stop = ends_at_rest(steps_max=6)
+    assert controller.plan(seen(near(21), now=1_000_000_000), stop) is Outcome.NOTHING_BETTER
+
+
 def spread(**fields):
     return spec(
         initial_lengths="geometric", optimizer={"type": "multistart", "tolerance": 1}, **fields

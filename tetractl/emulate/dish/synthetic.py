@@ -24,7 +24,8 @@ class FilmScript:
 
     `cells` are magnetised, `strangers` are not. The field's direction changes after a time drawn
     uniformly between the two values of `hold` [s]. `events`: one cell rests for a while, one
-    divides.
+    divides. Each pair of cells is made to cross once, with the probability that its `crossings` per
+    minute give.
     """
 
     seconds: float = 10.0
@@ -33,7 +34,7 @@ class FilmScript:
     strangers: int = 0
     hold: tuple[float, float] = (0.3, 1.2)
     events: bool = True
-    crossings: bool = True
+    crossings: float = 6.0
 
 
 @dataclass(slots=True)
@@ -120,7 +121,9 @@ class SyntheticFilm:
                 continue
             self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - own
             other = i - 1
-            for _ in range(TRIES if i % 2 and self.script.crossings else 0):
+            share = self.script.crossings * end / 60 if i % 2 else 0.0
+            crosses = share >= 1 or (share > 0 and random.random() < share)
+            for _ in range(TRIES if crosses else 0):
                 when = random.uniform(0.15 * end, 0.95 * end)
                 at = self._at(when)
                 place = np.array([at.x[other], at.y[other]]) + self._shift[other]

@@ -192,7 +192,7 @@ def encode_step(step: Step) -> pb.ControllerStep:
         path_y=y,
         path_heading=heading,
         **_named(plan, "signals", "cost", "target_cost", "obstacle_cost"),
-        **_named(plan, "chosen", "generator", "leg"),
+        **_named(plan, "chosen", "generator", "leg", "delay_ns"),
     )
 
 
@@ -224,6 +224,7 @@ def decode_step(
         field_off=command.field_off,
         pauses=command.stops,
         leg=message.leg,
+        delay_ns=message.delay_ns,
     )
     return Step(
         k=message.k,

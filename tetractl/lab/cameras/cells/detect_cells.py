@@ -90,6 +90,7 @@ class BlobFinder:
     _flat: Grey | None = field(default=None, init=False)
     _stripe: int = field(default=0, init=False)
     _smooth: Grey | None = field(default=None, init=False)
+    _room: list[Grey] = field(default_factory=list, init=False)  # reused: new memory costs time
     searched: Grey | None = field(default=None, init=False)
     """The newest picture minus its background, in which blobs are searched."""
     limits: tuple[float, ...] = field(default=(), init=False)
@@ -111,7 +112,7 @@ class BlobFinder:
         """Compute the background as the median of pictures of one size (height, width),
         and determine whether cells are brighter or darker unless that is given.
         """
-        smooth = [cv2.GaussianBlur(each, (5, 5), 0) for each in pictures]
+        smooth = [_smoothed(each, np.empty_like(each), np.empty_like(each)) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
         middle = float(np.median(levels))
         even = [
@@ -128,22 +129,24 @@ class BlobFinder:
     def find(self, picture: Grey) -> list[Blob]:
         """Return the blobs of a picture (height, width), largest first."""
         assert self._flat is not None, "learn() comes first"
-        self._smooth = smooth = _grey(cv2.GaussianBlur(picture, (5, 5), 0))
+        if len(self._room) == 0 or self._room[0].shape != picture.shape:
+            self._room = [np.empty(picture.shape, np.uint8) for _ in range(4)]
+        smooth, expected, searched, mask = self._room
+        _smoothed(picture, mask, smooth)
+        self._smooth, self.searched = smooth, searched
         seen, known = _sparse(smooth), np.maximum(_sparse(self._flat), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
-        expected = cv2.convertScaleAbs(self._flat, alpha=gain)
-        difference = (
-            cv2.subtract(smooth, expected) if self.bright else cv2.subtract(expected, smooth)
-        )
+        cv2.convertScaleAbs(self._flat, alpha=gain, dst=expected)
+        above, below = (smooth, expected) if self.bright else (expected, smooth)
+        cv2.subtract(above, below, dst=searched)
         # differences in the other direction are noise
         other = (seen.astype(np.float32) - gain * known) * (-1 if self.bright else 1)
         noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
         noise = min(noise, 20.0)
         low, high = max(LOW * noise, LEAST_LOW), max(HIGH * noise, LEAST_HIGH)
-        self.searched = searched = _grey(difference)
         self.limits = (low, high, self.least_px2, self.most_px2)
-        mask = _mask(searched, low)
+        cv2.threshold(searched, low, 255, cv2.THRESH_BINARY, dst=mask)
         changed = cv2.countNonZero(mask) / mask.size
         contours: Sequence = ()
         if changed <= CHANGED:
@@ -184,11 +187,8 @@ def blobs_of(
     `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
     column and row of the part's upper left pixel.
     """
-    return _blobs(_contours(_mask(searched, limits[0])), searched, limits, corner)
-
-
-def _mask(searched: Grey, low: float) -> Grey:
-    return _grey(cv2.threshold(searched, low, 255, cv2.THRESH_BINARY)[1])
+    mask = _grey(cv2.threshold(searched, limits[0], 255, cv2.THRESH_BINARY)[1])
+    return _blobs(_contours(mask), searched, limits, corner)
 
 
 def _contours(mask: Grey) -> Sequence:
@@ -243,6 +243,13 @@ def _blob(
         corner=(left + corner[0], top + corner[1]),
         at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
     )
+
+
+def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:
+    """Blur a picture with two boxes, nearly a Gaussian of 1.15 px and four times as fast."""
+    cv2.blur(picture, (3, 3), dst=between)
+    cv2.blur(between, (3, 3), dst=into)
+    return into
 
 
 def _sparse(picture: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one t
 SPECK_UM = 25.0  # from where a speck was
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 ROUNDS = 4  # iterations when a blob is divided among cells
+SAMPLED = 200  # pixels of it
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
@@ -163,11 +164,12 @@ def separated(
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:
-    """Return the middles (K, 2) [um] of cells that share a blob of pixels at `points` (M, 2) [um].
+    """Return the middles (K, 2) [um] of cells in one blob of pixels at `points` (M, 2) [um].
 
-    Pixels are assigned by an expectation-maximisation with one ellipse per cell, of the cell's
-    size, starting where the cells are `expected` (K, 3).
+    Each pixel belongs to the cells in proportion to ellipses of their sizes about where they are
+    `expected` (K, 3); some rounds of expectation and maximisation, over a sample of the pixels.
     """
+    points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()
     cos, sin = np.cos(expected[:, 2]), np.sin(expected[:, 2])
     halves = np.array([(cell.long / 4, cell.wide / 4) for cell in owners])

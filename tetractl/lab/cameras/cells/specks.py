@@ -53,15 +53,15 @@ class Speck:
         """Return whether the speck has the size of a cell and swam along its axis in `needed`
         blobs.
         """
-        path = np.array(self.path[-max(needed, BORN) :])
-        if len(path) < needed:
+        entries = self.path[-max(needed, BORN) :]
+        first, last = entries[0], entries[-1]
+        moved = math.hypot(last[1] - first[1], last[2] - first[2])
+        passed = max(last[0] - first[0], 1e-3)
+        if len(entries) < needed or moved < SWIM_UM or moved / passed < SWIM_UM_S:
             return False
+        path = np.array(entries)
         long, wide = np.median(path[:, 4]), np.median(path[:, 5])
         if not (LONG_UM[0] < long < LONG_UM[1] and WIDE_UM[0] < wide < WIDE_UM[1]):
-            return False
-        moved = math.hypot(*(path[-1, 1:3] - path[0, 1:3]))
-        passed = max(path[-1, 0] - path[0, 0], 1e-3)
-        if moved < SWIM_UM or moved / passed < SWIM_UM_S:
             return False
         line = np.polynomial.polynomial.polyfit(path[:, 0] - path[0, 0], path[:, 1:3], 1)
         fitted = line[0] + (path[:, :1] - path[0, 0]) * line[1]

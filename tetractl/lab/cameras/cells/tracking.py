@@ -167,7 +167,8 @@ class CellTracker:
             cell, (x, y, axis, long, wide) = cells[0], places[j].tolist()
             larger = long * wide / (cell.long * cell.wide)
             odd = larger > LARGE or larger < 1 / LARGE**2 or blob.at_edge
-            self._merges.watch(cell, larger > LARGE, self._meets(cell), self._time or 0.0)
+            large = larger > LARGE
+            self._merges.watch(cell, large, large and self._meets(cell), self._time or 0.0)
             deviations = ODD if odd else (least, least, AXIS / max(1 - wide / long, 0.05))
             cell.measured = (x, y, axis, *deviations)
             if cell.question is not None and not blob.at_edge:

@@ -32,14 +32,14 @@ def test_numbers_are_kept_through_crossings():
 @pytest.mark.parametrize("bright", [False, True])
 def test_the_polarity_is_found_and_specks_are_no_cells(bright):
     look = {"bright": bright, "light": 50.0 if bright else 160.0}
-    made = film(seed=6, side=384, look=look, cells=3, crossings=False)
+    made = film(seed=6, side=384, look=look, cells=3, crossings=0.0)
     found = followed(made)
     assert found.bright is bright
     assert Score().add(made, found).f1 > 0.97
 
 
 def test_a_resting_cell_is_not_lost_in_the_background():
-    made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=False)
+    made = film(seed=7, side=512, cells=4, seconds=6.0, events=True, crossings=0.0)
     resting = np.flatnonzero((made.times > 0.42 * 6) & (made.times < 0.58 * 6))[10:]
     if not made.seen[resting, 3].all():
         pytest.fail("the film does not show what it is for")

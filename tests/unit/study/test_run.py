@@ -225,7 +225,7 @@ def test_a_repeated_trial_that_differs_is_set_aside(done, changed, hint):
 
 def test_a_worker_with_other_code_ends_the_study(tmp_path, monkeypatch):
     monkeypatch.setattr(task, "code_of", lambda spec: "other")
-    with pytest.raises(OtherCodeError, match="has other code"):
+    with pytest.raises(OtherCodeError, match="code differs"):
         run(tmp_path, SMALL)
     monkeypatch.undo()
     assert len(run(tmp_path, SMALL).tasks) == 6

@@ -42,11 +42,11 @@ def redrive(
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
+    from tetractl.cli.rerun import recorded
     from tetractl.cli.trials import drive
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.log.read.find import find_log
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
-    from tetractl.replay.rerun import recorded
     from tetractl.run.store import default_folder
     from tetractl.view.style import file_format
 

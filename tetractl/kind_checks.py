@@ -1,7 +1,7 @@
-"""Checks a kind of another package against what tetractl expects of it: `tetractl kinds --check`.
+"""Checks a kind of another package against tetractl's requirements: `tetractl kinds --check`.
 
 Each check is a generator of findings: the description of a check, and its error, "" for none.
-All numbers are drawn from a fixed seed, so that a finding repeats.
+All random numbers come from a fixed seed, so that findings repeat.
 """
 
 import math
@@ -28,11 +28,11 @@ from tetractl.model.motion.motion import Held, Motion
 from tetractl.model.obstacles import Obstacles
 
 SEED = 20
-COUNT = 200  # random cases of a check
-NEAR = 1e-6  # relative error up to which two ways to compute a thing agree
-STEP = 1e-6  # of a central difference [rad]
-SLOPE = 1e-4  # relative error of a derivative, which a central difference has too
-STARTED_S = 5.0  # that a camera may take to show a frame
+COUNT = 200  # number of random cases per check
+NEAR = 1e-6  # relative error up to which two results agree
+STEP = 1e-6  # step of a central difference [rad]
+SLOPE = 1e-4  # relative error up to which a derivative agrees with a central difference
+STARTED_S = 5.0  # time that a camera may take to deliver a frame
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ Findings = Iterator[Finding]
 def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     """Check "module:attribute": a Motion, or the section of a shape, optimiser or lab device.
 
-    `fields` are those of the section, and `setup` the robots of a device. Raises UsageError for a
-    thing that cannot be imported or is none of these.
+    `fields` are those of the section, and `setup` describes a device's robots. Raises UsageError if
+    the object cannot be imported or is not such a kind.
     """
     module, _, attribute = code.partition(":")
     try:
@@ -61,12 +61,14 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
         return _guarded(partial(check_motion, found))
     if not (isinstance(found, type) and issubclass(found, Model)):
         raise UsageError(
-            f"{code}: is no Motion and no section of a shape, optimiser, camera or actuator"
+            f"{code}: is neither a Motion nor a section of a shape, optimiser, camera or actuator"
         )
     for base, check in CHECKS.items():
         if issubclass(found, base):
             return _guarded(partial(check, _section(code, found, fields), setup))
-    raise UsageError(f"{code}: there is no check for this kind", f"of {_and(CHECKS)} there is")
+    raise UsageError(
+        f"{code}: there is no check for this kind", f"kinds with a check: {_and(CHECKS)}"
+    )
 
 
 def _and(kinds: Mapping[type, Any]) -> str:
@@ -84,11 +86,13 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
         details = error.errors()[0]
         where = ".".join(map(str, details["loc"]))
         text = words(details, details["input"])
-        raise UsageError(f"{code}: {where}: {text}", f"--set {where}=VALUE gives it") from None
+        raise UsageError(
+            f"{code}: {where}: {text}", f"give the value by --set {where}=VALUE"
+        ) from None
 
 
 def _guarded(check: Callable[[], Findings]) -> Findings:
-    """Yield the findings; an exception of the kind's own code is the last of them."""
+    """Yield the findings; an exception in the kind's own code becomes the last finding."""
     try:
         yield from check()
     except UsageError:
@@ -102,7 +106,7 @@ def _guarded(check: Callable[[], Findings]) -> Findings:
 
 
 def _near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> Finding:
-    """Compare two ways to compute a thing, to a share of `scale`; the worst case is shown."""
+    """Return the finding of comparing two results to a fraction of `scale`, with the worst case."""
     ours, theirs, scale = np.broadcast_arrays(
         *(np.asarray(v, float) for v in (ours, theirs, scale))
     )
@@ -230,7 +234,7 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
         grown = shape.grown(margin)
         what = "grown: " if margin else ""
         inside, gap = grown.contain(x, y), grown.distance(x, y)
-        clear = np.abs(gap) > NEAR * size  # rounding decides nearer to the edge
+        clear = np.abs(gap) > NEAR * size  # nearer to the edge rounding decides
         yield _true(
             f"{what}contain: where distance <= 0", (inside == (gap <= 0)) | ~clear, "differs"
         )
@@ -247,7 +251,7 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
         yield from _check_packed(what, grown, size, (x, y, x1, y1), gap, met, clear)
     margin = size / 10
     gap, nearer = (one.distance(x, y) for one in (shape, shape.grown(margin)))
-    fits = np.abs(gap - nearer - margin) <= margin / 2  # a corner may be grown to a corner
+    fits = np.abs(gap - nearer - margin) <= margin / 2  # a grown corner may be sharp
     yield _true("grown: nearer by the margin", (gap < 2 * margin) | fits, "is not")
 
 
@@ -272,7 +276,7 @@ def _check_packed(
 
 
 def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
-    """Check what an optimiser states of its searches, and that they repeat."""
+    """Check that an optimiser's search records are consistent, and that its searches repeat."""
     from tetractl.control.evaluate import compiled_costs
 
     problem = Problem(
@@ -309,7 +313,7 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
 
 
 def check_camera(section: CameraSection, setup: Setup) -> Findings:
-    """Check that a camera can be built and, if it can be opened, what its frames are."""
+    """Check that a camera can be built and, if it can be opened, that its frames are valid."""
     from threading import Event
 
     from tetractl.core.clock import MonotonicClock, seconds

@@ -21,7 +21,7 @@ WARNINGS = [
     "better with these a, speeds, starts and targets",
     "warning: alike.yaml:5:59: robots.1.a: 6: is that of one, and so is the start heading: two can "
     "only follow in parallel, and the least total error of the 2 is 50 mm; give them different a, "
-    "or targets that lie to each other as the starts do",
+    "or targets placed relative to each other like the starts",
 ]
 
 

@@ -79,7 +79,7 @@ def test_a_file_that_is_missing_or_no_regular_one_is_bad_usage(tmp_path, command
     said = done.stderr + done.stdout  # validate's problems are its results
     assert said.startswith(("error: x: ", "x: ")), said
     assert said.count("\n") == 1
-    assert ("no regular file" in said) == (made == "fifo")
+    assert ("not a regular file" in said) == (made == "fifo")
 
 
 def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):

@@ -13,9 +13,9 @@ from support.studies import SMALL, write
 USAGE = r"""
 run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml
 study spec.yaml | spec.yaml: is a spec, not a study | run it with: tetractl run spec.yaml; a study
-replay spec.yaml | spec.yaml: is no log (*.mcap) | run it with: tetractl run spec.yaml
-stats out/trials.csv | out/trials.csv: is no log (*.mcap) | name the folder: out
-report out/times.csv | out/times.csv: is no log (*.mcap) | name the folder: out
+replay spec.yaml | spec.yaml: is not a log (*.mcap) | run it with: tetractl run spec.yaml
+stats out/trials.csv | out/trials.csv: is not a log (*.mcap) | name the folder: out
+report out/times.csv | out/times.csv: is not a log (*.mcap) | name the folder: out
 run | SPEC
 run nowhere.yaml | nowhere.yaml: there is no such file
 run . | .: is a folder
@@ -25,7 +25,7 @@ run wrong.yaml | wrong.yaml:3:
 run huge.yaml | huge.yaml:8:45: reference.std: 1.0e+308: must be at most 1e+09
 run spec.yaml --trials 0 | --trials: must be at least 1 | try
 run spec.yaml --seed -1 | --seed: must be at least 0 | try
-run spec.yaml --seed x | --seed: is no whole number | try
+run spec.yaml --seed x | --seed: is not a whole number | try
 run spec.yaml --jobs 0 | --jobs: must be at least 1 | try
 run spec.yaml --set controler.period=1 | did you mean 'controller'?
 run spec.yaml --set robots.x.a=1 | has no entry 'x'
@@ -62,7 +62,7 @@ report logs -o no/where.html | no/where.html: there is no folder no
 replay | LOG
 replay LOG --rate 0 | --rate must be above 0
 replay LOG --rate nan | --rate must be above 0
-replay LOG --rate fast | --rate: is no number | try
+replay LOG --rate fast | --rate: is not a number | try
 replay LOG --start 99 | the trial lasts
 replay LOG --paused | --paused needs a terminal
 replay LOG --yes | No such option

@@ -64,7 +64,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
 @pytest.mark.parametrize(
     ("fault", "at", "says"),
     [
-        ("light, share: 0.02", 2, "0 of 0 cells answer the field"),
+        ("light, share: 0.02", 2, "0 of 0 cells respond to the field"),
         ("off", 2, "the current driver does not answer"),
         ("light, share: 0.02", 6, "not tracked"),
     ],
@@ -146,7 +146,7 @@ def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_ag
 def test_too_few_cells_that_answer_are_one_clear_error(tmp_path):
     few = "emulation: {actuator: {cells: 1, strangers: 2}, camera: {specks: 0}}\n"
     with virtual_dish(tmp_path, 3, SMALL, few) as dish:
-        with pytest.raises(AbortError, match="1 of 3 cells answer the field, 2 are wanted"):
+        with pytest.raises(AbortError, match="1 of 3 cells respond to the field, 2 are needed"):
             run_trial(dish.spec, tmp_path, 0, [], Interrupt(lambda number: None))
         dish.clock.sleep_until(dish.clock.now() + SECOND)
         assert not dish.emulation.actuator.driver.running

@@ -264,7 +264,7 @@ def test_the_command_says_what_was_checked(tmp_path):
     ("words", "message"),
     [
         (["nowhere:X"], "nowhere:X: cannot be imported: ModuleNotFoundError"),
-        (["json:dumps"], "json:dumps: is no Motion and no section of"),
+        (["json:dumps"], "json:dumps: is neither a Motion nor a section of"),
         (["tetractl.model.shapes.circle:Circle"], "Circle: center: is missing"),
         (["tetractl.experiment.controller:Square"], "Square: there is no check for this kind"),
     ],

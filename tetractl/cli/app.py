@@ -42,8 +42,11 @@ from tetractl.cli import (
 from tetractl.core.errors import Exit, TetractlError, printable
 
 PLAIN = (  # typer's words for a bad value, and those that errors of specs use
-    ("Input should be a valid integer, unable to parse string as an integer", "is no whole number"),
-    ("Input should be a valid number, unable to parse string as a number", "is no number"),
+    (
+        "Input should be a valid integer, unable to parse string as an integer",
+        "is not a whole number",
+    ),
+    ("Input should be a valid number, unable to parse string as a number", "is not a number"),
     ("Input should be greater than or equal to", "must be at least"),
     ("Input should be less than or equal to", "must be at most"),
     ("Input should be", "must be"),

@@ -13,7 +13,7 @@ from tetractl.experiment.yaml.problems import did_you_mean
 
 FOLDER = "experiments"
 NAMED = ("base", "identified")
-"""Fields that name another file, by its path from the file."""
+"""Fields that name another file, relative to the file they stand in."""
 
 
 def shipped_folder() -> Path:
@@ -33,7 +33,7 @@ def example_names() -> list[str]:
 
 
 def example_files(name: str) -> dict[str, str]:
-    """Return an example and the files that it names: path in their folder, and text.
+    """Return an example and the files that it names: paths in the examples' folder, and texts.
 
     Raises UsageError if there is no such example.
     """

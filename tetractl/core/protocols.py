@@ -136,7 +136,7 @@ class Actuator(Device, Protocol):
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while all is well."""
+        """Why nothing can be sent any more, None while there is no fault."""
         ...
 
     def steer(

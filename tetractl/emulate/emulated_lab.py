@@ -1,4 +1,6 @@
-"""The emulated lab put together: two sides, faults, a record, and a helping hand."""
+"""The emulated lab as a whole: camera side, actuator side, faults, a record, and a helper who
+carries robots.
+"""
 
 import json
 from collections.abc import Callable
@@ -16,13 +18,13 @@ from tetractl.experiment.lab_section import LabSection
 
 TICK_NS = 2_000_000  # how often robots are checked
 FLUSH_NS = 200_000_000
-CARRY_NS = 500_000_000  # how long carrying a robot takes
+CARRY_NS = 500_000_000  # time that carrying a robot takes
 
 Report = Callable[[str, Facts], None]
 
 
 class Record:
-    """Writes events to a file, or nowhere without a path. `t_ns` is `time.monotonic_ns`."""
+    """Writes events to a file, if a path is given. `t_ns` is `time.monotonic_ns`."""
 
     def __init__(self, path: Path | None) -> None:
         self._file: TextIO | None = None
@@ -51,10 +53,9 @@ class Record:
 
 
 class EmulatedLab:
-    """An emulated lab on real wires. `report(event, facts)` is called with what a
-    person should see.
+    """An emulated lab on real wires. `report(event, facts)` is called with events to show.
 
-    Use it as a context manager: leaving it takes ports and names away, whatever happened.
+    A context manager: leaving it always releases ports and names.
     """
 
     def __init__(
@@ -92,8 +93,8 @@ class EmulatedLab:
             stage, emulated.camera or sides.camera.Settings(), self.actuator.bodies
         )
         self._moving = [False] * len(self.actuator.bodies)
-        self._ran = False  # since the robots were last put on their starts
-        self._still_since: int | None = start_ns  # None while any robot moves
+        self._ran = False  # whether robots moved since they were last put on their starts
+        self._still_since: int | None = start_ns  # time [ns]; None while any robot moves
         self._put_on_starts()
 
     def __enter__(self) -> "EmulatedLab":
@@ -125,7 +126,7 @@ class EmulatedLab:
         self.loop.run()
 
     def close(self) -> None:
-        """Take ports and names away, and close the record; idempotent."""
+        """Release ports and names, and close the record; idempotent."""
         counts = self.actuator.close() | self.camera.close()
         self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
         self._record.close()
@@ -165,7 +166,7 @@ class EmulatedLab:
         self._report("fault", facts)
 
     def _tick(self) -> None:
-        """Advance the actuator's side, and note which robots move."""
+        """Advance the actuator's side, and record which robots start or stop moving."""
         now = self.timeline.now_ns
         self.actuator.tick()
         if self.actuator.driven and not self._ran:
@@ -209,9 +210,9 @@ class EmulatedLab:
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:
-        """Put every robot where the spec, or the script, says that it stands at first.
+        """Put every robot on its start, as given by the script or the spec.
 
-        Cells that a trial chooses among swim where they are.
+        Cells among which a trial chooses are not moved.
         """
         if self._options.chosen:
             return
@@ -230,7 +231,7 @@ class EmulatedLab:
 
 
 def _check_names(script: Script, setup: Setup) -> None:
-    """Raise SpecError if a script names a robot that the spec has not."""
+    """Raise SpecError if a script names a robot that is not in the spec."""
     own = script.emulation
     lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
     names = [robot.name for robots in lists for robot in robots]
@@ -238,6 +239,6 @@ def _check_names(script: Script, setup: Setup) -> None:
     for name in names:
         if name not in setup.names:
             raise SpecError(
-                f"the script's {name} is no robot of the spec",
-                f"its robots are {', '.join(setup.names)}",
+                f"the script's {name} is not a robot of the spec",
+                f"the spec's robots are {', '.join(setup.names)}",
             )

@@ -1,8 +1,8 @@
-"""Faults of a script: triggers them, undoes them, and notes when each became visible.
+"""Triggers and undoes the faults of a script, and records when each became visible.
 
-A fault is visible when its first effect leaves on a wire: with the first frame exposed under it,
-with the first frame sent under it, or at once. Which faults a device can have is a table next to
-the device, of rows made by `fault`.
+A fault is visible when its first effect leaves on a wire: with the first frame exposed or sent
+while it lasts, or at once. A table next to each device lists the faults it can have, one row made
+by `fault` each.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,12 +17,12 @@ from tetractl.emulate.loop import Timeline
 from tetractl.experiment.base import Model, Name, NonNegative, Positive
 
 Undo = Callable[[], None]
-Begin = Callable[[Any, Any], Undo]  # of a fault and the device that it happens to
+Begin = Callable[[Any, Any], Undo]  # arguments: device and fault
 Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class Visible(Enum):
-    """From when on a fault can be noticed."""
+    """When a fault becomes noticeable."""
 
     EXPOSED = auto()
     SENT = auto()
@@ -33,25 +33,27 @@ class Fault(Model):
     """A scripted fault; `fault` adds the fields of a kind."""
 
     visible: ClassVar[Visible]
-    begin: ClassVar[Callable[..., Undo]]  # of a device: triggers the fault, returns its undo
+    begin: ClassVar[
+        Callable[..., Undo]
+    ]  # triggers the fault on a device, returns the function to undo it
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
-    """When, after `since` [s]."""
+    """Time of the fault after `since` [s]."""
     since: Literal["start", "client", "run"] = "run"
     """`start` of the emulation, the first `client` of the cameras, or the first command of a `run`
     that moves a robot."""
     duration: Positive | None = Field(default=None, alias="for")
-    """How long [s]; for the rest of the run by default."""
+    """Duration of the fault [s]; by default the rest of the run."""
 
     def names(self) -> Iterator[str]:
-        """Yield the robots it names."""
+        """Yield the names of robots in the fault's fields."""
         for key in ("robot", "other"):
             if (name := getattr(self, key, None)) is not None:
                 yield name
 
 
 def setting(target: object, **values: object) -> Undo:
-    """Set attributes; the undo sets them back."""
+    """Set attributes; return the function that sets them back."""
     before = {name: getattr(target, name) for name in values}
     for name, value in values.items():
         setattr(target, name, value)
@@ -117,12 +119,12 @@ MARK = fault(
 @dataclass(slots=True)
 class _Pending:
     fault: Fault
-    exposure: int | None = None  # the first one under the fault
+    exposure: int | None = None  # the first exposure during the fault
 
 
 @dataclass(slots=True)
 class Injector:
-    """Plans the faults of a script; `device_of` returns what a fault happens to.
+    """Schedules the faults of a script; `device_of` returns the device a fault happens to.
 
     `report(phase, fault)` is called at the start, once visible, and at the end of each.
     """
@@ -135,8 +137,9 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Schedule the faults that are timed from `what`: start, client or run. Only the first such
-        event counts."""
+        """Schedule the faults that are timed from an event `what`: start, client or run. Only its
+        first occurrence counts.
+        """
         if what in self._since:
             return
         self._since.add(what)
@@ -146,13 +149,13 @@ class Injector:
                 self.timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Note an exposure, just before it."""
+        """Take note of an exposure; called just before it."""
         for pending in self._pending:
             if pending.exposure is None:
                 pending.exposure = exposure
 
     def sent(self, exposure: int) -> None:
-        """Note that a frame left, or would have."""
+        """Take note that a frame has been sent, or would have been."""
         for pending in list(self._pending):
             first = pending.exposure
             at_sending = pending.fault.visible is Visible.SENT

@@ -1,7 +1,7 @@
 """The emulated actuator of type `field`: a current driver on a serial port, coils, cells in a dish.
 
 The driver runs the firmware's own core; its currents follow the core's set points with a
-first-order lag, L/R of the coils. Cells swim by `model.swimmers` in the field that truly is there.
+first-order lag, L/R of the coils. Cells swim by `model.swimmers` in the true field.
 """
 
 import math
@@ -30,11 +30,12 @@ LAG_S = 0.004  # 20 mH over 5 ohm
 
 
 class CurrentDriver:
-    """A driver switched on at the timeline's present; `port` is plugged by its owner.
+    """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
-    `currents` [A] are those that flow. Faults set `supply_mv` and `temperature_dc` (tenths of a
-    degree Celsius), `mute` (it hears but does not reply), and switch it by `switch`. `tell(event,
-    **facts)` is called with each command as it is read from the port, before the driver has it.
+    `currents` [A] are the true ones. Faults set `supply_mv`, `temperature_dc` (tenths of a degree
+    Celsius) and `mute` (the driver receives but does not reply), and switch it by `switch`.
+    `tell(event, **facts)` is called with each command when it is read from the port, before the
+    driver receives it.
     """
 
     def __init__(
@@ -50,12 +51,12 @@ class CurrentDriver:
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
-        self.garbled = 0  # chunks sent at another speed than the driver's
+        self.garbled = 0  # number of chunks sent at another baud rate than the driver's
         self._timeline, self._limits, self._baud = timeline, limits, baud
         self._tell, self._splitter = tell, Splitter()
         self._keep = math.exp(-STEP_NS / SECOND / lag_s)
         self._now_ns = timeline.now_ns
-        self._in_ns = self._out_ns = 0  # when the line is free again, either way
+        self._in_ns = self._out_ns = 0  # when the line is free again, in and out
         self._core = DriverCore(limits, self._now_ms)
 
     @property
@@ -65,7 +66,7 @@ class CurrentDriver:
 
     @property
     def running(self) -> bool:
-        """Whether it makes a field."""
+        """Whether the driver makes a field."""
         return DriverStatus.RUNNING in self.status
 
     def readable(self) -> None:
@@ -92,13 +93,15 @@ class CurrentDriver:
                 self._timeline.at(self._out_ns, lambda r=reply: self.port.write(r))
 
     def advance(self, until_ns: int) -> None:
-        """Move on to `until_ns` in steps of a millisecond; a shorter rest waits for the next."""
+        """Advance to `until_ns` in whole steps of a millisecond; the next call continues from
+        there.
+        """
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self._step()
 
     def switch(self, on: bool) -> None:
-        """Switch the driver on, which clears its latches, or off."""
+        """Switch the driver on or off; switching it on clears its latched faults."""
         self.powered = on
         if on:
             self._core = DriverCore(self._limits, self._now_ms)
@@ -135,15 +138,15 @@ class CurrentDriver:
 class FieldSettings(Model):
     """How driver and cells differ from what the spec says.
 
-    `cells` and `strangers` are there if the spec leaves it to the trial to choose its cells.
+    `cells` and `strangers` are used if a trial chooses its cells.
     """
 
     heading_noise: NonNegative = 0.05
     """Random walk of every cell's heading [rad/sqrt(s)]."""
     cells: int = Field(default=6, ge=1, le=60)
-    """How many cells with a magnet the dish has, each drawn at random."""
+    """Number of cells with a magnet in the dish, each drawn at random."""
     strangers: int = Field(default=2, ge=0, le=60)
-    """How many without one."""
+    """Number of cells without a magnet."""
     supply_mv: int = Field(default=12_000, ge=0, le=60_000)
     """The driver's supply voltage [mV]."""
 
@@ -242,7 +245,7 @@ class EmulatedField(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The field where the cells are [mT]."""
+        """The true field at the cells [mT], for the record."""
         return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
 
     def open(self, loop: Loop) -> Facts:
@@ -262,7 +265,7 @@ class EmulatedField(PluggedDevice):
         self.driver.switch(on)
 
     def advance(self, until_ns: int) -> None:
-        """Let the currents follow and the cells swim."""
+        """Advance currents and cells to `until_ns`."""
         self.dish.advance(until_ns)
 
     def tick(self) -> None:
@@ -270,6 +273,6 @@ class EmulatedField(PluggedDevice):
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return the built-in limits of a driver that suits the spec."""
+    """Return built-in limits for a driver that fit the spec's."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

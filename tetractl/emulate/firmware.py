@@ -1,4 +1,4 @@
-"""The firmware's own cores, compiled for this machine: emulated devices run what real ones run.
+"""The firmware's own cores, compiled for this machine: emulated devices run the code of real ones.
 
 `<name>_core.c` and `framing.c` of `firmware/` are built once into the user's cache folder, by the
 compiler in $CC or the first of cc, gcc and clang.
@@ -29,7 +29,7 @@ _BOTH = {
     "status": (_U8, _P, _U32),
     "take_reply": (_SIZE, _P, _U32, _P),
 }
-FUNCTIONS = {  # of each core: what they return and take
+FUNCTIONS = {  # of each core: type of the result, types of the arguments
     "m3pi": _BOTH
     | {
         "init": (None, _P, _U8),
@@ -97,17 +97,17 @@ def _build(codes: list[Path], path: Path) -> None:
         if done.returncode:
             line = (done.stderr.strip() or "no message").splitlines()[0]
             raise TetractlError(f"{name} could not build the firmware's core: {line}")
-        built.replace(path)  # in one step: other processes see all of it or nothing
+        built.replace(path)  # atomic: other processes see the complete file or none
 
 
 class CoreEvent(IntEnum):
-    """What a byte completed."""
+    """Result of reading a byte: which frame, if any, it completed."""
 
     NOTHING = 0
     ACCEPTED = 1
-    STALE = 2  # a good frame, old or a duplicate
+    STALE = 2  # a good frame, but old or a duplicate
     REJECTED = 3  # wrong stuffing, length, CRC, flags or counts
-    FOREIGN = 4  # a good frame that is no command
+    FOREIGN = 4  # a good frame that is not a command
 
 
 class _Core:
@@ -121,13 +121,13 @@ class _Core:
         self._core = ctypes.create_string_buffer(self._call("size"))
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """Read bytes from radio or line; return what they completed."""
+        """Read bytes from the radio or line; return the events that they complete."""
         push = getattr(self._library, f"{self.name}_push")
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the reply due now, once, or nothing."""
+        """Return the reply that is due now, once; otherwise no bytes."""
         reply = ctypes.create_string_buffer(self.reply_size)
         size = self._call("take_reply", self._core, now_ms, reply)
         return reply.raw[:size]
@@ -146,7 +146,7 @@ class RobotCore(_Core):
         self._call("init", self._core, index)
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the counts to drive with now, which the watchdog may have set to 0."""
+        """Return the present wheel counts, which the watchdog may have set to 0."""
         left, right = ctypes.c_int8(), ctypes.c_int8()
         self._call("wheels", self._core, now_ms, ctypes.byref(left), ctypes.byref(right))
         return left.value, right.value
@@ -156,14 +156,14 @@ class RobotCore(_Core):
         return Status(self._call("status", self._core, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
-        """Set the battery's voltage [mV]; 0 for unknown."""
+        """Set the battery voltage that the core reports [mV]; 0 for unknown."""
         self._call("set_battery", self._core, battery_mv)
 
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
     """The built-in limits of a driver: greatest current [mA] of each coil pair and its slew [mA/s],
-    watchdog [ms], and the temperature that stops it [0.1 degrees Celsius]."""
+    watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius]."""
 
     current_max_ma: int
     slew_ma_s: int
@@ -192,7 +192,7 @@ class DriverCore(_Core):
         self._call("init", self._core, ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
-        """Return the set points of both currents now [uA]; watchdog and slew are done here."""
+        """Return the present set points of both currents [uA], after watchdog and slew limit."""
         x, y = ctypes.c_int32(), ctypes.c_int32()
         self._call("currents", self._core, now_ms, ctypes.byref(x), ctypes.byref(y))
         return x.value, y.value
@@ -200,7 +200,9 @@ class DriverCore(_Core):
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
     ) -> None:
-        """Set what the driver has measured; a temperature at its limit stops it for good."""
+        """Set the driver's measured values; a temperature at the limit stops it until it is
+        switched on again.
+        """
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:

@@ -10,11 +10,11 @@ from tetractl.core.clock import SECOND
 
 Act = Callable[[], None]
 LAG_NS = 5_000_000
-IDLE_S = 0.05  # wakes this often with nothing to do, so that a request to end is seen
+IDLE_S = 0.05  # longest wait without events, so that a request to end is noticed
 
 
 class Timeline:
-    """Events by time [ns]. `advance(t)` is called before whatever happens at t.
+    """A queue of events by time [ns]. `advance(t)` is called before each event at t.
 
     Without files to watch it is a discrete-event simulation: tests run it in virtual time.
     """
@@ -26,12 +26,12 @@ class Timeline:
         self._order = count()
 
     def at(self, when_ns: int, act: Act) -> None:
-        """Plan an event; one in the past happens now."""
+        """Schedule an event; if its time has passed, it happens now."""
         heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
 
     @property
     def next_ns(self) -> int | None:
-        """When the next event is due."""
+        """The time of the next event [ns]."""
         return self._events[0][0] if self._events else None
 
     def run_to(self, until_ns: int) -> None:
@@ -51,8 +51,8 @@ class Timeline:
 class Loop:
     """Runs a timeline in real time on the host's monotonic clock.
 
-    `worst_lag_ns` is how late an event ever was, and `on_lag` hears of each one later than
-    `LAG_NS`: what a loaded host cost.
+    `worst_lag_ns` is the largest delay of an event so far, and `on_lag` is called for each delay
+    above `LAG_NS`: both show the effect of a loaded host.
     """
 
     now = staticmethod(time.monotonic_ns)
@@ -69,7 +69,7 @@ class Loop:
         self._readers[fd] = act
 
     def forget(self, fd: int) -> None:
-        """Watch `fd` no more."""
+        """Stop watching `fd`."""
         self._readers.pop(fd, None)
 
     def end(self) -> None:
@@ -77,7 +77,7 @@ class Loop:
         self._ended = True
 
     def catch_up(self) -> None:
-        """Bring the timeline to the present."""
+        """Run the timeline up to the present."""
         self.timeline.run_to(self.now())
 
     def run(self) -> None:
@@ -86,7 +86,7 @@ class Loop:
             self.turn()
 
     def turn(self) -> None:
-        """Run what is due, then wait for the next event or for data."""
+        """Run all events that are due, then wait for the next event or for data."""
         now = self.now()
         due = self.timeline.next_ns
         if due is not None and now > due:

@@ -1,4 +1,4 @@
-"""An emulated device's serial port: a pseudo-terminal under a name of its own."""
+"""An emulated device's serial port: a pseudo-terminal with a chosen name."""
 
 import errno
 import os
@@ -17,7 +17,7 @@ _BAUDS = {
 
 
 class PluggedDevice:
-    """A device on a port that can be pulled out; `readable` is called when bytes have come."""
+    """A device on a port that can be unplugged; `readable` is called when bytes have arrived."""
 
     port: "PseudoPort"
     readable: Callable[[], None]
@@ -30,32 +30,33 @@ class PluggedDevice:
         self._loop.watch(self.port.fd, self.readable)
 
     def plugged(self, on: bool) -> None:
-        """Plug the device in, or pull it out."""
+        """Plug the device in or unplug it."""
         if on:
             self.plug()
         else:
             self.unplug()
 
     def unplug(self) -> None:
-        """Pull the device out; idempotent."""
+        """Unplug the device; idempotent."""
         if self._loop is not None:
             self._loop.forget(self.port.fd)
         self.port.unplug()
 
 
 class PseudoPort:
-    """A serial port that others open by the name `link`; `fd` is our end of it.
+    """A serial port that programs open by the name `link`; `fd` is the emulation's end.
 
-    Opening it exclusively works as with any port: the second opener is refused.
+    Programs can open it exclusively, like any port: a second one is then refused.
     """
 
     def __init__(self, link: Path) -> None:
         self.link = link
         self.fd = -1
-        self._far = -1  # kept open, so that our end lives on while the port is not open
+        # kept open, so that the emulation's end stays valid while no program has the port
+        self._far = -1
 
     def plug(self) -> None:
-        """Make the port and its name; UsageError if the name cannot be had."""
+        """Make the port and its name; UsageError if the name cannot be made."""
         self.fd, self._far = os.openpty()
         try:
             tty.setraw(self._far)
@@ -66,21 +67,21 @@ class PseudoPort:
             raise
 
     def unplug(self) -> None:
-        """Take port and name away; its user gets errors. Idempotent."""
+        """Remove port and name; a program that uses the port gets errors. Idempotent."""
         self._remove_link()
         self._close()
 
     def stall(self, stalled: bool) -> None:
-        """Let writes to the port wait, as if nothing took its bytes; or go on."""
+        """Block writes to the port, as if no device took the bytes, or let them go on."""
         if self.fd >= 0:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
     def baud(self) -> int:
-        """Return the bits per second that the other side has set; 0 for a speed not known here."""
+        """Return the speed that the program has set [bits per second]; 0 for an unknown speed."""
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:
-        """Return what was written to the port."""
+        """Return the bytes that were written to the port."""
         try:
             return os.read(self.fd, 4096) if self.fd >= 0 else b""
         except BlockingIOError:
@@ -91,7 +92,7 @@ class PseudoPort:
             raise
 
     def write(self, data: bytes) -> None:
-        """Hand bytes to the other side; what it does not take is lost, as on a wire."""
+        """Pass bytes to the program; bytes that it does not take are lost, as on a wire."""
         if self.fd >= 0:
             with suppress(BlockingIOError):
                 os.write(self.fd, data)
@@ -103,7 +104,7 @@ class PseudoPort:
             self.link.symlink_to(target)
         except FileExistsError:
             raise UsageError(
-                f"{self.link} is there already, perhaps a real device",
+                f"{self.link} exists already, perhaps as a real device",
                 hint="choose another name with --port-link, and give it to the runner by "
                 "--set lab.actuator.port=NAME",
             ) from None

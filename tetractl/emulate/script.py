@@ -1,5 +1,6 @@
-"""A script for the emulated lab: how it differs from the spec, which faults happen when, and what
-is expected of the run that drives it."""
+"""A script for the emulated lab: differences from the spec, faults with their times, and the
+expected result of the run that drives the lab.
+"""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,18 +41,18 @@ class Placed(Model):
     name: Name
     """Name of a robot of the spec."""
     start: Point | None = None
-    """Its true position [length unit]."""
+    """True start position of the robot [length unit]."""
     heading: Finite | None = None
-    """Its true heading [rad]."""
+    """True start heading of the robot [rad]."""
 
 
 class Emulation(Model):
     """How the emulated lab differs from what the spec says."""
 
     camera: Annotated[Model, PlainValidator(_settings)] | None = None
-    """The camera's side; its fields depend on the camera's type."""
+    """Settings of the emulated camera; the fields depend on the camera's type."""
     actuator: Annotated[Model, PlainValidator(_settings)] | None = None
-    """The actuator's side; its fields depend on the actuator's type."""
+    """Settings of the emulated actuator; the fields depend on the actuator's type."""
     robots: tuple[Placed, ...] = ()
     """The robots whose true start differs from the spec's."""
 
@@ -60,47 +61,47 @@ class Runner(Model):
     """A test's actions on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
-    """`--set` settings that both sides get."""
+    """`--set` settings for both the run and the emulator."""
     on_mark: dict[str, Literal["KILL", "STOP", "CONT", "INT", "TERM", "HUP", "QUIT"]] = Field(
         default={}
     )
-    """Signals to send it when a `mark` of that name comes."""
+    """Signals to send to the run, by the name of the `mark` at which they are sent."""
     second: bool = False
-    """A second runner is started on the same port at the mark `second`."""
+    """Whether a second run is started on the same port at the mark `second`."""
     file_limit: int | None = Field(default=None, ge=1)
-    """Greatest size of a file it may write [bytes], as if the disk were full."""
+    """Largest size of a file that the run may write [bytes], as if the disk were full."""
     trials: int = Field(default=1, ge=1, le=20)
     """Number of trials."""
 
 
 class Expect(Model):
-    """The expected result, which the end-to-end test checks."""
+    """The expected result of a run, which the end-to-end test checks."""
 
     outcome: Literal["done", "aborted", "refused", "interrupted", "killed"]
-    """How the run ends; `refused` means before any wheel turns."""
+    """How the run ends; `refused` is an end before any wheel turns."""
     exit: int
-    """The runner's exit code; less than 0 for the signal that killed it."""
+    """Exit code of the run; a negative value is the signal that killed it."""
     says: str = ""
-    """A regular expression for the run's output or log."""
+    """Regular expression that the run's output or log must match."""
     tolerance: NonNegative | None = None
-    """The fault's own tolerance [s]; the stop leaves within 0.1 s more."""
+    """Time for which the fault is tolerated [s]; the stop must be sent within 0.1 s after that."""
     robots: tuple[Name, ...] = ()
-    """The robots that have to stop; all by default."""
+    """Names of the robots that have to stop; all by default."""
     still: Positive | None = None
-    """All robots stand still this long after the fault is first visible [s]."""
+    """Time after the fault is first visible by which all robots stand still [s]."""
     inside: bool = False
-    """No robot's centre ever leaves the arena."""
+    """Whether every robot's centre must stay inside the arena."""
     apart_mm: Positive | None = None
-    """Centres of robots never come nearer than this [mm]."""
+    """Least distance that the centres of robots must keep from each other [mm]."""
 
 
 class Script(Model):
     """A script, as read from YAML."""
 
     about: str = Field(min_length=1, max_length=500)
-    """Its purpose, in one or two sentences."""
+    """Purpose of the script, in one or two sentences."""
     row: str = Field(default="", max_length=200)
-    """The kind of fault it stands for."""
+    """Kind of fault that the script stands for."""
     emulation: Emulation = Emulation()
     """How the emulated lab differs from what the spec says."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
@@ -110,7 +111,7 @@ class Script(Model):
     runner: Runner = Runner()
     """A test's actions on the run."""
     expect: Expect | None = None
-    """What a test expects."""
+    """The result that a test expects of the run."""
 
 
 NOTHING = Script(about="nothing goes wrong")
@@ -129,7 +130,9 @@ class Sides:
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())
-                raise SpecError(f"{name} cannot be emulated", f"these can: {known}")
+                raise SpecError(
+                    f"{name} cannot be emulated", f"types that can be emulated: {known}"
+                )
         return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
 
     @property
@@ -147,7 +150,7 @@ def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbe
 def parse_script(
     text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
 ) -> Script:
-    """Read the text of a script; `origin` is what problems call it."""
+    """Read the text of a script; `origin` is its name in error messages."""
     document = parse_document(text, origin)
     sides = Sides.of(camera, actuator)
     try:

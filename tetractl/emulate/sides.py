@@ -1,6 +1,7 @@
-"""The parts of an emulated lab: bodies that an actuator's side moves and a camera's side shows.
+"""The interfaces of an emulated lab: the actuator's side moves bodies, and the camera's side shows
+them.
 
-A further camera or actuator is emulated by a class like these and a line at the end.
+To emulate another camera or actuator, write a class like these and add a line at the end.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -19,11 +20,11 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Addresses of the emulation. Port 0 takes any free one; None that of the spec.
+    """Addresses of the emulation. Port 0 takes any free port, None the spec's.
 
-    `record` is a file for the true events. `replace_after` [s]: robots that have stood still
-    that long after a run are switched off and on and put back on their starts. `chosen`: the spec
-    leaves it to the trial to choose its robots, so the dish has cells of its own.
+    `record` is a file for the true events. `replace_after` [s]: robots that have stood still that
+    long after a run are switched off and on and put back on their starts. `chosen`: trials choose
+    their robots, so the dish is filled by the emulation's settings.
     """
 
     address: str = "127.0.0.1"
@@ -41,7 +42,7 @@ class Stage:
     """Shared by both sides; `setup` and `lab` are the spec's.
 
     `note(event, **facts)` adds to the record. A camera's side calls `exposed(exposure, frame)` at
-    each exposure, `sent(exposure)` after its frame has left or, if none is sent, would have,
+    each exposure, `sent(exposure)` when its frame has left, or would have if frames are withheld,
     and `client(address)` for each new client.
     """
 
@@ -56,12 +57,12 @@ class Stage:
 
     @property
     def mm(self) -> float:
-        """Millimetres in a length unit of the spec."""
+        """Millimetres per length unit of the spec."""
         return self.setup.metres * 1000
 
 
 class Body(Protocol):
-    """A robot as it truly is: x, y [mm] and heading [rad] in the spec's axes."""
+    """The true state of a robot: x, y [mm] and heading [rad] in the spec's axes."""
 
     name: str
     x: float
@@ -70,25 +71,26 @@ class Body(Protocol):
 
     @property
     def standing(self) -> bool:
-        """Whether it is at rest, as far as can be seen."""
+        """Whether the robot is at rest, within what a camera could see."""
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put it somewhere, at rest."""
+        """Put the robot at a pose [mm, rad], at rest."""
         ...
 
 
 class EmulatedSide(Protocol):
     """One device of an emulated lab.
 
-    `Settings` is its part of a script's `emulation`, `faults` are those it can have.
+    `Settings` is the device's part of a script's `emulation`; `faults` are those the device can
+    have.
     """
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
 
     def open(self, loop: Loop) -> Facts:
-        """Take ports and names; return where the device is, for its clients."""
+        """Open ports and names; return the device's address for its clients."""
         ...
 
     def close(self) -> Facts:
@@ -97,15 +99,17 @@ class EmulatedSide(Protocol):
 
 
 class EmulatedCamera(EmulatedSide, Protocol):
-    """Shows `bodies`, in their order, to its clients; made as (stage, settings, bodies)."""
+    """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
 
     def hide(self, hidden: bool) -> None:
-        """Let no body be tracked, as while all are carried, or show them again."""
+        """Track no body, as while robots are being carried, or track all again."""
         ...
 
 
 class EmulatedActuator(EmulatedSide, Protocol):
-    """Moves its `bodies`, in the order of the setup's robots; made as (stage, settings)."""
+    """Moves its `bodies`, in the order of the setup's robots; constructed with (stage,
+    settings).
+    """
 
     @property
     def bodies(self) -> Sequence[Body]:
@@ -114,22 +118,22 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def driven(self) -> bool:
-        """Whether any robot is made to move now."""
+        """Whether any robot is being driven."""
         ...
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """The true state at present, for the record of each exposure."""
+        """The present true state, for the record of each exposure."""
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch the robots off, as while they are carried, or on, which restarts them."""
+        """Switch the robots off, as while being carried, or on, which restarts their programs."""
         ...
 
     def advance(self, until_ns: int) -> None:
-        """Move the robots on to `until_ns`."""
+        """Advance the robots to `until_ns`."""
         ...
 
     def tick(self) -> None:
-        """Do what is due every few milliseconds, such as sending answers."""
+        """Do periodic work, every few milliseconds, such as sending answers."""
         ...

@@ -28,18 +28,18 @@ from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
 
 BOUNDARY = "emulated-by-tetractl"
-QUEUED = 32  # pictures of a client that reads slowly; more are dropped
+QUEUED = 32  # most pictures queued for a client that reads slowly; further ones are dropped
 WAIT_S = 0.05
 
 
 class EmulatedNetworkCamera:
     """Serves http://127.0.0.1:`port`/ ; a context manager.
 
-    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed
-    k / `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or
-    as soon as it is drawn; a host too busy to draw all misses some. `mangle` changes the bytes of a
-    part before they are sent; `frozen` stops exposures while it is set; one of `every` pictures is
-    sent. A camera that `drips` sends its answer's header byte by byte, without an end.
+    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed k /
+    `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or as
+    soon as it is drawn; a busy host skips some exposures. `mangle` changes the bytes of a part
+    before they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is
+    sent. A camera that `drips` sends its answer's header byte by byte, without end. Raises
     TetractlError if the port is taken.
     """
 
@@ -58,7 +58,7 @@ class EmulatedNetworkCamera:
         self.mangle, self._drips = mangle, drips
         self.frozen = threading.Event()
         self.every = 1
-        self.exposed = 0  # the number of the last picture
+        self.exposed = 0  # number of the last picture
         self._draw, self._clock = draw, clock
         self._rate_hz, self._quality = rate_hz, quality
         self._half = round(exposure_s * SECOND / 2)
@@ -72,7 +72,7 @@ class EmulatedNetworkCamera:
                 camera._serve(self)
 
             def log_message(self, format: str, *args: object) -> None:
-                """Print nothing."""
+                """Do nothing, so that requests are not printed."""
 
         try:
             self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
@@ -93,12 +93,12 @@ class EmulatedNetworkCamera:
 
     @property
     def watched(self) -> bool:
-        """Whether anybody reads the stream."""
+        """Whether a client reads the stream."""
         return bool(self._clients)
 
     @property
     def url(self) -> str:
-        """The stream's address."""
+        """The stream's URL."""
         return f"http://127.0.0.1:{self.port}/"
 
     def __enter__(self) -> Self:
@@ -118,7 +118,7 @@ class EmulatedNetworkCamera:
         start, half = self._clock.now(), self._half
         while not self._closing.is_set():
             due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
-            self.exposed = max(self.exposed + 1, due)  # a busy host misses some
+            self.exposed = max(self.exposed + 1, due)  # a busy host skips some
             exposed = start + round(self.exposed * SECOND / self._rate_hz)
             self._clock.sleep_until(exposed + half)
             if self.frozen.is_set() or not self._clients or self.exposed % self.every:
@@ -157,12 +157,12 @@ def coded(picture: Grey, quality: int) -> bytes:
 
 
 def cut_short(whole: bytes) -> bytes:
-    """Return half of a part, as of a connection that lost the rest."""
+    """Return the first half of a part, as if the connection had lost the rest."""
     return whole[: len(whole) // 2]
 
 
 def cut_before_its_end(whole: bytes) -> bytes:
-    """Return a part whose JPEG has lost the second half of its data, but not its end marker."""
+    """Return a part whose JPEG lacks the second half of its data, but has its end marker."""
     jpeg = whole.partition(b"\r\n\r\n")[2]
     return part(jpeg[: len(jpeg) // 2] + b"\xff\xd9")
 
@@ -179,12 +179,12 @@ def part(jpeg: bytes) -> bytes:
     return head.encode() + jpeg + b"\r\n"
 
 
-KEEP_NS = 5_000_000  # between scenes that are kept for exposures
+KEEP_NS = 5_000_000  # interval of the scenes that are kept for drawing exposures
 KEPT = 200
 
 
 class StreamSettings(Model):
-    """Properties of an emulated camera; `latency` is the spec's by default."""
+    """Properties of an emulated camera; `latency` [s] is the spec's by default."""
 
     width: int = Field(default=640, ge=64, le=8192)
     """Columns of a picture [px]."""
@@ -195,9 +195,9 @@ class StreamSettings(Model):
     noise: NonNegative = 2.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.004
-    """How long a picture is exposed [s]."""
+    """Exposure time of a picture [s]."""
     drips: bool = False
-    """Whether it answers byte by byte, without an end."""
+    """Whether the camera answers byte by byte, without end."""
 
 
 def _freeze(fault: Any, device: Any) -> Undo:
@@ -247,9 +247,9 @@ STREAM_FAULTS = (
 
 
 class StreamedCamera(ABC):
-    """A camera's side that serves pictures by MJPEG; a thread draws them.
+    """A camera's side that serves pictures as MJPEG; a thread draws them.
 
-    A subclass says how the scene is now, and draws it as it was.
+    A subclass returns the present scene, and draws the scene of an exposure.
     """
 
     Settings: ClassVar[type[Model]]
@@ -273,7 +273,7 @@ class StreamedCamera(ABC):
 
     @abstractmethod
     def _scene(self) -> Floats:
-        """Return the scene now, as numbers that can be interpolated."""
+        """Return the present scene as numbers that can be interpolated."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
@@ -306,27 +306,31 @@ class StreamedCamera(ABC):
         return {"pictures": self._exposures}
 
     def _joined(self) -> None:
-        """Do nothing when a client begins to watch; a subclass may."""
+        """Called when a client begins to watch; does nothing unless overridden."""
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time of the camera, between the two kept around it."""
+        """Return the scene at a time of the camera, interpolated between the two kept around that
+        time.
+        """
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:
             return past[0][1]
         (t0, before), (t1, after) = past[i - 1], past[i]
         part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
-        return before + part * (after[..., : before.shape[-1]] - before)  # more after a division
+        return before + part * (
+            after[..., : before.shape[-1]] - before
+        )  # a cell may have divided since
 
     def _remember(self) -> None:
-        """Keep the scene as it is now, for exposures that are drawn later."""
+        """Keep the present scene for exposures that are drawn later."""
         now = self._stage.timeline.now_ns
         self._past.append((now, self._scene()))
         self._stage.timeline.at(now + KEEP_NS, self._remember)
 
     def _expose(self) -> None:
-        """Note an exposure at the camera's rate, and the first client."""
+        """Report an exposure at the camera's rate, and the first client."""
         now = self._stage.timeline.now_ns
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)

@@ -1,4 +1,4 @@
-"""The part of a spec that leaves it to the trial to find its robots: `robots: {choose: N, ...}`."""
+"""The part of a spec by which each trial finds its own robots: `robots: {choose: N, ...}`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,19 +14,19 @@ from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Point, Positive, inconsistent
 
-DEVIATIONS = 2.0  # by which a must be above 0 for a cell to count as magnetised
+DEVIATIONS = 2.0  # standard deviations by which a must exceed 0 for a cell to count as magnetised
 
 
 class Ring(Model):
-    """Targets evenly on a circle, one for each robot."""
+    """Targets spread evenly on a circle, one for each robot."""
 
     center: Point
-    """Its middle [length unit]."""
+    """Centre of the circle [length unit]."""
     radius: Positive
-    """Its radius [length unit]."""
+    """Radius of the circle [length unit]."""
 
     def points(self, count: int) -> tuple[tuple[float, float], ...]:
-        """Return the given number of targets."""
+        """Return the given number of targets on the circle."""
         angles = 2 * np.pi * np.arange(count) / count
         x, y = self.center
         return tuple(
@@ -36,38 +36,40 @@ class Ring(Model):
 
 
 class WantedCell(Model):
-    """A cell that a survey proposed, by which the trial finds it again."""
+    """Values of a cell that a survey proposed, by which the trial finds the cell again."""
 
     a: Positive
-    """Its turning rate [rad/s]."""
+    """Turning rate a of the cell [rad/s]."""
     speed: Positive
-    """Its speed [length unit/s]."""
+    """Speed of the cell [length unit/s]."""
 
 
 class Choice(Model):
     """Robots that the trial finds at their present poses. In the lab the field turns for `seconds`,
-    which shows how each cell answers; of these cells, those whose a differ most are taken, or those
-    that are `wanted`. In a simulation they are drawn at random.
+    which shows how each cell responds; the trial takes the cells with the most different a, or
+    those that are `wanted`. In a simulation the cells are drawn at random.
     """
 
     choose: int = Field(ge=1, le=20)
-    """How many robots."""
+    """Number of robots to choose."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
-    """Targets [x, y], at least as many as robots: they are assigned so that the sum of the squared
-    straight paths is least."""
+    """Targets [x, y] [length unit], at least as many as robots, assigned so that the sum of the
+    squared     straight paths is least.
+    """
     ring: Ring | None = None
     """Targets on a circle, in place of `targets`."""
     a: Positive
-    """Typical turning rate [rad/s]."""
+    """Typical turning rate a of the cells [rad/s]."""
     speed: Positive
-    """Typical speed [length unit/s]."""
+    """Typical speed of the cells [length unit/s]."""
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
-    """The cells that a survey proposed, as many as robots."""
+    """The cells that a survey proposed, as many as there are robots."""
     seconds: Positive = Field(default=8.0, le=600)
-    """How long the field is turned before the choice [s]."""
+    """Time for which the field turns before the choice [s]."""
     turn: Positive = Field(default=3.2, le=60)
-    """How long one turn of the field takes then [s]; cells with an a below 2 pi / turn lag
-    behind."""
+    """Duration of one turn of the field before the choice [s]; cells with an a below 2 pi / turn
+    lag     behind.
+    """
 
     found: bool = False
     """Whether the spec's robots are those that a trial found; written by the trial in its log."""
@@ -90,7 +92,7 @@ class Choice(Model):
 
 
 class OrChoice:
-    """Annotation of the robots' list: a mapping there is a `Choice`."""
+    """Annotation of the field for the list of robots: a mapping in its place is a `Choice`."""
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
@@ -111,10 +113,10 @@ class OrChoice:
 
 @dataclass(frozen=True, slots=True)
 class FoundCell:
-    """A cell of the dish: its number, its pose in the spec's unit, and how it answers the field.
+    """A cell of the dish: its number, its pose in the spec's unit, and its response to the field.
 
-    `a` [rad/s] is known with a deviation `a_sd`, `speed` [length unit/s] with `speed_sd`. One that
-    was near the arena's edge is not `free`: a wall may have turned it.
+    `a` [rad/s] is known with a standard deviation `a_sd`, `speed` [length unit/s] with `speed_sd`.
+    A cell that was near the arena's edge is not `free`, as a wall may have turned it.
     """
 
     number: int
@@ -127,14 +129,15 @@ class FoundCell:
 
     @property
     def magnetised(self) -> bool:
-        """Whether it answers the field."""
+        """Whether the cell responds to the field."""
         return self.a > DEVIATIONS * self.a_sd
 
 
 @dataclass(frozen=True, slots=True)
 class FoundRobots:
-    """The cells that a plant found: `build(numbers, setup)` returns a plant of some of them,
-    `close()` releases the devices."""
+    """The cells that a plant found: `build(numbers, setup)` returns a plant of the cells with these
+    numbers, `close()` releases the devices.
+    """
 
     cells: Sequence[FoundCell]
     build: Callable[[Sequence[int], Setup], Plant]
@@ -142,9 +145,9 @@ class FoundRobots:
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Return which of the targets (M, 2) each start (N, 2) gets, N <= M.
+    """Return the index of the target, of (M, 2), assigned to each start (N, 2), N <= M.
 
-    The sum of the squared straight paths is least, which minimises the motion that is not common
+    The sum of the squared straight paths is minimal, which minimises the motion that is not common
     to all robots.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed

@@ -1,4 +1,4 @@
-"""Chooses the cells of a dish that are the robots of a trial."""
+"""Chooses which cells of a dish become the robots of a trial."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -11,24 +11,24 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
-UNLIKE = 0.4  # a difference of the logarithms of a beyond which more brings nothing
-NEAR_WALL = 0.5  # s of swimming: nearer to the arena's edge a cell is not taken if another can be
-MISSED = 0.3  # difference of the logarithms above which a and speed are those of another cell
-MOST = 14  # cells among which all choices are compared; of more, those with the greatest a
+UNLIKE = 0.4  # difference of the logarithms of a above which a larger one does not help
+NEAR_WALL = 0.5  # s of swimming to the arena's edge: nearer cells are taken only for lack of others
+MISSED = 0.3  # difference of the logarithms of a and speed above which it is another cell
+MOST = 14  # largest number of cells, those with the greatest a, whose choices are all compared
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return the cells that a trial takes, the one that turns fastest first.
+    """Return the cells that a trial takes as robots, the fastest turning first.
 
-    AbortError if there are too few, or a wanted one is missing.
+    AbortError if there are too few cells, or a wanted cell is missing.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
     able = [cell for cell in cells if cell.magnetised]
     if len(able) < choice.choose:
         raise AbortError(
-            f"{len(able)} of {len(cells)} cells answer the field, {choice.choose} are wanted",
-            "more cells, a stronger field, or fewer robots",
+            f"{len(able)} of {len(cells)} cells respond to the field, {choice.choose} are needed",
+            "use more cells, a stronger field, or fewer robots",
         )
     able = sorted(able, key=lambda cell: -cell.a)[:MOST]
     if choice.wanted:
@@ -38,7 +38,9 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
 
 
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
-    """Return the experiment of these cells, in their order: where they are, and with targets."""
+    """Return the experiment with these cells as robots, in order, at their poses and with
+    targets.
+    """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
@@ -58,7 +60,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
 
 
 def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
-    """Return the experiment of robots that another trial of it found."""
+    """Return the experiment with the robots that another trial of it found."""
     columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
     rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
     robots = [
@@ -72,7 +74,7 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
     assert experiment.chosen is not None, "only a spec that leaves its robots open chooses"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
-    vars(copied).pop("setup", None)  # a of the stand-ins
+    vars(copied).pop("setup", None)  # computed with the a of the stand-ins
     return copied
 
 
@@ -85,8 +87,9 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return the criteria by which choices are compared: away from walls, different a, fast
-    turning."""
+    """Return the criteria for comparing choices, most important first: away from walls, different
+    a, fast turning.
+    """
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
@@ -97,7 +100,7 @@ def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, flo
 
 
 def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCell | None:
-    """Return the cell whose a and speed are most like a robot's, None where none is like it."""
+    """Return the cell whose a and speed are most like a robot's, None if none is similar."""
     wanted = np.log([setup.a[robot], setup.speed[robot]])
     off = [float(np.abs(np.log([cell.a, cell.speed]) - wanted).max()) for cell in cells]
     best = min(range(len(cells)), key=off.__getitem__, default=None)
@@ -105,7 +108,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return the cells that are wanted, each by its a and speed."""
+    """Return the wanted cells, each found by its a and speed."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)
@@ -113,7 +116,7 @@ def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
         if np.abs(want - there[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
-                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second is not there any more",
+                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second is not found any more",
                 "survey the dish again",
             )
     return [cells[i] for i in found]

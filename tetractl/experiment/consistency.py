@@ -12,13 +12,14 @@ from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
 MEMORY_MAX = 1_000_000_000
-"""Largest memory of a control step [bytes]."""
+"""Largest memory that a control step may need [bytes]."""
 
 
 def contradictions(
     arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield where the parts contradict each other, and how.
+    """Yield the location and description of each contradiction between the parts.
+
     Only parts that are valid by themselves are given, by their index in the spec.
     """
     places: list[tuple[int, Loc, Point]] = [
@@ -51,7 +52,7 @@ def contradictions(
 
 
 def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield why a control step of the experiment would not fit into memory."""
+    """Yield the location and reason if a control step would not fit into memory."""
     held = 8 * experiment.controller.numbers_held(experiment.setup)
     if held > MEMORY_MAX:
         yield (
@@ -62,7 +63,7 @@ def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
 
 
 def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield where controller or plant contradict the experiment, each other or themselves."""
+    """Yield location and description of contradictions in the sections of controller and plant."""
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
@@ -96,7 +97,9 @@ def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Return whether the edge of the arena meets an obstacle, or a corner of it lies within."""
+    """Return whether the arena's edge touches an obstacle, or one of the obstacle's corners is
+    inside.
+    """
     right, top = arena.left + arena.width, arena.bottom + arena.height
     x = np.array([arena.left, right, right, arena.left])
     y = np.array([arena.bottom, arena.bottom, top, top])

@@ -1,6 +1,6 @@
 """Base classes of the sections of controllers and optimisers.
 
-The sections themselves are in the files of what they configure, and named in
+Each section is in the file of the class that it configures, and named in
 `tetractl.core.registries`.
 """
 
@@ -42,10 +42,10 @@ FirstPlan = Annotated[NoWait | Square, Field(discriminator="type")]
 class OptimizerSection(Model):
     """An optimiser and its parameters: an `Optimizer`.
 
-    `search` is to import compiled code when it is called: specs are checked without it.
+    `search` must import compiled code only when it is called, because specs are checked without it.
     """
 
-    type: Any  # each section's own name, as a Literal
+    type: Any  # the section's name, a Literal in each subclass
 
     @property
     @abstractmethod
@@ -55,7 +55,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations for which a search is worth while."""
+        """Least number of cost evaluations that a search needs."""
 
     @property
     def evaluations_max(self) -> int | None:
@@ -64,7 +64,9 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J up to which sequences count as equally good, None if less is always better."""
+        """Cost J up to which sequences count as equally good, None if a lower cost is always
+        better.
+        """
         return None
 
     @abstractmethod
@@ -74,10 +76,10 @@ class OptimizerSection(Model):
         """Search sequences of `length` signals; see `tetractl.core.protocols.Optimizer`."""
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield the fields of a logged search that cannot be this optimiser's.
+        """Yield the fields of a logged search whose values this optimiser cannot have produced.
 
-        `warmed` says whether there was a warm start. What holds for every optimiser, such as a
-        history that only falls, is checked elsewhere.
+        `warmed` is whether there was a warm start. Properties common to all optimisers, such as a
+        history that never rises, are checked elsewhere.
         """
         if found.evaluations < 1:
             yield "evaluations"
@@ -91,12 +93,13 @@ def same(optimizer: Optimizer) -> Optimizer:
 class ControllerSection(Model):
     """A controller and its parameters, and the methods that the rest of tetractl needs."""
 
-    type: Any  # each section's own name, as a Literal
+    type: Any  # the section's name, a Literal in each subclass
     period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Time from measurement to actuation that the controller assumes [s]: it plans from where
-    the robots will be by then under the directions already sent."""
+    """Time from measurement to actuation that the controller assumes [s]: plans start where the
+    robots     will be after that time under the directions already sent.
+    """
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of control steps k_max."""
     arrival_tolerance: NonNegative = 0.0
@@ -105,12 +108,12 @@ class ControllerSection(Model):
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
     deadline: Positive | None = None
-    """Time after which a control step uses the best sequence so far [s]; it only cuts searches
-    short, and does not hold at step 0. None by default: a simulation then depends on its seed
-    alone."""
+    """Time after which a control step uses the best sequence so far [s]; searches end then, except
+    at     step 0. None by default, so that a simulation depends only on its seed.
+    """
 
     switches_field: ClassVar[bool] = False
-    """Whether the controller switches the field off at times; not every plant can."""
+    """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
     """Whether the controller passes way-points and holds."""
 
@@ -124,15 +127,19 @@ class ControllerSection(Model):
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:
-        """Return further bounds of a trial for display, {name: text}."""
+        """Return further limits of a trial for display, {name: text}."""
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return about how many numbers of 8 bytes a control step holds in memory at most."""
+        """Return roughly the largest number of 8-byte numbers that a control step holds in
+        memory.
+        """
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the section contradicts the experiment, and how; locations are within it."""
+        """Yield the location, within the section, and description of each contradiction with the
+        experiment.
+        """
         yield from ()
 
     @abstractmethod
@@ -145,8 +152,8 @@ class ControllerSection(Model):
     ) -> Controller:
         """Return the controller of one trial; `key` is the root of all its random draws.
 
-        Every optimiser the controller uses has to be passed through `wrap`, and `timer` [ns] is the
-        only clock it may read: so a log can be verified by doing every search again.
+        Every optimiser the controller uses must be passed through `wrap`, and `timer` [ns] is the
+        only clock it may read, so that a log can be verified by repeating every search.
         """
 
     def warm_up(self, setup: Setup) -> None:

@@ -17,11 +17,11 @@ from tetractl.experiment.base import Model
 class DelayedCommand:
     """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop and if it switches the `field_off`. `reached` (N,)
-    are the robots that receive it, on which it acts `late_ns` (N,) later still, None for all at
-    once. `headings` (N,) are those that the host had measured when it sent the command [rad];
-    `wheels` (2, N) are the left and right wheel speeds that the command makes [length unit/s], None
-    if robots are sent the direction itself.
+    `direction` is u [rad], None for a stop or if the command switches the `field_off`. `reached`
+    (N,) is True for robots that receive it; it acts on each `late_ns` (N,) later, None for no
+    further delay. `headings` (N,) are the headings that the host had measured when it sent the
+    command [rad]; `wheels` (2, N) are the left and right wheel speeds commanded [length unit/s],
+    None if robots are sent the direction itself.
     """
 
     sent_ns: int
@@ -35,10 +35,11 @@ class DelayedCommand:
 
 
 class Disturbance:
-    """A disturbance of one trial of N robots; what a method does not change, it returns.
+    """A disturbance of one trial of N robots; by default each method returns its argument
+    unchanged.
 
-    Several disturb one after another, in the order of the spec. Times are of the trial's clock,
-    which begins when the plant is opened.
+    Several disturbances act one after another, in the order of the spec. Times are on the trial's
+    clock, which starts when the plant is opened.
     """
 
     def parameters(self, a: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -46,41 +47,42 @@ class Disturbance:
         return a, speed
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the true poses before the first command, from those of the spec; called once."""
+        """Return the true poses before the first command, given the spec's; called once."""
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
         """Return the true a and speed from `time_s` to the next call, (N,) each.
 
-        `a` and `speed` are those of `parameters`, as the disturbances before this one vary them.
-        Called at every camera frame, before it is exposed, and where a command acts, before it
-        does; a robot of a = 0 and speed 0 stands.
+        `a` and `speed` come from `parameters`, as varied by the disturbances before this one.
+        Called before every exposure of a camera frame and before each command acts; a robot with a
+        = 0 and speed 0 stands.
         """
         return a, speed
 
     def planning_s(self, time_s: float) -> float:
-        """Return the time from giving a frame to the controller, at `time_s`, to the sending of its
-        command, or of the stop, in addition to that of the other disturbances [s].
+        """Return the time from giving a frame to the controller, at `time_s`, to sending its
+        command or the stop [s]; the times of all disturbances are added.
         """
         return 0.0
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return a command, or one of the repeated stops, as it will be received.
 
-        If it would act on a robot before one that was sent earlier, it acts together with that.
+        A command never acts on a robot before an earlier one: both then act together.
         """
         return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the true poses at `time_s` from those without this disturbance.
+        """Return the true poses at `time_s`, given those without this disturbance.
 
-        It acted for `seconds`, since the last call, on the robots that were `moving` (N,): 1 for
-        those that move, 0 for those that stand. Called as `varied`, just before it.
+        The disturbance acted for `seconds`, since the last call, on the robots that were `moving`
+        (N,): 1 for robots that move, 0 for robots that stand. Called just before each call of
+        `varied`.
         """
         return poses
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return what a camera frame shows: poses, and whether each robot was tracked, (N,).
+        """Return a camera frame's content: poses, and whether each robot was tracked, (N,).
 
         `time_s` is the time of exposure. The pose of a robot that is not tracked is not used.
         """
@@ -89,14 +91,14 @@ class Disturbance:
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
         """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None if it is lost.
 
-        `received_ns` is the time after the disturbances before this one. Frames arrive in order:
-        one that would overtake another arrives together with that.
+        `received_ns` is the time so far, from the disturbances before this one. Frames arrive in
+        order: a frame that would overtake another arrives together with it.
         """
         return received_ns
 
 
 def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
-    """Return the disturbances whose class has its own `method`, in command."""
+    """Return the disturbances whose class overrides a method, in order."""
     base = getattr(Disturbance, method)
     return [one for one in disturbances if getattr(type(one), method) is not base]
 
@@ -104,7 +106,7 @@ def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturb
 class DisturbanceSection(Model):
     """A disturbance and its parameters."""
 
-    type: Any  # each section's own name, as a Literal
+    type: Any  # the section's name, a Literal in each subclass
 
     @property
     def loses_frames(self) -> bool:
@@ -118,4 +120,4 @@ class DisturbanceSection(Model):
 
     @abstractmethod
     def build(self, setup: Setup, rng: np.random.Generator) -> Disturbance:
-        """Return the disturbance of one trial; `rng` feeds it and nothing else."""
+        """Return the disturbance of one trial; `rng` is used by this disturbance alone."""

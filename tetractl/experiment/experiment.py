@@ -1,4 +1,4 @@
-"""The experiment: everything a batch of trials depends on."""
+"""The experiment: a spec with everything that a batch of trials depends on."""
 
 import math
 from functools import cached_property
@@ -54,26 +54,28 @@ class Arena(Model):
     """Extent in y [length unit]."""
 
     def contains(self, x: float, y: float) -> bool:
-        """Whether a point lies in the arena, its edge included."""
+        """Return whether a point lies in the arena or on its edge."""
         inside_x = self.left <= x <= self.left + self.width
         return inside_x and self.bottom <= y <= self.bottom + self.height
 
 
 class Robot(Model):
-    """One robot: where it starts, where it is to go, and how it moves, (1)-(3)."""
+    """One robot: its start, its target, and its motion, (1)-(3)."""
 
     name: Name
-    """Name, unique in the experiment: letters without accents (a to z, A to Z), digits, spaces,
-    dots, underscores and hyphens, starting with a letter or digit."""
+    """Unique name of the robot: letters without accents (a to z, A to Z), digits, spaces, dots,
+    underscores and hyphens, starting with a letter or digit.
+    """
     start: Point
-    """Start position [x, y]."""
+    """Start position [x, y] [length unit]."""
     heading: Finite = 0.0
     """Start heading theta, anticlockwise from +x [rad]."""
     target: Point
-    """Target position [x, y]."""
+    """Target position [x, y] [length unit]."""
     via: tuple[Point, ...] = Field(default=(), max_length=100)
-    """Way-points [x, y] before the target, in order; all robots pass theirs together, so each has
-    the same number."""
+    """Way-points [x, y] before the target, in order [length unit]; all robots pass their way-points
+    together, so all have the same number of them.
+    """
     a: Positive
     """Turning rate a towards the common direction [rad/s], (3)."""
     speed: NonNegative
@@ -93,16 +95,16 @@ class Robot(Model):
 
 
 class HoldSection(Model):
-    """What follows the arrival: robots on wheels stand, others circle."""
+    """A hold after the arrival: robots on wheels stand, others circle near their targets."""
 
     radius: Positive
     """Distance from its target within which a robot is to stay [length unit]."""
     time: float = Field(gt=0, le=1e5, allow_inf_nan=False)
-    """How long [s]; its control steps count towards `controller.steps_max`."""
+    """Duration of the hold [s]; its control steps count towards `controller.steps_max`."""
 
 
 class Trials(Model):
-    """How often the experiment is repeated, and the seed of all random numbers."""
+    """Number of trials, and the seed of all random numbers."""
 
     count: int = Field(default=20, ge=1, le=1_000_000)
     """Number of trials."""
@@ -118,22 +120,22 @@ class Reference(Model):
     n: int = Field(ge=2)
     """Number of trials."""
     mean: Length
-    """Mean total error."""
+    """Mean total error [length unit]."""
     std: Length
-    """Standard deviation (n - 1) of the total error."""
+    """Standard deviation (n - 1) of the total error [length unit]."""
 
 
 class Scale(Model):
     """The paper's scaling of an error to another kind of robot by the ratio of speeds (page 6)."""
 
     name: str = Field(min_length=1, max_length=100)
-    """What the error is scaled to, for instance `T. pyriformis`."""
+    """Name of the robots that the error is scaled to, for instance `T. pyriformis`."""
     unit: Literal["um", "mm", "cm", "m"] = "um"
-    """Length unit of the numbers here."""
+    """Length unit of this section's numbers."""
     speed: Length = Field(gt=0)
-    """Speed of the robots scaled to [unit/s]."""
+    """Speed of those robots [unit/s]."""
     body_length: Length = Field(gt=0)
-    """Their body length [unit]."""
+    """Body length of those robots [unit]."""
 
 
 _PLANT = KindSection(PLANTS, default="sim")
@@ -144,7 +146,7 @@ class Experiment(Model):
     """One experiment, as read from a YAML spec."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the experiment, which log folders are called after: letters without accents
+    """Name of the experiment and, by default, of its log folders: letters without accents
     (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """Description in one or two sentences."""
@@ -156,25 +158,31 @@ class Experiment(Model):
         Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrChoice()
     ]
     """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
-    trial finds them."""
+    trial     finds its robots.
+    """
     chosen: Choice | None = None
-    """The mapping that `robots` may be; a resolved spec has it here. Its robots are stand-ins until
-    a trial has found its own."""
+    """In a resolved spec, the mapping given as `robots`; the robots are then stand-ins until a
+    trial has     found its own.
+    """
     assign: Literal["given", "free"] = "given"
     """`free` if any robot may go to any target: targets are then assigned so that the sum of the
     squared straight paths is least, which minimises the motion that is not common to all robots.
-    The resolved spec has the targets as assigned, and `given`."""
+    The resolved spec holds the assigned targets, and `given`.
+    """
     hold: HoldSection | None = None
-    """Whether the robots are to stay at their targets; the share of time inside is measured."""
+    """Task to stay near the targets after the arrival; the share of time inside the radius is
+    measured.
+    """
     on_lost: Literal["stop", "drop", "replace"] = "stop"
     """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or a cell is about
     to leave the arena, has divided, or lost its identity: the trial ends, goes on without the
-    robot, or with the most similar free cell in its place. A robot that was dropped counts with its
-    distance from where it was seen last."""
+    robot, or with the most similar free cell in its place. For a dropped robot, the error is the
+    distance from where it was last seen.
+    """
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
-    """Where no robot may go."""
+    """Obstacles, which no robot may enter."""
     wheels: Wheels | None = None
-    """Wheel geometry; with it the log holds the wheel speeds of (24)-(25) of every command."""
+    """Wheel geometry; if given, the log holds the wheel speeds (24)-(25) of every command."""
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """The controller."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
@@ -182,13 +190,14 @@ class Experiment(Model):
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File of `tetractl identify`, relative to the spec: its a and speed of each robot and its dead
-    time replace the spec's own."""
+    """File written by `tetractl identify`, relative to the spec: its a and speed of each robot and
+    its     dead time replace the spec's own.
+    """
     trials: Trials = Trials()
-    """How often the experiment is repeated."""
+    """Number and seed of the trials."""
     error_bound: Positive | None = None
     """Total error [length unit] above which a trial counts as far off: the tables show the share of
-    such trials; by default those above 10 medians of their batch."""
+    such trials; the default is 10 times the batch's median."""
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None
@@ -196,9 +205,10 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
-        """Assign the targets once: a resolved spec has `given`."""
+        """Assign the targets and set `given`, so that it is done once."""
         if isinstance(self.robots, Choice):
-            object.__setattr__(self, "chosen", self.robots)  # frozen, but not in use yet
+            # the model is frozen, but not in use yet
+            object.__setattr__(self, "chosen", self.robots)
             object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
         if self.assign == "given" or self.chosen is not None:
             return self
@@ -232,7 +242,7 @@ class Experiment(Model):
 
     @property
     def open(self) -> bool:
-        """Whether each trial still has to find its robots."""
+        """Whether the trial's robots have not been found yet."""
         return self.chosen is not None and not self.chosen.found
 
     @cached_property
@@ -275,7 +285,7 @@ class Experiment(Model):
 
 
 def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:
-    """Return stand-in robots in the arena's middle, until those of a trial are known."""
+    """Return stand-in robots in the arena's middle, used until a trial's robots are known."""
     middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
     return tuple(
         Robot(

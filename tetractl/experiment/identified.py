@@ -13,7 +13,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
 
 
 class IdentifiedValue(Model):
-    """A value and its 95 % interval; an end that is not known is left out."""
+    """A value and its 95 % interval; an unknown end is left out."""
 
     value: Finite
     """The most likely value."""
@@ -24,7 +24,7 @@ class IdentifiedValue(Model):
 
 
 class IdentifiedRobot(Model):
-    """One robot; lengths in the file's unit."""
+    """The identified values of one robot; lengths in the file's unit."""
 
     a: IdentifiedValue
     """Turning rate [rad/s]; replaces the spec's."""
@@ -33,9 +33,9 @@ class IdentifiedRobot(Model):
     heading_bias: IdentifiedValue
     """Angle between the direction sent and the one the robot turns to [rad]."""
     position_noise: IdentifiedValue
-    """Deviation of the camera's positions [length unit]."""
+    """Standard deviation of the camera's positions [length unit]."""
     heading_noise: IdentifiedValue
-    """Deviation of the camera's headings [rad]."""
+    """Standard deviation of the camera's headings [rad]."""
     heading_walk: IdentifiedValue
     """Random walk of the heading [rad/sqrt(s)]."""
 
@@ -44,28 +44,28 @@ class Identified(Model):
     """The identified values of robots and commands."""
 
     identified: str = Field(max_length=100)
-    """When."""
+    """Date and time of the identification."""
     origin: str = Field(max_length=1000)
     """The plant of the logs, such as `disturbed simulation`, `emulated lab` or `lab`."""
     sources: tuple[str, ...] = ()
-    """The logs."""
+    """Logs that the values were identified from."""
     unit: str
-    """Length unit of the numbers here."""
+    """Length unit of this file's numbers."""
     dead_time: IdentifiedValue
-    """From the sending of a direction until it acts [s]."""
+    """Time from sending a direction until it acts [s]."""
     frame_age: NonNegative = 0.0
-    """From the exposure of the frame that a direction answers to its sending [s]."""
+    """Time from the exposure of the frame used for a direction to sending the direction [s]."""
     robots: dict[Name, IdentifiedRobot]
-    """By name."""
+    """Identified values of each robot, by its name."""
 
 
 def identified_yaml(found: Identified) -> str:
-    """Return the text of such a file."""
+    """Return identified values as YAML text."""
     return dump(found.model_dump(mode="json", exclude_none=True))
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:
-    """Return a file's values and its text; problems are reported as a spec's are."""
+    """Return a file's values and its text; problems are reported like those of a spec."""
     text = read_text(path)
     document = parse_document(text, str(path))
     found = validated(Identified, document)
@@ -86,9 +86,9 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 def merge(document: Document, found: Identified, origin: str) -> None:
     """Replace a spec's values by the identified ones; problems are added to the document's.
 
-    Each robot's a and speed and the controller's dead time are replaced, the latter counted as the
-    controller counts it: from the sending of a command if it identifies while driving
-    (`estimate`), else from the exposure of the frame.
+    Each robot's a and speed and the controller's dead time are replaced. The dead time counts from
+    sending a command if the controller identifies while driving (`estimate`), otherwise from the
+    exposure of the frame.
     """
     data = document.data
     place = Place(origin)
@@ -103,7 +103,7 @@ def merge(document: Document, found: Identified, origin: str) -> None:
     listed = [one for one in robots if isinstance(one, dict)] if isinstance(robots, list) else []
     names = [one.get("name") for one in listed]
     for name in found.robots.keys() - set(names):
-        document.problems.append(place.problem(("robots", name), "is no robot of the spec"))
+        document.problems.append(place.problem(("robots", name), "is not a robot of the spec"))
     for i, robot in enumerate(listed):
         values = found.robots.get(str(robot.get("name")))
         if values is not None:

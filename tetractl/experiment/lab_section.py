@@ -1,6 +1,6 @@
-"""The lab's part of a spec: a camera, an actuator, and what a run must not exceed.
+"""The lab's part of a spec: a camera, an actuator, and the limits of a run.
 
-The sections of cameras and actuators are in the files of their adapters, and named in
+Each section of a camera or actuator is in the file of its adapter, and named in
 `tetractl.core.registries`. Lengths whose name ends in `_mm` are millimetres, whatever the spec's
 length unit; times are seconds.
 """
@@ -32,7 +32,7 @@ class Measured:
     """The result of a calibration: values that replace those in the lab's sections.
 
     `camera` and `actuator` are parts of those sections; entries of lists are found by their `name`.
-    `lines` say the same in words.
+    `lines` is a summary for readers.
     """
 
     camera: Mapping[str, Any] = field(default_factory=dict)
@@ -51,15 +51,18 @@ class DeviceSection(Model):
     """A device of the lab and its parameters."""
 
     device: ClassVar[str] = ""
-    """The class of the device, as "module:class": imported if one is built."""
-    type: Any  # each section's own name, as a Literal
+    """The class of the device, as "module:class": imported only when the device is built."""
+    type: Any  # the section's name, a Literal in each subclass
     settles: ClassVar[bool] = False
-    """Whether trials that choose their robots can use the device: it has a method `settle`."""
+    """Whether trials that choose their robots can use the device, which then has a method
+    `settle`.
+    """
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the section contradicts the experiment or itself, and how.
+        """Yield the location and description of each contradiction with the experiment or in the
+        section.
 
-        Places are within the section. A section with `robots` checks them by `mismatches`.
+        Locations are within the section. A section with `robots` checks them by `mismatches`.
         """
         yield from ()
 
@@ -80,11 +83,12 @@ class CameraSection(DeviceSection):
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
         """Return scale and rotation from two points of the picture, column and row [px], and their
-        distance along the spec's x axis [um]; UsageError if they are too near."""
-        raise UsageError(f"a camera of type {self.type} is not calibrated by a micrometer")
+        distance along the spec's x axis [um]; UsageError if the points are too close.
+        """
+        raise UsageError(f"a camera of type {self.type} cannot be calibrated by a micrometer")
 
     def heading_offset(self, name: str) -> float:
-        """Return what the camera adds to the heading it sees of a robot [rad]."""
+        """Return the angle that the camera adds to a robot's measured heading [rad]."""
         return 0.0
 
 
@@ -92,7 +96,7 @@ class ActuatorSection(DeviceSection):
     """An actuator and its parameters."""
 
     calibration: ClassVar[str] = ""
-    """A function that does what `calibrate` says, as "module:function"; "" if there is none."""
+    """The function that implements `calibrate`, as "module:function"; "" if there is none."""
 
     def require_port(self) -> None:
         """Raise AbortError if the device is not there; quick, nothing is opened."""
@@ -103,8 +107,8 @@ class ActuatorSection(DeviceSection):
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot in reach, latched if the actuator can; needs only its port. If not
-        `alone`, a run has the port too. Returns what was done,
-        in words; AbortError if nothing can be sent.
+        `alone`, a run uses the port too. Returns a description of what was done; AbortError if
+        nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
@@ -122,38 +126,46 @@ class ActuatorSection(DeviceSection):
         emergency: threading.Event,
         report: Callable[[str], None],
     ) -> Measured:
-        """Measure robots by moving them, one after another; AbortError says what cannot be.
+        """Measure robots by moving them, one after another; AbortError if a measurement fails.
 
-        `limit` bounds what is sent, in the actuator's own unit. `report` is called with lines for
-        people, `emergency` set stops the robots.
+        `limit` bounds the output, in the actuator's own unit. `report` is called with lines for the
+        operator; setting `emergency` stops the robots.
         """
         if not self.calibration:
-            raise UsageError(f"an actuator of type {self.type} is not calibrated by moving robots")
+            raise UsageError(
+                f"an actuator of type {self.type} cannot be calibrated by moving robots"
+            )
         measure = imported(self.calibration)
         return measure(self, lab, setup, names, limit, emergency, report)
 
 
 class LabLimits(Model):
-    """What ends a run, and what it waits for. The defaults are those of the fault table."""
+    """Limits that stop robots or end a run, and its waiting times. The defaults are those of the
+    fault table.
+    """
 
     stale: Positive = 0.1
-    """All robots stop when no new frame came for this long [s]."""
+    """All robots stop after this time without a new frame [s]."""
     stream_lost: Positive = 0.5
-    """The run aborts when no new frame came for this long [s]."""
+    """The run aborts after this time without a new frame [s]."""
     untracked_stop: Positive = 0.05
-    """A robot stops when it was not tracked for this long [s]; if the actuator cannot hold one
-    robot alone, it is steered on."""
+    """A robot stops after this time without being tracked [s]; it is steered on if the actuator
+    cannot     hold a single robot still.
+    """
     untracked_abort: Positive = 0.3
-    """The run aborts when a robot was not tracked for this long [s]."""
+    """The run aborts after this time in which a robot was not tracked [s]."""
     identity: Positive = 3.0
-    """The run aborts when, after cells have met, it was unknown for this long which of them is a
-    robot [s]; only with cameras that report it."""
+    """The run aborts after this time in which, after cells have met, it is unknown which cell is a
+    robot     [s]; only with cameras that report this.
+    """
     jump_mm: NonNegative = 30.0
     """A pose is rejected that is further from any of the last second than twice the robot's
     speed allows, plus this [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
     """A body whose height above the floor is not between these two is rejected, as taken off its
-    robot [mm]; the camera system's own zero is the floor. Only if the camera reports heights."""
+    robot [mm]; the camera system's own zero is the floor. Applies only if the camera reports
+    heights.
+    """
     tilt: Positive = 0.5
     """A body whose upward axis is tilted by more than this from the vertical is rejected [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
@@ -166,21 +178,23 @@ class LabLimits(Model):
     """Time from detecting an edge or another robot to standing still [s], over which the guard
     predicts."""
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
-    """Largest error of a wheel's speed, as a fraction of the speed commanded: a robot that moves
-    otherwise ends the run."""
+    """Largest error of a wheel's speed, as a fraction of the speed commanded: a robot with a larger
+    error ends the run.
+    """
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
     latency: Positive = 0.1
-    """A run does not start when frames are older than this on arrival [s]."""
+    """A run does not start if frames are older than this on arrival [s]."""
     start_mm: Positive = 50.0
     """Largest distance from its start at which a robot may stand [mm]."""
     start_heading: Positive = 0.3
-    """Largest difference from its start heading [rad]."""
+    """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
-    """How long to wait for robots to be put on their starts [s]; with a terminal, as long as it
-    takes."""
+    """Time to wait for robots to be put on their starts [s]; with a terminal, a run waits without
+    limit.
+    """
     standstill: Positive = 2.0
-    """How long robots may take to be seen standing still after a stop [s]."""
+    """Longest time after a stop until the camera sees the robots standing still [s]."""
     standstill_mm: Positive = 10.0
     """Speed below which a robot stands still [mm/s]."""
 
@@ -192,15 +206,15 @@ class LabLimits(Model):
 
 
 class LabSection(PlantSection):
-    """Real robots in a real arena: a camera in, an actuator out."""
+    """A lab with real robots: a camera, an actuator and limits."""
 
     simulated: ClassVar[bool] = False
     camera: Annotated[CameraSection, KindSection(CAMERAS)]
-    """What tracks the robots."""
+    """The camera system that tracks the robots."""
     actuator: Annotated[ActuatorSection, KindSection(ACTUATORS)]
-    """What moves the robots."""
+    """The actuator that moves the robots."""
     limits: LabLimits = LabLimits()
-    """What ends a run, and what it waits for."""
+    """Limits that stop robots or end a run, and its waiting times."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace those in
     `camera` and `actuator`."""
@@ -216,7 +230,7 @@ class LabSection(PlantSection):
                 yield (device, *loc), message
 
     def bounds(self) -> dict[str, str]:
-        """Return where the devices are and what stops a run."""
+        """Return the devices' addresses and the run's limits for display, {name: text}."""
         limits = self.limits
         return {
             **self.camera.bounds(),
@@ -234,16 +248,17 @@ class LabSection(PlantSection):
 def mismatches(
     robots: Sequence[RobotPart], names: Sequence[str], unique: Sequence[str] = ()
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield where a device's `robots` are not those of the spec, once each, and how.
+    """Yield the location and description of each mismatch between a device's `robots` and the
+    spec's.
 
-    `unique` are fields, besides the name, in which two robots must differ unless they are None.
+    `unique` are fields, besides the name, in which two robots must differ unless the value is None.
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
         yield ("robots",), f"has no {missing}; every robot of the spec must be here"
     taken: dict[tuple[str, object], int] = {}
     for i, robot in enumerate(robots):
         if robot.name not in names:
-            yield ("robots", i, "name"), f"is no robot of the spec; those are {', '.join(names)}"
+            yield ("robots", i, "name"), f"is not a robot of the spec; those are {', '.join(names)}"
         for key in ("name", *unique):
             value = getattr(robot, key)
             if value is not None and (first := taken.setdefault((key, value), i)) != i:

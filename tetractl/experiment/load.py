@@ -32,10 +32,10 @@ from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
 def override(document: Document, setting: str) -> None:
-    """Apply one `path=value` to a document; what is wrong joins its problems.
+    """Apply one `path=value` to a document; errors are added to its problems.
 
     A step of the path is a key, an index, or the `name` of an entry: `robots.0.a`,
-    `robots.green.a`. Mappings that the spec leaves to their defaults are made.
+    `robots.green.a`. Mappings that the spec omits are created.
     """
     origin = f"--set {printable(setting, 200)}"
     path, equals, text = setting.partition("=")
@@ -104,7 +104,7 @@ Attached = tuple[tuple[str, str], ...]
 
 @dataclass(frozen=True)
 class LoadedSpec:
-    """A valid spec: the experiment with `--set` applied, and the text as it was written.
+    """A valid spec: the experiment with `--set` applied, and the spec's original text.
 
     `resolved`, its YAML with every field, and `hash` are computed once, for all trials.
     """
@@ -114,7 +114,7 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: Attached = ()
-    notices: tuple[str, ...] = ()  # lines of text on names that have changed
+    notices: tuple[str, ...] = ()  # one line for each outdated name in the spec
 
     @cached_property
     def resolved(self) -> str:
@@ -128,10 +128,10 @@ class LoadedSpec:
 
 
 def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
-    """Read and check a spec file, with `path=value` settings that replace values of it.
+    """Read and check a spec file; `path=value` settings replace its values.
 
-    Raises InvalidSpecError, one line per problem: `file:line:column: field: value: what is wrong;
-    what would be right`.
+    Raises InvalidSpecError with one line per problem: `file:line:column: field: value: what is
+    wrong; what would be right`.
     """
     text = read_text(path)
     experiment, notices, attached = _experiment(text, str(path), sets, path.parent)
@@ -139,35 +139,39 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
-    """Check the text of a spec, as `load_spec` does; `name` is what problems call it.
+    """Check the text of a spec, as `load_spec` does; `name` is its name in error messages.
 
-    It may not name a file of identified values: there is no folder to look for it in.
+    The spec must not name a file of identified values, as there is no folder to find it in.
     """
     experiment, notices, _ = _experiment(text, name, sets, None)
     return LoadedSpec(experiment, text, name, notices=notices)
 
 
 def resolved_yaml(experiment: Experiment) -> str:
-    """Return a spec with every field, defaults too, that loads as the same experiment."""
+    """Return the YAML of a spec with every field, including defaults, that loads as the same
+    experiment.
+    """
     return dump(experiment.model_dump(mode="json"))
 
 
 def spec_hash(experiment: Experiment) -> str:
     """Return the SHA-256 of the experiment, as 64 hex digits; comments and order do not count."""
-    # -0.0 equals 0.0 but is written otherwise; adding 0.0 makes one of the two
+    # -0.0 equals 0.0 but is written differently; adding 0.0 turns it into 0.0
     fields = json.loads(experiment.model_dump_json(), parse_float=lambda text: float(text) + 0.0)
     canonical = json.dumps(fields, sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.sha256(canonical.encode()).hexdigest()
 
 
 def arm_hash(experiment: Experiment) -> str:
-    """Return the hash of an experiment except for its number of trials, which changes no trial."""
+    """Return the hash of an experiment without its number of trials, which has no effect on a
+    trial.
+    """
     trials = experiment.trials.model_copy(update={"count": 1})
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
 
 def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int) -> Start:
-    """Return the start of a trial of a spec; `plant` may be replaced once it is opened."""
+    """Return the start record of a trial; its `plant` may be replaced once the plant is opened."""
     experiment = spec.experiment
     return Start(
         setup=experiment.setup,
@@ -185,11 +189,13 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the files attached with one more; SpecError if a log has another of that name."""
+    """Return the attached files plus one; SpecError if every log already has another file of that
+    name.
+    """
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(
-            f"{printable(str(path))}: the log of a trial holds another {name}",
+            f"{printable(str(path))}: every log already has a file named {name}",
             "give this file a name of its own",
         )
     return (*attached, (name, text))
@@ -198,11 +204,10 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Return the data of a spec with `sets` applied, present names, and the location of each value.
+    """Return the data of a spec with `sets` applied, current names, and the location of each value.
 
-    Values that were `identified`, of a file by its name, replace the text's own before
-    that. Errors are among its problems; InvalidSpecError if nothing can be made of the
-    text.
+    `identified` values of a file replace the text's own before `sets` are applied. Errors are added
+    to the document's problems; InvalidSpecError if the text cannot be read as YAML.
     """
     document = parse_document(text, origin)
     upgrade(document)
@@ -233,7 +238,7 @@ def _experiment(
         found, held = read_identified(path)
         attached = attach((), path, held)
         document = document_of(text, origin, sets, (found, str(path)))
-        del document.data["identified"]  # the spec has its values now
+        del document.data["identified"]  # its values are now in the spec
     experiment = None
     try:
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)

@@ -1,4 +1,4 @@
-"""The plant's part of a spec: the simulation or the lab that is controlled."""
+"""The plant's part of a spec: the simulation or the lab to control."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -16,17 +16,19 @@ from tetractl.experiment.yaml.problems import Loc
 
 
 class PlantSection(Model):
-    """A plant and its parameters; the sections themselves are in the files of their plants."""
+    """A plant and its parameters; each section is in the file of its plant."""
 
-    type: Any  # each section's own name, as a Literal
+    type: Any  # the section's name, a Literal in each subclass
     simulated: ClassVar[bool]
-    """Whether the plant repeats itself from its seed, in virtual time."""
+    """Whether the plant is a simulation: it runs in virtual time and repeats exactly for the same
+    seed.
+    """
     switches_field: ClassVar[bool] = False
-    """Whether the plant can be steered with the field off, by a direction of None."""
+    """Whether `steer(None)` works: the plant can switch the field off while robots move."""
 
     @property
     def loses_frames(self) -> bool:
-        """Whether camera frames may be lost on the way, so that gaps in a log are no damage."""
+        """Whether camera frames may be lost on the way, so that gaps in a log are not damage."""
         return not self.simulated
 
     @property
@@ -36,7 +38,7 @@ class PlantSection(Model):
 
     @abstractmethod
     def clock(self) -> Clock:
-        """Return a new clock of the kind that the plant runs on."""
+        """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
     def require_devices(self) -> None:
         """Raise AbortError if a device of a lab is not there; quick, nothing is opened."""
@@ -45,7 +47,7 @@ class PlantSection(Model):
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> Plant:
-        """Return the plant of one trial; `seed` feeds a simulation's disturbances.
+        """Return the plant of one trial; `seed` is for a simulation's disturbances.
 
         Only real robots need `supervision`.
         """
@@ -58,22 +60,25 @@ class PlantSection(Model):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return the robots that a trial may choose from; `setup` is that of stand-ins."""
+        """Return the robots that a trial may choose from; `setup` describes stand-ins."""
         raise UsageError(f"a plant of type {self.type} has no robots to choose from")
 
     @property
     def disturbed(self) -> bool:
-        """Whether a simulation has any disturbance; only then is it compared with real robots."""
+        """Whether a simulation has any disturbance; results are compared with real robots only in
+        that case.
+        """
         return False
 
     def bounds(self) -> dict[str, str]:
-        """Return the bounds of a trial on this plant for display, {name: text}."""
+        """Return the limits of a trial on this plant for display, {name: text}."""
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where the section contradicts the experiment or itself, and how.
+        """Yield the location and description of each contradiction with the experiment or in the
+        section.
 
-        Places are within the section.
+        Locations are within the section.
         """
         yield from ()
 
@@ -84,6 +89,7 @@ class Wheels(Model):
     radius: Positive
     """Distance r from a wheel to the robot's centre [length unit]."""
     watchdog: Positive | None = None
-    """Time after which a robot that hears nothing stops by itself [s], as the m3pi firmware does
-    after 0.25; by default it goes on for ever. It moves again with the next command that it
-    hears."""
+    """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
+    firmware; by     default it drives on. A stopped robot moves again with the next command it
+    receives.
+    """

@@ -36,10 +36,10 @@ class Calibration(Model):
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
-    """Return the spec with `plant` being what is really run: `kind`, or what the spec says.
+    """Return the spec with `plant` as it will be run: of the given `kind`, or as in the spec.
 
-    The lab's calibration file is read here and its values are put into the spec; its text
-    goes with the spec into the log. A `lab` section that is not used stays for another run.
+    The lab's calibration file is read here and its values are put into the spec; its text is
+    attached to the log. An unused `lab` section is kept for other runs.
     """
     experiment = loaded.experiment
     if kind == "sim" and not experiment.plant.simulated:
@@ -79,7 +79,7 @@ def calibration_yaml(calibration: Calibration) -> str:
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     """Return an experiment in the lab with a calibration's values in place of its lab's own.
 
-    `text` is the calibration file, `origin` its name; problems are reported as a spec's are.
+    `text` is the calibration file, `origin` its name; problems are reported like those of a spec.
     """
     document = _calibration(text, origin)
     calibration = validated(Calibration, document)
@@ -100,20 +100,20 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration; errors never show lines of a file that is none."""
+    """Parse a calibration; errors do not quote the text of a file that is not a calibration."""
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:
         document = None
     if document is None or "measured" not in document.data:
         raise SpecError(
-            f"{printable(origin)}: is no calibration", "`tetractl lab calibrate` writes one"
+            f"{printable(origin)}: is not a calibration file", "`tetractl lab calibrate` writes one"
         )
     return document
 
 
 class _Merge:
-    """Puts the values of a calibration into a section and keeps where each was written."""
+    """Puts the values of a calibration into a section, and keeps the location of each value."""
 
     def __init__(
         self, origin: str, document: Document, start: Loc, places: dict[Loc, Place]
@@ -122,7 +122,9 @@ class _Merge:
         self._places = places
 
     def merged(self, base: Any, over: Any, loc: Loc, over_loc: Loc | None = None) -> Any:
-        """Return `base`, at `loc` of the spec, with the values of `over` in place of its own."""
+        """Return `base`, which is at `loc` in the spec, with the values of `over` replacing its
+        own.
+        """
         over_loc = over_loc or self._start
         self._places[loc] = self._document.place(over_loc)
         if isinstance(base, Mapping) and isinstance(over, Mapping):
@@ -138,7 +140,7 @@ class _Merge:
                 if i is None:
                     name = printable(str(entry["name"]), 60)
                     raise SpecError(
-                        f"{self._origin}: {name} is no robot of the lab", "calibrate this lab"
+                        f"{self._origin}: {name} is not a robot of the lab", "calibrate this lab"
                     )
                 entries[i] = self.merged(entries[i], entry, (*loc, i), (*over_loc, j))
             return entries

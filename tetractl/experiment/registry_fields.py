@@ -1,4 +1,4 @@
-"""Fields of a spec whose values are found by name in a registry, and what packages they need."""
+"""Fields of a spec whose values are names in a registry, and the packages that provide them."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -45,7 +45,7 @@ class KindSection:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        usable = self.registry.usable()  # a broken package must not hide another mistake
+        usable = self.registry.usable()  # so that a broken package does not hide other mistakes
         sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         for name, option in options.items():
@@ -58,7 +58,7 @@ class KindSection:
         return choice | ({"default": {"type": self.default}} if self.default else {})
 
     def make(self) -> Any:
-        """Return the section of the default type with its own defaults, for a field's default."""
+        """Return the default type's section with default values, as a field's default."""
         return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:
@@ -73,7 +73,7 @@ class KindSection:
         section = self.registry.load(name)
         if not issubclass(section, self._base):
             fitting = {"known": {k: v for k, v in known.items() if k != name}}
-            raise PydanticCustomError("union_tag_invalid", "does not fit here", fitting)
+            raise PydanticCustomError("union_tag_invalid", "cannot be used here", fitting)
         return section
 
 
@@ -112,13 +112,13 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
             yield from _kinds(item)
     if isinstance(value, Model):
         name = getattr(value, "type", None)
-        for registry in SPEC_REGISTRIES:  # two of them may have a kind of the same name
+        for registry in SPEC_REGISTRIES:  # two registries may have a kind of the same name
             if isinstance(name, str) and name in registry and type(value) is registry.load(name):
                 yield registry, name
         for field, about in type(value).model_fields.items():
             inner = getattr(value, field)
             yield from _kinds(inner)
-            for mark in about.metadata:  # a kind without a section is a name alone
+            for mark in about.metadata:  # a kind without a section is only a name
                 registry = getattr(mark, "registry", None)
                 if isinstance(inner, str) and isinstance(registry, Registry):
                     yield registry, inner

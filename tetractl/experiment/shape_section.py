@@ -10,16 +10,16 @@ from tetractl.experiment.base import Model
 
 
 class ShapeSection(Model):
-    """An obstacle: a `tetractl.core.setup.Shape`, which says what the methods return."""
+    """The section of an obstacle; its methods are documented at `tetractl.core.setup.Shape`."""
 
-    type: Any  # each section's own name, as a Literal
+    type: Any  # the section's name, a Literal in each subclass
     packed: ClassVar[Any]
-    """The class of these shapes for compiled code: a `PackedShapes`."""
+    """The `PackedShapes` class that holds these shapes for compiled code."""
     _margin: float = PrivateAttr(default=0.0)
 
     @property
     def margin(self) -> float:
-        """By how much the shape is grown on every side [length unit]; at least 0."""
+        """Distance by which the shape is grown on every side [length unit]; at least 0."""
         return self._margin
 
     def grown(self, margin: float) -> Self:

@@ -1,1 +1,1 @@
-"""Films of cells, after they were made: tracks, speeds and how each cell answers the field."""
+"""Analyses recorded films of cells: tracks, speeds and each cell's response to the field."""

@@ -17,8 +17,8 @@ TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 
 @dataclass(frozen=True, slots=True)
 class FieldRecord:
-    """The field: from each of `times` (T,) [s] on its components `x`, `y` (T,), relative to the
-    reference; none before the first.
+    """The field over time: components `x`, `y` (T,), relative to the reference field, each from one
+    of `times` (T,) [s] to the next; no field before the first.
     """
 
     times: Floats
@@ -38,7 +38,7 @@ class FieldRecord:
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:
-    """Return the time between two times without a field."""
+    """Return the interval between two times [s] as one piece without a field."""
     return ((end - start, 0.0, 0.0),)
 
 
@@ -46,7 +46,8 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
     """Return the field of a CSV file with columns time_s, direction_rad and perhaps strength.
 
     Directions are anticlockwise from the picture's right, clockwise if `upside_down`; strengths are
-    parts of the reference field, 1 by default. UsageError names what is missing.
+    fractions of the reference field, 1 by default. UsageError if a column or a valid value is
+    missing.
     """
     times, x, y = [], [], []
     for line, row in enumerate(read_csv(path), 2):
@@ -56,7 +57,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
             time, direction = float(row[TIME]), float(row[DIRECTION])
             strength = float(row.get(STRENGTH) or 1.0)
         except ValueError:
-            raise UsageError(f"{path}, line {line}: is no number") from None
+            raise UsageError(f"{path}, line {line}: is not a number") from None
         if not all(map(math.isfinite, (time, direction, strength))):
             raise UsageError(f"{path}, line {line}: is not finite")
         if times and time < times[-1]:

@@ -1,4 +1,4 @@
-"""The files that are written of a film: a log for viewers, and the film with what was found."""
+"""Writes the results of a film as a log for viewers, and as a film with the tracks drawn in."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
 
 CROP_PX = 64
-PICTURES_S = 1.0  # between whole pictures in the log
+PICTURES_S = 1.0  # interval of whole pictures in the log
 QUALITY = 85
 TRAIL = 45  # pictures
 UM_M = 1e-6
@@ -68,11 +68,11 @@ def write_overlay(path: Path, film: FilmPictures, followed: Followed) -> None:
     """Write the film as MP4 with each cell's number, outline, heading and trail."""
     cv2 = opencv()
     cells = _by_picture(followed)
-    width, height = (side - side % 2 for side in followed.size)  # the format wants even sides
+    width, height = (side - side % 2 for side in followed.size)  # the format needs even sides
     code = cv2.VideoWriter.fourcc(*"mp4v")
     writer = cv2.VideoWriter(str(path), code, followed.rate_hz, (width, height))
     if not writer.isOpened():
-        raise TetractlError(f"{path}: OpenCV cannot write this film")
+        raise TetractlError(f"{path}: OpenCV cannot write an MP4 film here")
     trails: dict[int, list[tuple[int, int]]] = {}
     try:
         for number, picture in film:
@@ -85,7 +85,7 @@ def write_overlay(path: Path, film: FilmPictures, followed: Followed) -> None:
 
 
 def cropped(picture: Grey, cell: SeenCell, um_px: float) -> Grey:
-    """Return CROP_PX x CROP_PX round a cell; what is outside of the picture is black."""
+    """Return a crop of CROP_PX x CROP_PX around a cell, black outside the picture."""
     column, row = _pixel(cell, um_px, picture.shape[0])
     half = CROP_PX // 2
     left, top = round(column) - half, round(row) - half

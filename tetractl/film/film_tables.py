@@ -8,7 +8,7 @@ from tetractl.film.follow import Followed
 
 
 def interval(decimals: int, value: Estimated | None) -> str:
-    """Return a value with its 95 % interval for a reader; "-" without one."""
+    """Return a value with its 95 % interval as text for a reader; "-" for an unknown value."""
     if value is None:
         return "-"
     show = fixed(decimals)
@@ -16,7 +16,7 @@ def interval(decimals: int, value: Estimated | None) -> str:
 
 
 def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
-    """Return one row per cell for a reader."""
+    """Return the table for a reader, with one row per cell."""
     known = any(cell.a is not None for cell in cells)
     columns = [
         Column("cell", [cell.cell for cell in cells]),
@@ -66,7 +66,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
 
 
 def summary_table(cells: Sequence[CellSummary]) -> Table:
-    """Return one row per cell, as data."""
+    """Return the data table with one row per cell."""
 
     def ends(name: str, key: str, unit: str) -> list[Column]:
         values = [getattr(cell, name) for cell in cells]
@@ -94,7 +94,9 @@ def summary_table(cells: Sequence[CellSummary]) -> Table:
 
 
 def pose_table(followed: Followed) -> Table:
-    """Return one row per cell and picture, as data; `tetractl identify` reads it, too."""
+    """Return the data table with one row per cell and picture, which `tetractl identify` also
+    reads.
+    """
     rows = [
         (
             t,
@@ -129,7 +131,9 @@ def pose_table(followed: Followed) -> Table:
 
 
 def as_items(followed: Followed, cells: Sequence[CellSummary]) -> dict:
-    """Return what --json prints: the film, and each cell with [low, high] of 95 % intervals."""
+    """Return the JSON object of --json: the film, and each cell with [low, high] of 95 %
+    intervals.
+    """
 
     def value(found: Estimated | None) -> dict | None:
         return None if found is None else {"value": found.value, "ci95": [found.low, found.high]}

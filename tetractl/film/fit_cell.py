@@ -1,8 +1,8 @@
 """Speed, turning rate and bias of each cell of a film, with 95 % intervals.
 
-The filter of `lab.cameras.cells.helix` runs over the whole film again, with the noise that makes
-what was seen of each cell the likeliest: how far its heading walks, how steady its speed is, how
-exact its blobs are. At the end its covariance is that of what does not change: a, bias and speed.
+The filter of `lab.cameras.cells.helix` runs over the whole film again, with each cell's most likely
+noise: of its heading's walk, its speed and its blobs. At the end, its covariance gives the
+uncertainty of the constants a, bias and speed.
 """
 
 import math
@@ -27,17 +27,17 @@ from tetractl.lab.cameras.cells.helix import (
     S,
 )
 
-START = 5  # pictures that give the first heading
-NORMAL = 1.96  # deviations of a 95 % interval
-SETTLED_S = 1.0  # after which a cell's helix is known
-SHORTEST_S = 2.0  # of a path that is fitted
+START = 5  # number of pictures that give the first heading
+NORMAL = 1.96  # standard deviations to either end of a 95 % interval
+SETTLED_S = 1.0  # time after which a cell's helix is known
+SHORTEST_S = 2.0  # shortest path that is fitted
 WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # rad/sqrt(s)
-EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # of blobs, times what is usual
-UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # um/s per sqrt(s)
-STRAY = (0.5, 2.0, 6.0)  # um per sqrt(s): places, and with them the helix
+EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # candidate noise of blobs, relative to the usual noise
+UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # candidate walks of the speed [um/s per sqrt(s)]
+STRAY = (0.5, 2.0, 6.0)  # candidate walks of position and helix [um per sqrt(s)]
 ROUNDS = 2
 CONSTANT = [RATE, A, BIAS]
-WIDE_A = 0.3  # relative a, and rad/s: prior deviations when the filter runs again
+WIDE_A = 0.3  # prior deviation of a, relative and in rad/s, when the filter runs again
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +49,12 @@ class Estimated:
 
     @property
     def low(self) -> float:
-        """Lower end."""
+        """Lower end of the 95 % interval, None if unknown."""
         return self.value - self.half
 
     @property
     def high(self) -> float:
-        """Upper end."""
+        """Upper end of the 95 % interval, None if unknown."""
         return self.value + self.half
 
 
@@ -62,9 +62,9 @@ class Estimated:
 class CellSummary:
     """The results for one cell.
 
-    `path_um` is the length of its path along the helix's axis; `sway_rad` the amplitude of its body
-    about that, `helix_hz` and `helix_um` the helix. `a` and `bias` are None without a known field,
-    `magnetised` whether the interval of `a` is above 0.
+    `path_um` is the length of the path along the helix's axis, `sway_rad` the amplitude of the
+    body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and
+    `bias` are None without a known field; `magnetised` is whether the interval of `a` lies above 0.
     """
 
     cell: int
@@ -84,7 +84,7 @@ class CellSummary:
 
 @dataclass(frozen=True, slots=True)
 class TrackNoise:
-    """The most likely noise of each of N cells (N,); units are those of the lists above."""
+    """The noise of each of N cells (N,), in the units of the candidates above."""
 
     walk: Floats
     exactness: Floats
@@ -93,16 +93,16 @@ class TrackNoise:
 
     @classmethod
     def usual(cls, count: int) -> "TrackNoise":
-        """Return noise to begin with."""
+        """Return the noise with which the fit begins."""
         return cls(*(np.full(count, value) for value in (0.07, 0.7, 3.0, 2.0)))
 
     def repeated(self, times: int) -> "TrackNoise":
-        """Return the noise of the same cells, several times over."""
+        """Return the noise of the cells, repeated several times."""
         return TrackNoise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
 
     @property
     def growth(self) -> Floats:
-        """The filter's growth of deviations (N, 9)."""
+        """The filter's `growth`, deviations per sqrt(s) (N, 9)."""
         none, rate = np.zeros(len(self.walk)), np.full(len(self.walk), 0.3)
         place = self.stray
         return np.column_stack(
@@ -114,7 +114,7 @@ def summarise(
     followed: Followed,
     field: FieldRecord | None,
 ) -> tuple[tuple[CellSummary, ...], TrackNoise]:
-    """Return the results for each cell, and the noise found."""
+    """Return the results for each cell, and the fitted noise."""
     pieces = no_field if field is None else field.pieces
     long = [path for path in followed.paths if path.times[-1] - path.times[0] >= SHORTEST_S]
     fits: dict[int, tuple[Floats, Floats]] = {}
@@ -135,7 +135,7 @@ def summarise(
 @dataclass(frozen=True, slots=True)
 class _Measured:
     """Measurements of N cells in K pictures by their blobs: values and deviations (K, N, 3), NaN if
-    nothing.
+    there is no blob.
 
     `starts` (N, 5) are first pictures and x, y, heading and speed there. `pieces` (K,) are the
     field since the picture before.
@@ -159,7 +159,9 @@ class _Measured:
         for i, path in enumerate(paths):
             at = np.searchsorted(times, path.times)
             for k, cell in zip(at, path.seen, strict=True):
-                if cell.measured is not None and cell.measured[3] < 5:  # whole, and on its own
+                if (
+                    cell.measured is not None and cell.measured[3] < 5
+                ):  # the blob is complete and shows one cell
                     values[k, i], deviations[k, i] = cell.measured[:3], cell.measured[3:]
             own = np.flatnonzero(np.isfinite(values[:, i, 0]))[:START]
             if len(own) < START:
@@ -173,7 +175,7 @@ class _Measured:
         return cls(values, deviations, np.array(starts), [(), *between])
 
     def repeated(self, times: int) -> "_Measured":
-        """Return the same cells, several times over."""
+        """Return the measurements of the cells, repeated several times."""
         values, deviations = (np.tile(v, (1, times, 1)) for v in (self.values, self.deviations))
         return _Measured(values, deviations, np.tile(self.starts, (times, 1)), self.pieces)
 
@@ -182,8 +184,8 @@ class _Measured:
     ) -> tuple[Floats, Floats, Floats]:
         """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
 
-        The filter is linear `about` means (N, 12) of what does not change; without them it has to
-        find these first, with a slightly larger error.
+        The filter is linearised `about` means (N, 12) of the constants; without these it has to
+        estimate them first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth
@@ -219,7 +221,7 @@ def _last(values: Floats) -> int:
 
 
 def _likeliest(table: _Measured, known: bool) -> TrackNoise:
-    """Return the most likely noise of each cell, fitted one kind after another."""
+    """Return the most likely noise of each cell, fitted one component after another."""
     count = table.values.shape[1]
     best = TrackNoise.usual(count)
     for _ in range(ROUNDS):
@@ -244,7 +246,7 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
     axes = np.array([cell.axis - cell.heading for cell in path.seen])[settled]
     sway = math.sqrt(2) * float(np.std((axes + math.pi / 2) % math.pi)) if len(axes) else math.nan
     helix = np.hypot(means[settled, C], means[settled, S])
-    if len(means[settled]):  # the path of the axis, not of the body that circles it
+    if len(means[settled]):  # the path of the axis, which the body circles
         way = float(np.nanmean(means[settled, SPEED]) * (path.times[-1] - path.times[0]))
     speed = a = bias = None
     if fit is not None and np.isfinite(fit[0]).all():

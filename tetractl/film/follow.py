@@ -1,4 +1,4 @@
-"""Tracks cells through a whole film; identities are decided with later pictures too."""
+"""Tracks cells through a whole film; later pictures are also used to decide identities."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -14,11 +14,14 @@ from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 
-BACKGROUND = 25  # pictures that make the background
-BACKGROUND_S = 20.0  # of the film's beginning
+BACKGROUND = 25  # number of pictures for the background
+BACKGROUND_S = 20.0  # they are from this first part of the film [s]
 USUAL_BODY_UM = 52.3  # the mean length of cells, for films without a scale
-SHAPE = 1.4, 3.0  # length over width of what may be a cell, there
-SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # of a path that is kept
+SHAPE = (
+    1.4,
+    3.0,
+)  # ratio of length to width below which a blob has no axis of a possible cell in such films
+SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # shortest path that is kept, by time and length
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 
@@ -33,7 +36,7 @@ class CellPath:
 
     @property
     def places(self) -> Floats:
-        """Middle of the body (K, 2) [um]."""
+        """Middle of the body in each picture (K, 2) [um]."""
         return np.array([(cell.x, cell.y) for cell in self.seen])
 
 
@@ -72,17 +75,17 @@ def follow(
 ) -> Followed:
     """Follow the cells of a film; TetractlError if no picture can be read.
 
-    Without a scale `um_px` it is guessed from the lengths of what moves.
+    Without `um_px`, the scale is guessed from the lengths of moving objects.
     """
     sample = _sample(film)
     if not sample:
-        raise TetractlError(f"{film.path}: no picture of it can be read")
+        raise TetractlError(f"{film.path}: no picture of the film can be read")
     guessed = um_px is None
     scale = _guessed_scale(sample, film) if um_px is None else um_px
     tracker = CellTracker(scale, field is not None)
     tracker.learn(sample)
     pieces = no_field if field is None else field.pieces
-    shown: list[dict[int, SeenCell]] = []  # by track, a picture each
+    shown: list[dict[int, SeenCell]] = []  # one per picture, by track
     frames: list[int] = []
     doubtful: list[tuple[tuple[int, ...], float]] = []
     lights = []
@@ -126,7 +129,7 @@ def follow(
 
 
 def _sample(film: FilmPictures) -> list[Grey]:
-    """Return some pictures, evenly spread over the film's first part."""
+    """Return pictures spread evenly over the film's first part."""
     count = 0
     for count, _ in enumerate(film, 1):
         if count >= BACKGROUND_S * film.rate_hz:
@@ -143,8 +146,8 @@ def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
     lengths = [b.long for b in blobs if SHAPE[0] < b.long / b.wide < SHAPE[1] and not b.at_edge]
     if len(lengths) < 5:
         raise TetractlError(
-            f"{film.path}: nothing in it moves that looks like cells, so its scale is not known",
-            "give it: --scale UM_PER_PIXEL",
+            f"{film.path}: no moving object looks like a cell, so the scale is not known",
+            "give the scale: --scale UM_PER_PIXEL",
         )
     return USUAL_BODY_UM / float(np.median(lengths))
 
@@ -156,7 +159,7 @@ def _fill_back(
     identity: int,
     path: Floats,
 ) -> None:
-    """Add the pictures from which a new cell was recognised."""
+    """Add to a new cell's path the earlier pictures from which it was recognised."""
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():
         at = int(np.searchsorted(frames, round(seconds * rate_hz)))

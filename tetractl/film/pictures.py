@@ -1,4 +1,4 @@
-"""The pictures of a film, a folder or an MJPEG file, one after another, as grey levels."""
+"""Reads the pictures of a film, a folder or an MJPEG file in order, as grey levels."""
 
 import os
 import re
@@ -24,7 +24,8 @@ _DIGITS = re.compile(r"(\d+)")
 class FilmPictures:
     """The pictures at a path; iterate as often as needed. `rate_hz` is the film's own or given.
 
-    `damaged` counts, of the last iteration, pictures that could not be read or had another size.
+    `damaged` is the number of pictures in the last iteration that could not be read or had another
+    size.
     """
 
     path: Path
@@ -50,7 +51,8 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
     if path.is_dir():
         if not _names(path):
             raise UsageError(
-                f"{path}: holds no pictures", f"those end in {', '.join(sorted(PICTURES))}"
+                f"{path}: holds no pictures",
+                f"names of pictures end in {', '.join(sorted(PICTURES))}",
             )
         return FilmPictures(path, rate_hz or USUAL_HZ)
     if not path.exists():
@@ -58,7 +60,10 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
     capture = cv2.VideoCapture(str(path)) if path.is_file() else None
     try:
         if capture is None or not capture.isOpened() or not capture.grab():
-            raise UsageError(f"{path}: is no film that OpenCV can read", "try AVI, MP4 or a folder")
+            raise UsageError(
+                f"{path}: OpenCV cannot read this film",
+                "convert it to AVI or MP4, or give a folder of pictures",
+            )
         own = float(capture.get(cv2.CAP_PROP_FPS))
     finally:
         if capture is not None:
@@ -67,7 +72,7 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
 
 
 def opencv():
-    """Return OpenCV, quiet; AbortError if it is not installed."""
+    """Import and return OpenCV without its messages; AbortError if it is not installed."""
     # FFmpeg's messages are not errors of tetractl
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:
@@ -81,7 +86,7 @@ def opencv():
 
 
 def _names(folder: Path) -> list[Path]:
-    """Return the pictures of a folder in the order of the numbers in their names."""
+    """Return the pictures' paths in a folder, ordered by the numbers in their names."""
 
     def order(path: Path) -> list[tuple[int, int, str]]:
         parts = _DIGITS.split(path.name)

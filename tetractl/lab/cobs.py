@@ -1,26 +1,28 @@
 """COBS framing with a closing 00, and CRC-16/CCITT-FALSE.
 
-Consistent overhead byte stuffing takes every 00 out of a frame, so a 00 can only be an end, and
-a reader that lost its place finds it again at the next 00.
+Consistent overhead byte stuffing removes every 00 from a frame. A 00 is therefore always the end of
+a frame, and a reader that lost bytes resynchronises at the next 00.
 """
 
 import binascii
 
 from tetractl.core.errors import WireError
 
-FRAME_MAX = 80  # payload bytes, the closing CRC included
+FRAME_MAX = 80  # payload bytes, including the closing CRC
 
 
 def crc16(data: bytes) -> int:
-    """CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected; 0x29B1 of 123456789."""
+    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected; 0x29B1 for
+    b"123456789".
+    """
     return binascii.crc_hqx(data, 0xFFFF)
 
 
 def encode(payload: bytes) -> bytes:
-    """Stuff a payload and close it with 00."""
+    """Stuff a payload and append the closing byte 00."""
     out = bytearray()
     block = bytearray()
-    open_end = True  # a full block of 254 needs no empty one behind it
+    open_end = True  # a full block of 254 bytes needs no empty block after it
     for byte in payload:
         open_end = True
         if byte:
@@ -38,16 +40,16 @@ def encode(payload: bytes) -> bytes:
 
 
 def decode(frame: bytes) -> bytes:
-    """Take the stuffing out of a frame, given without its closing 00."""
+    """Undo the stuffing of a frame, given without the closing byte 00."""
     if not frame or 0 in frame:
-        raise WireError("not a stuffed frame")
+        raise WireError("not a COBS frame")
     out = bytearray()
     at = 0
     while at < len(frame):
         code = frame[at]
         block = frame[at + 1 : at + code]
         if len(block) != code - 1:
-            raise WireError("a stuffed frame that ends too early")
+            raise WireError("a COBS frame that ends too early")
         out += block
         at += code
         if code < 255 and at < len(frame):
@@ -58,22 +60,24 @@ def decode(frame: bytes) -> bytes:
 def frame_with_crc(payload: bytes) -> bytes:
     """Return a payload as a frame: its CRC appended, little-endian, stuffed and closed by 00."""
     if len(payload) + 2 > FRAME_MAX:
-        raise WireError(f"{len(payload)} bytes do not fit in a frame")
+        raise WireError(f"{len(payload)} bytes do not fit into a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, given without its closing 00; WireError for a wrong CRC."""
+    """Return the payload of a frame, given without the closing byte 00; WireError for a
+    wrong CRC.
+    """
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
-        raise WireError(f"a frame of {len(payload)} bytes")
+        raise WireError(f"a frame cannot have {len(payload)} bytes")
     if crc16(payload[:-2]) != int.from_bytes(payload[-2:], "little"):
         raise WireError("wrong CRC")
     return payload[:-2]
 
 
 class Splitter:
-    """Cuts a stream of bytes at every 00; keeps no more than one frame.
+    """Splits a byte stream at every 00; buffers at most one frame.
 
     `overlong` counts frames that were dropped because they were too long.
     """
@@ -84,7 +88,7 @@ class Splitter:
         self._skipping = False
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Take bytes as they came; return the frames they close, without their 00."""
+        """Take a chunk of bytes; return the frames that it completes, without their 00."""
         frames: list[bytes] = []
         *closed, rest = bytes(data).split(b"\0")
         for piece in closed:

@@ -1,4 +1,4 @@
-"""Finds the cells of a trial: turns the field, and observes how each cell answers."""
+"""Finds the cells of a trial: turns the field, and observes each cell's response."""
 
 import math
 from collections.abc import Callable, Container
@@ -15,18 +15,17 @@ from tetractl.lab.cameras.cells.helix import SPEED, A
 from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
-JITTER = 0.4  # rad about a quarter turn
+JITTER = 0.4  # deviation of a turn from a quarter turn [rad]
 BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
-STEP_UM = 35.0  # a cell must not swim further between two pictures, or it is not recognised
-SURE = 0.9  # probability of the identity, below which a cell is not taken
+STEP_UM = 35.0  # largest distance between two pictures at which a cell is recognised again
+SURE = 0.9  # least probability of the identity of a cell that is taken
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
     """Return the direction [rad] of a field over time [ns] under which cells circle and stay.
 
-    It turns once in `turn_s`, always the same way, by quarters that are larger and smaller: from
-    how a cell follows, its a and its dipole's angle are identified. One with a < 2 pi / `turn_s`
-    lags behind.
+    The field turns once in `turn_s`, in one sense, by unequal quarters: each cell's response
+    identifies its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -47,8 +46,7 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig, and return the cells that the camera follows then.
 
-    The field goes on turning. `on_look` is called at times. AbortError if no pictures
-    come.
+    The field goes on turning. `on_look` is called regularly. AbortError if no pictures arrive.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
@@ -72,22 +70,22 @@ def turn_field(
         raise AbortError(
             f"{rate:.1f} pictures a second were searched; to follow cells that swim "
             f"{choice.speed:g} {rig.setup.unit}/s it takes {least:.0f}",
-            "is this computer busy with something else? Fewer pixels take less time",
+            "is this computer busy with other programs? smaller pictures take less time",
         )
     return cells
 
 
 def free_cells(rig: Rig) -> list[FoundCell]:
-    """Return the cells that answer the field, are off the walls, and are no robot."""
+    """Return the cells that respond to the field, are away from the walls, and are not robots."""
     taken = rig.camera.robots  # type: ignore[attr-defined]
     cells = [cell for cell in found_cells(rig) if cell.magnetised and cell.free]
     return [cell for cell in cells if cell.number not in taken]
 
 
 def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
-    """Return the cells that the camera follows now, by the state of its filter.
+    """Return the cells that the camera follows now, with the values of its filter.
 
-    Those that have been `walled` are not free, nor are those near the arena's edge now.
+    Cells that have been `walled`, or are now near the arena's edge, are not free.
     """
     seen: list[SeenCell] = rig.camera.cells  # type: ignore[attr-defined]
     per_um = 1e-6 / rig.setup.metres

@@ -4,9 +4,9 @@
                              ^              |        |
                              +---- rest() --+--------+      any --> abort, for good
 
-In `hold` some robot, or all, are stopped while the fault may still pass; robots that can only be
-stopped together are steered on while one of them is not tracked. Nothing leaves `abort`.
-Lengths are in the spec's length unit, times ns on the run's clock.
+In `hold`, one robot or all are stopped because of a fault that may pass; robots that can only be
+stopped together are steered on while one of them is not tracked. `abort` is final. Lengths are in
+the spec's length unit, times ns on the run's clock.
 """
 
 import math
@@ -22,12 +22,12 @@ from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
-NOISE_MM = 2.0  # by how far a pose may err
-SWIMMERS = 0.7  # by how much cells may move otherwise than commanded, as a share
+NOISE_MM = 2.0  # largest error of a pose
+SWIMMERS = 0.7  # largest relative deviation of a cell's motion from the command
 
 
 class GuardState(StrEnum):
-    """Where the guard stands."""
+    """The guard's states."""
 
     PREFLIGHT = "preflight"
     READY = "ready"
@@ -41,9 +41,9 @@ class GuardRules:
     """Limits of a run; see the fields of the same name in the spec's limits.
 
     `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) the fastest it turns [rad/s].
-    `lowest`, `highest` and `tilt` bound how a body stands; `mm` are the millimetres in a length
-    unit. Robots that are not `individual` can only be stopped together. A run that `goes_on` leaves
-    out a robot that is lost, and ends with the last one.
+    `lowest`, `highest` and `tilt` bound a body's height and tilt; `mm` is the number of millimetres
+    per length unit. Robots that are not `individual` can only be stopped together. A run that
+    `goes_on` continues without a lost robot, and ends when the last one is lost.
     """
 
     names: tuple[str, ...]
@@ -52,7 +52,7 @@ class GuardRules:
     left: float
     bottom: float
     right: float
-    top: float  # the arena, drawn in by its margin [length unit]
+    top: float  # the arena's edges, moved inside by the margin [length unit]
     separation: float
     jump: float
     jump_heading: float = 0.7  # allowed heading error beyond the turning rate [rad]
@@ -67,9 +67,9 @@ class GuardRules:
     reaction_ns: int = 15 * SECOND // 100
     damaged_frames: int = 20
     late_steps: int = 5
-    silence_ns: int = 2 * SECOND  # the controller must give a direction that often
+    silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
     wheel_error: float = 0.12
-    wheel_radius: float = 0.0  # 0 without wheels
+    wheel_radius: float = 0.0  # 0 for robots without wheels
     individual: bool = True
     goes_on: bool = False
 
@@ -78,7 +78,7 @@ class GuardRules:
 class Ruling:
     """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
-    A pose is None if a robot is not tracked. `reason` says why a run was aborted.
+    A pose is None if a robot is not tracked. `reason` is why the run was aborted, "" if it was not.
     """
 
     state: GuardState
@@ -96,25 +96,28 @@ class Guard:
     state: GuardState = GuardState.PREFLIGHT
     reason: str = ""
     emergency: bool = False
-    jumps: int = 0  # poses that were refused
-    lost: dict[int, int] = field(default_factory=dict)  # robots, and when each was seen last [ns]
-    outdated: int = 0  # frames dropped, since the last start, as exposed no later than others
+    jumps: int = 0  # number of poses that were refused
+    # lost robots, and when each was last seen [ns]
+    lost: dict[int, int] = field(default_factory=dict)
+    outdated: int = 0  # frames dropped since the last start because they were not newer
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _last_frame_ns: int | None = None
     _outdated_in_a_row: int = 0
-    _behind_ns: int = 0  # by how much the last outdated frame was
+    _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
     _warned: set[str] = field(default_factory=set)
-    _warnings: list[str] = field(default_factory=list)  # new ones
-    _driven: bool = False  # from the first `go`: robots are not carried any more
+    _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
+    _driven: bool = False  # True from the first `go` on: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
-    _disobedient: set[int] = field(default_factory=set)  # robots, in the newest frame
-    _ghosts: dict[int, str] = field(default_factory=dict)  # robots accepted no more, and why
-    _headings: dict[int, tuple[int, float]] = field(default_factory=dict)  # last seen, and when
+    _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
+    # robots whose poses are not accepted any more, and why
+    _ghosts: dict[int, str] = field(default_factory=dict)
+    # each robot's last time [ns] and heading [rad]
+    _headings: dict[int, tuple[int, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         rules, height = self.rules, (self.rules.lowest, self.rules.highest)
@@ -132,16 +135,16 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) was refused, "" if it was not or none came."""
+        """Why the newest pose of each robot (N,) was refused, "" if it was accepted or missing."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
-        """Note that the preflight is passed."""
+        """Enter `ready`: the preflight has passed."""
         if self.state is GuardState.PREFLIGHT:
             self.state = GuardState.READY
 
     def go(self, now_ns: int) -> None:
-        """Let the robots move; only from `ready`."""
+        """Enter `run`, so that robots may move; only from `ready`."""
         if self.state is GuardState.READY:
             self.state = GuardState.RUN
             self._last_tick_ns = self._steered_ns = now_ns
@@ -153,12 +156,12 @@ class Guard:
                 track.forget()
 
     def rest(self) -> None:
-        """Note that the run has ended well and the robots are stopped."""
+        """Return to `ready`: the run has ended normally and the robots are stopped."""
         if self.state in (GuardState.RUN, GuardState.HOLD):
             self.state = GuardState.READY
 
     def abort(self, reason: str, emergency: bool = False) -> None:
-        """End everything; the first reason stays."""
+        """Enter `abort`; the reason of the first call is kept."""
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
@@ -170,7 +173,7 @@ class Guard:
             }
 
     def steered(self, now_ns: int) -> None:
-        """Note that the controller gave a direction."""
+        """Take note that the controller gave a direction."""
         self._steered_ns = now_ns
 
     def late(self, missed: bool) -> None:
@@ -180,7 +183,7 @@ class Guard:
             self.abort(f"{self._late} control steps in a row were late")
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Note the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
+        """Take the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
         share = self.rules.wheel_error if self.rules.individual else SWIMMERS
         self._motion.sent(now_ns, speed, turning, share)
         self._swaps.sent(now_ns, turning)
@@ -188,7 +191,8 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        None for a frame that was not exposed after those before it: it is dropped and counted.
+        A frame that was not exposed after the earlier ones is dropped and counted; then None is
+        returned.
         """
         if frame.fault:
             self.abort(frame.fault)
@@ -215,7 +219,9 @@ class Guard:
         return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 
     def lose(self, i: int, reason: str) -> None:
-        """Go on without a robot, or abort where the rules say so or none is left."""
+        """Continue without a lost robot; abort if the rules do not allow that or no robot is
+        left.
+        """
         if i in self.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return
         if not self.rules.goes_on or len(self.lost) + 1 == len(self._filters):
@@ -225,13 +231,15 @@ class Guard:
             self._warnings.append(f"{reason}: the run goes on without it")
 
     def replaced(self, i: int) -> None:
-        """Go on with another body in place of a robot that was lost."""
+        """Continue with another body in place of a lost robot."""
         del self.lost[i]
         self._filters[i] = PoseFilter(self._filters[i].limits, seen_ns=self._last_frame_ns or 0)
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return the fault if no newer frame came for `silent_ns`."""
+        """Return the fault of a stream without a new frame for `silent_ns`, "" if that is not too
+        long.
+        """
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text
@@ -240,8 +248,8 @@ class Guard:
     def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.
 
-        `damaged` counts the camera's damaged deliveries so far, `failure` says why the actuator
-        can send nothing any more.
+        `damaged` is the number of damaged deliveries from the camera so far, `failure` is why the
+        actuator cannot send any more.
         """
         asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
         self._last_tick_ns = now_ns
@@ -287,7 +295,8 @@ class Guard:
     def _fault(self, i: int, pose: Pose, now_ns: int) -> str:
         """Return why a pose of robot i is not accepted, "" if it is.
 
-        Only while a run may move it: after a stop, `standstill` finds what moves on.
+        Motion is compared with commands only while a run may move the robot: after a stop,
+        `standstill` finds robots that still move.
         """
         track = self._filters[i]
         before = track.pose
@@ -302,7 +311,7 @@ class Guard:
             self._swaps.turned(i, now_ns, now_ns - seen_ns, turned)
         self._headings[i] = now_ns, pose.heading
         fault = self._motion.disagrees(i, before, pose)
-        if fault and not self.rules.individual:  # cells that disobey cause a warning
+        if fault and not self.rules.individual:  # disobeying cells only cause a warning
             self._motion.forget(i)
             self._warn(f"{self.rules.names[i]} {fault}")
             return ""
@@ -311,14 +320,14 @@ class Guard:
         return fault
 
     def _warn(self, text: str) -> None:
-        """Give each warning once."""
+        """Add a warning, unless it was given before."""
         if text not in self._warned:
             self._warned.add(text)
             self._warnings.append(text)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
-        # a stopped stream is a fault of its own, not of robots that are not tracked
+        # a stopped stream is reported as that, not as robots that are not tracked
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit
             for left, track in zip(self._left, self._filters, strict=True)
@@ -351,12 +360,12 @@ class Guard:
         return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Stop before a robot is out of the arena or touches another."""
+        """Abort before a robot leaves the arena or touches another."""
         rules, ahead_s = self.rules, self.rules.reaction_ns / SECOND
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):
             if i in self.lost and rules.individual:
-                pose = self._filters[i].pose  # it stands where it was seen last
+                pose = self._filters[i].pose  # the robot stands where it was last seen
             if pose is None:
                 continue
             way = 0.0 if i in self.lost else rules.speeds[i] * ahead_s
@@ -378,7 +387,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Whether a robot moves further out: one at the edge may move back in."""
+        """Return whether a robot moves further out; a robot at the edge may move back inside."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:

@@ -1,4 +1,4 @@
-"""The inner loop: camera frames to the guard, the guard's decision to the actuator.
+"""The inner loop passes camera frames to the guard, and the guard's decisions to the actuator.
 
 It steps at every camera frame, in a thread of its own, so planning cannot delay a stop. A held
 direction is sent at the actuator's rate; a new direction, or a stop, at once.
@@ -21,7 +21,7 @@ from tetractl.lab.pose_filter import FrameBuffer
 T = TypeVar("T")
 
 IDLE_S = 0.01
-STEER_S = 0.25  # a step that takes longer counts as hanging
+STEER_S = 0.25  # a step that takes longer than this counts as hanging
 STOP_S = 1.0
 KEPT = 100_000
 
@@ -29,8 +29,8 @@ KEPT = 100_000
 class InnerLoop:
     """Steps a guard between a camera and an actuator. Times are ns on `clock`.
 
-    `wake` is set by the camera after each frame, `emergency` by a person. `frames` holds what the
-    guard accepted. Without `start`, the owner of the clock calls `step`.
+    `wake` is set by the camera after each frame, `emergency` by a person. `frames` holds the
+    accepted frames. Without `start`, the owner of the clock calls `step`.
     """
 
     def __init__(
@@ -43,16 +43,20 @@ class InnerLoop:
         emergency: threading.Event,
     ) -> None:
         self.guard, self.frames = guard, FrameBuffer()
-        self.idle: Callable[[int], float] | None = None  # u before robots are steered [rad]
+        self.idle: Callable[[int], float] | None = (
+            None  # direction u before robots are steered [rad]
+        )
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
         self._on_signal = getattr(camera, "steered", None)
         self._wake, self._emergency = wake, emergency
         self._lock = threading.Lock()
-        self._direction = 0.0  # rad, held while steering
+        self._direction = 0.0  # the direction held while steering [rad]
         self._steering = False
-        self._new = False  # the direction has not been sent yet
-        self._let: tuple[bool, ...] = ()  # which robots the last transmission let move
+        self._new = False  # whether the direction has not been sent yet
+        self._let: tuple[
+            bool, ...
+        ] = ()  # which robots were allowed to move by the last transmission
         self._sent: deque[Transmission] = deque(maxlen=KEPT)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=KEPT)
         self._aborted = False
@@ -62,14 +66,14 @@ class InnerLoop:
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
     def start(self) -> None:
-        """Begin to step in a thread; nothing is sent before the first direction."""
+        """Start the thread of steps; nothing is sent before the first direction."""
         self._thread.start()
 
     def steer(self, direction: float) -> Transmission:
         """Hold a direction u [rad] from now on; return the first transmission that carries it.
 
-        That is a stop if the guard lets no robot move just now. AbortError with the guard's
-        reason if no robot may move any more.
+        The transmission is a stop if the guard presently lets no robot move. AbortError with the
+        guard's reason if no robot may move any more.
         """
         with self._held(STEER_S) as held:
             if not held:
@@ -86,7 +90,7 @@ class InnerLoop:
             return self.last
 
     def restart(self, guard: Guard) -> None:
-        """Go on with another guard, as of robots that were found; forget the frames so far."""
+        """Continue with another guard, for robots that were found; forget the frames so far."""
         with self._lock:
             self.guard, self.frames = guard, FrameBuffer()
 
@@ -102,14 +106,14 @@ class InnerLoop:
                     self._guarded_tick()
             if self._stops_left:
                 self._clock.sleep_until(self._next_ns)
-        if not held:  # the loop hangs: send past it
+        if not held:  # the loop hangs: send without the lock
             for _ in range(STOPS):
                 with suppress(AbortError):
                     self._actuator.stop()
                 self._clock.sleep_until(self._clock.now() + STOP_GAP_NS)
 
     def step(self) -> None:
-        """Check the frames that came, and send what is due now."""
+        """Check the new frames, and send a transmission if one is due."""
         with self._lock:
             self._guarded_tick()
 
@@ -130,7 +134,7 @@ class InnerLoop:
 
     @contextmanager
     def _held(self, timeout_s: float) -> Iterator[bool]:
-        """Hold the lock, or yield False if it cannot be had in time."""
+        """Hold the lock in the block; yield False if the lock is not free in time."""
         held = self._lock.acquire(timeout=timeout_s)
         try:
             yield held
@@ -145,7 +149,7 @@ class InnerLoop:
             self.step()
 
     def _guarded_tick(self) -> None:
-        """Run one tick; an error stops the robots, not this loop."""
+        """Run one tick; an error in it stops the robots, but not this loop."""
         try:
             self._tick()
         except AbortError as error:
@@ -173,7 +177,7 @@ class InnerLoop:
             self._turn(self.idle(now), ruling, now)
 
     def _turn(self, direction: float, ruling: Ruling, now: int) -> None:
-        """Turn the field before any robot is steered; none while no frame comes."""
+        """Turn the field before robots are steered, unless frames are missing."""
         if now < self._next_ns:
             return
         self._next_ns = now + self._actuator.period_ns
@@ -192,7 +196,7 @@ class InnerLoop:
         self._stops_left -= 1
         try:
             self._note(self._actuator.stop(emergency=self.guard.emergency))
-        except AbortError as error:  # final: it takes none of the others either
+        except AbortError as error:  # a failed actuator does not take the other stops either
             self._stops_left = 0
             self.guard.abort(str(error))
 
@@ -214,7 +218,7 @@ class InnerLoop:
         self._let, self._new = ruling.moving, False
 
     def _pass_on(self, sent: Transmission) -> None:
-        """Report what was sent to a camera that identifies robots by their response."""
+        """Report a transmission to a camera that identifies robots by their response."""
         if self._on_signal is not None:
             self._on_signal(sent.direction, sent.sent_ns)
 

@@ -1,16 +1,16 @@
-"""Whether robots move as commanded: the poses that a camera sees against what was transmitted.
+"""Checks whether robots move as commanded: compares a camera's poses with the transmissions.
 
-A robot on two wheels, at a distance r from its centre, moves along its heading at v and turns at w,
-nothing else. Which command acts at a time t cannot be known: radio and wheels delay each, and some
-are lost. So v(t) and w(t) are anywhere between the least and the greatest that were in force within
-[t - DELAY_NS, t], each of them widened by what wheels may be off, a share g of the faster wheel:
+A robot with two wheels, at a distance r from its centre, can only move along its heading at v and
+turn at w. Which command acts at a time t is unknown: radio and wheels delay commands, and some are
+lost. So v(t) and w(t) lie between the least and the greatest values commanded within [t - DELAY_NS,
+t], each widened by the possible error of the wheels, a fraction g of the faster wheel:
 
     e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
 
-Over any part of the last WINDOW_NS the displacement along the heading and the angle turned must lie
-between the integrals of these bounds, and the displacement across the heading within that of e,
-except for a slack: a robot rolls, so nothing moves it sideways. Lengths are in the spec's length
-unit.
+Over any part of the last WINDOW_NS, the displacement along the heading and the angle turned must
+lie between the integrals of these bounds; the displacement across the heading must lie within the
+integral of e, as a rolling robot does not move sideways. A slack is allowed for each. Lengths are
+in the spec's length unit.
 """
 
 import math
@@ -23,13 +23,13 @@ import numpy as np
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
 
-DELAY_NS = 3 * SECOND // 10  # radio, wheels and some lost commands
-WATCHDOG_NS = SECOND // 4  # robots that heard nothing for as long have stopped themselves
+DELAY_NS = 3 * SECOND // 10  # delay by radio, wheels and some lost commands
+WATCHDOG_NS = SECOND // 4  # robots that received nothing for this time have stopped themselves
 WINDOW_NS = SECOND
-SPACING_NS = SECOND // 20  # between the poses of the window that a new one is compared with
-SLACK_S = 0.03  # of driving at full speed
+SPACING_NS = SECOND // 20  # interval of the window's poses with which a new pose is compared
+SLACK_S = 0.03  # time of driving at full speed that is allowed as slack
 SLACK_RAD = 0.08
-STANDS = 0.3  # a smaller fraction of the commanded motion counts as none
+STANDS = 0.3  # a robot with a smaller fraction of the commanded motion counts as standing
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 STILL = (
@@ -43,7 +43,7 @@ WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
 class MotionCheck:
     """Compares N robots of `speeds` (N,) with their commands.
 
-    `radius` is r, 0 for robots without wheels; `noise` is by how far poses may err.
+    `radius` is r, 0 for robots without wheels; `noise` is the largest error of a pose.
     """
 
     def __init__(self, speeds: Sequence[float], radius: float, noise: float) -> None:
@@ -51,29 +51,31 @@ class MotionCheck:
         self._radius = radius
         way = SLACK_S * np.array(speeds) + noise
         self._slack = np.array([way, way, np.full(n, SLACK_RAD)]).T  # (N, 3)
-        self._times: list[int] = []  # of the transmissions in `_least` and `_most`
+        self._times: list[int] = []  # times of the transmissions in `_least` and `_most`
         self._least: list[Floats] = []  # (N, 3): along, across, around
         self._most: list[Floats] = []
         self._now_ns = 0
-        self._bounds = np.zeros((2, n, 3))  # those in force now
+        self._bounds = np.zeros((2, n, 3))  # bounds in force now
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was seen, as when robots start from rest."""
+        """Forget all motion, as when robots start from rest."""
         n = len(self._slack)
-        self._seen = np.zeros((n, 3))  # motions seen since the start, by consistent poses
-        self._allowed = np.zeros((2, n, 3))  # integrals of the bounds up to now
-        # of each robot: times, the motion seen and the integrals up to then, (3, 3)
+        self._seen = np.zeros((n, 3))  # motion since the start, by consistent poses
+        self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
+        # per robot: times, and the motion and integrals up to each, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
 
     def forget(self, i: int) -> None:
-        """Begin again with robot i at its next pose."""
+        """Start again with robot i at its next pose."""
         self._past[i].clear()
 
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
     ) -> None:
-        """Note a transmission of speeds and turning rates [rad/s], of wheels off by a share g."""
+        """Take a transmission: speeds [length unit/s], turning rates [rad/s], and the relative
+        wheel error g.
+        """
         v, w = np.array(speed), np.array(turning)
         off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
         around = off / self._radius if self._radius else share * np.abs(w)
@@ -82,30 +84,31 @@ class MotionCheck:
         self._least.append(middle - spread)
         self._most.append(middle + spread)
         old = bisect_right(self._times, now_ns - 2 * SECOND)
-        if old > 64:  # occasionally, all at once
+        if old > 64:  # old entries are removed occasionally, all at once
             del self._times[: old - 1], self._least[: old - 1], self._most[: old - 1]
 
     def frame(self, now_ns: int) -> None:
-        """Note that a frame was exposed; `disagrees` is asked about its poses."""
+        """Take the time of a frame, before `disagrees` is called for its poses."""
         first = max(0, bisect_right(self._times, self._now_ns - DELAY_NS) - 1)
         last = bisect_right(self._times, now_ns)
         least, most = self._least[first:last], self._most[first:last]
         times = [*self._times[first:last], now_ns]
         if not least or times[0] > self._now_ns - DELAY_NS or max(np.diff(times)) > WATCHDOG_NS:
-            still = np.zeros_like(self._bounds[0])  # before the first, and if none came
+            # before the first transmission, and after a silence
+            still = np.zeros_like(self._bounds[0])
             least, most = [*least, still], [*most, still]
         self._bounds = np.array([np.min(least, axis=0), np.max(most, axis=0)])
         self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
         self._now_ns = now_ns
 
     def commanded(self, i: int) -> bool:
-        """Whether robot i must be moving now."""
+        """Return whether robot i must be moving now."""
         least, most = self._bounds[:, i]
         return bool(np.any((least > 0.0) | (most < 0.0)))
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i disobeyed since its last consistent pose, "" if it did not; the new
-        pose is then consistent.
+        """Return how robot i disobeyed since its last consistent pose; "" if it did not, in which
+        case the new pose is consistent.
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
@@ -122,8 +125,9 @@ class MotionCheck:
 
 
 def _moved(before: Pose, pose: Pose) -> Floats:
-    """Return the displacement along and across the heading, as on an arc, and the angle turned,
-    (3,)."""
+    """Return the motion (3,) between two poses: displacement along and across the heading, as on an
+    arc, and the angle turned.
+    """
     turned = math.remainder(pose.heading - before.heading, math.tau)
     dx, dy, middle = pose.x - before.x, pose.y - before.y, before.heading + turned / 2
     along, across = (
@@ -134,7 +138,9 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return the error of a motion along, across and around, (3,), that is out of bounds."""
+    """Return a description of a motion that is out of bounds by `error` (3,): along, across,
+    around.
+    """
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

@@ -14,17 +14,17 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
-WINDOW_NS = SECOND  # age of the oldest accepted pose that a pose is compared with
-SPACING_NS = SECOND // 10  # between the poses kept for that, apart from the last
+WINDOW_NS = SECOND  # largest age of accepted poses with which a pose is compared
+SPACING_NS = SECOND // 10  # interval of the poses kept for that, except the last one
 
 
 @dataclass(frozen=True, slots=True)
 class MotionLimits:
-    """How far a robot can come: `speed` [length unit/s] and `turning` [rad/s] at most.
+    """Limits of a robot's motion: the greatest `speed` [length unit/s] and `turning` [rad/s].
 
-    `jump` and `jump_heading` are allowed beyond that, once in a window. `lowest` and `highest`
-    bound the height of its body [length unit], `tilt` its lean [rad]; `mm` are the millimetres in
-    a length unit.
+    `jump` and `jump_heading` are allowed in addition, once in a window. `lowest` and `highest`
+    bound the height of the body [length unit], `tilt` its angle to the vertical [rad]; `mm` is the
+    number of millimetres per length unit.
     """
 
     speed: float
@@ -39,9 +39,9 @@ class MotionLimits:
 
 @dataclass(slots=True)
 class PoseFilter:
-    """The accepted poses of one robot: the last, and some of the last second.
+    """The accepted poses of one robot: the last one, and some of the last second.
 
-    `refused` says why the newest pose that came was refused, "" if it was not or none came.
+    `refused` is why the newest pose was refused, "" if it was accepted or missing.
     """
 
     limits: MotionLimits
@@ -51,24 +51,26 @@ class PoseFilter:
     _past: deque[tuple[int, Pose]] = field(default_factory=deque)
 
     def forget(self) -> None:
-        """Forget every pose but the last, as at the start of a run: robots were carried before."""
+        """Forget all poses except the last, as at the start of a run, before which robots were
+        carried.
+        """
         self._past = deque([(self.seen_ns, self.pose)] if self.pose is not None else [])
         self.refused = ""
 
     def lost(self) -> None:
-        """Note a frame in which the robot is not tracked."""
+        """Take a frame in which the robot is not tracked."""
         self.refused = ""
 
     def fault(self, pose: Pose, at_ns: int, driving: bool) -> str:
         """Return why a pose exposed at `at_ns` cannot be the robot's, "" if it can.
 
-        Robots that are not `driving` may be carried about: only height and tilt are compared.
+        Robots that are not `driving` may be carried: only height and tilt are checked.
         """
         fault = self._off_the_floor(pose)
         return "its pose jumped" if not fault and driving and self._jumps(pose, at_ns) else fault
 
     def add(self, pose: Pose, at_ns: int, refused: str) -> bool:
-        """Note a pose exposed at `at_ns`; return whether it is accepted."""
+        """Take a pose exposed at `at_ns`; return whether it is accepted."""
         self.refused = refused
         if self.refused:
             return False
@@ -80,7 +82,7 @@ class PoseFilter:
         return True
 
     def _jumps(self, pose: Pose, at_ns: int) -> bool:
-        """Whether the robot cannot have come here from where it was within the window."""
+        """Return whether the robot cannot have driven here from its poses in the window."""
         if self.pose is None:
             return False
         return any(
@@ -98,7 +100,9 @@ class PoseFilter:
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return why a body is not on a robot on the floor, "" if it may be."""
+        """Return why a body's height or tilt is not that of a robot on the floor, "" if they
+        are.
+        """
         limits = self.limits
         if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
@@ -107,15 +111,16 @@ class PoseFilter:
         return ""
 
 
-KEPT = 20_000  # frames: nearly 3 minutes at 120 Hz between two reads of one reader
+KEPT = 20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
 
 
 @dataclass(frozen=True, slots=True)
 class AcceptedFrame:
-    """A frame exposed after those before it, and what the guard accepted of it, of N robots.
+    """A camera frame, exposed after all earlier ones, with the poses of N robots that the guard
+    accepts.
 
-    `poses` (N,) are the last accepted poses, None before a robot's first; `fresh` (N,) is whether
-    they are of this frame; if not, the robot was not tracked in it, or its pose was refused.
+    `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
+    pose is from this frame; if not, the robot was not tracked or its pose was refused.
     """
 
     frame: CameraFrame
@@ -123,7 +128,7 @@ class AcceptedFrame:
     fresh: tuple[bool, ...]
 
     def pose(self, i: int) -> Pose | None:
-        """Return robot i's accepted pose in this frame, None without one."""
+        """Return the pose of robot i accepted from this frame, None if there is none."""
         return self.poses[i] if self.fresh[i] else None
 
 
@@ -132,20 +137,20 @@ class FrameBuffer:
 
     def __init__(self) -> None:
         self.newest: AcceptedFrame | None = None
-        self.count = 0  # of all frames ever appended
+        self.count = 0  # number of frames appended so far
         self._frames: deque[AcceptedFrame] = deque(maxlen=KEPT)
         self._lock = threading.Lock()
 
     def append(self, frame: AcceptedFrame) -> None:
-        """Add the next frame."""
+        """Append the next frame, and drop the oldest one if the buffer is full."""
         with self._lock:
             self._frames.append(frame)
             self.newest = frame
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count` ever appended, oldest first, and the number of
-        all, for the next call. Frames no longer kept are left out.
+        """Return the frames after the first `count` appended, oldest first, and the number of all
+        frames, to be given as `count` next time. Frames no longer kept are left out.
         """
         with self._lock:
             return list(islice(reversed(self._frames), self.count - count))[::-1], self.count

@@ -14,20 +14,21 @@ from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
 
 POLL_S = 1.0
-WATCHED = 60  # camera frames
+WATCHED = 60  # number of camera frames that are checked
 WATCH_NS = SECOND
 LOOK_NS = SECOND // 100
-PLACES_NS = SECOND // 5  # how often the robots' positions are checked
-GRACE_S = 1.0  # least time to wait, since frames are missing occasionally
-SILENCE_S = 0.5  # a camera silent for this long ends the wait, or longer if the spec bears it
+PLACES_NS = SECOND // 5  # interval between checks of the robots' positions
+GRACE_S = 1.0  # least time to wait for a robot, since frames are missing occasionally
+SILENCE_S = 0.5  # a camera's silence that ends the wait, unless the spec allows a longer one
 
 
 @dataclass(frozen=True, slots=True)
 class RobotFinding:
-    """How one robot stands: distance to its start [mm] and heading off [rad], None untracked.
+    """The state of one robot: distance to its start [mm] and error of its heading [rad], None if
+    untracked.
 
-    `misplaced` says how it is off its start, "" if it is not or is not tracked, and `untracked`
-    that it is not tracked and why, "" if it is.
+    `misplaced` describes how far the robot is from its start, "" if it is there or untracked.
+    `untracked` says that and why it is not tracked, "" if it is.
     """
 
     name: str
@@ -44,16 +45,15 @@ class RobotFinding:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """What keeps the robot from starting, apart from its position."""
+        """The problems that keep the robot from starting, except its position."""
         return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """The result of a preflight.
-    `latency_ms` (median, greatest) is the age of frames on arrival, None if the camera does not
-    report it. `problems` keep a run from starting, `warnings` do not; `facts` are the devices' own,
-    `questions` what a person, if there is one, has to agree to.
+    """The result of a preflight. `latency_ms` (median, greatest) is the age of frames on arrival,
+    None if the camera does not report it. `problems` keep a run from starting, `warnings` do not;
+    `facts` come from the devices; the operator has to answer yes to the `questions`.
     """
 
     robots: tuple[RobotFinding, ...]
@@ -66,12 +66,12 @@ class Preflight:
 
     @property
     def all_problems(self) -> tuple[str, ...]:
-        """Everything that keeps a run from starting, apart from the robots' positions."""
+        """All problems that keep a run from starting, except the robots' positions."""
         return (*self.problems, *(p for robot in self.robots for p in robot.problems))
 
     @property
     def misplaced(self) -> tuple[str, ...]:
-        """Tracked robots that are not on their starts, one line each."""
+        """One line for each tracked robot that is not on its start."""
         return tuple(robot.misplaced for robot in self.robots if robot.misplaced)
 
     @property
@@ -81,13 +81,13 @@ class Preflight:
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
-        """Everything that is wrong but does not keep a run from starting."""
+        """All problems that do not keep a run from starting."""
         robots = (w for robot in self.robots for w in robot.status.warnings)
         return (*self.warnings, *self.questions, *robots)
 
 
 def inspect(rig: Rig) -> Preflight:
-    """Watch some camera frames, ask both devices and poll the robots; moves nothing."""
+    """Check some camera frames, both devices and the robots' answers; moves nothing."""
     statuses = rig.actuator.poll(POLL_S)
     outdated = rig.guard.outdated
     seen = _watch(rig)
@@ -102,7 +102,7 @@ def inspect(rig: Rig) -> Preflight:
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")
-    if newest is not None and rig.actuator.halts:  # cells are always present
+    if newest is not None and rig.actuator.halts:  # other cells are always in view
         problems += _strangers(rig, newest.frame)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     devices = {"camera": camera, "actuator": actuator}
@@ -119,7 +119,7 @@ def inspect(rig: Rig) -> Preflight:
 
 
 def unplaced(rig: Rig) -> list[str]:
-    """Return one line per robot that is not seen on its start now."""
+    """Return one line per robot that the camera does not see on its start."""
     newest, found = rig.frames.newest, []
     for i, name in enumerate(rig.setup.names):
         off_mm, off_heading = _off(rig, i, newest)
@@ -130,7 +130,7 @@ def unplaced(rig: Rig) -> list[str]:
 
 
 def dropped(outdated: int) -> str:
-    """Return a warning about a number of frames that were not exposed after those before them."""
+    """Return a warning about a number of frames that were dropped because they were outdated."""
     return f"camera frames dropped because later ones had come: {outdated}"
 
 
@@ -151,7 +151,9 @@ def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) ->
 
 
 def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
-    """Return how far a robot is from its start: [mm] and [rad], None if it is not tracked."""
+    """Return a robot's distance [mm] and difference in heading [rad] from its start, None if
+    untracked.
+    """
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return None, None
@@ -166,7 +168,7 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 
 
 def _watch(rig: Rig) -> list[CameraFrame]:
-    """Return the next frames: `WATCHED` of them, or as many as come before the camera is silent."""
+    """Return the next `WATCHED` frames, or fewer if the camera falls silent."""
     clock, frames, first = rig.clock, rig.frames, rig.frames.count
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)
@@ -183,7 +185,7 @@ def _watch(rig: Rig) -> list[CameraFrame]:
 
 
 def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and greatest age of frames; without clocks in common all are 0."""
+    """Return the median and greatest age of frames [ms], 0 if the clocks are not related."""
     ages = sorted(frame.received_ns - frame.sampled_ns for frame in seen)
     if not ages or not ages[-1]:
         return None
@@ -201,9 +203,9 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     """Return once there is no problem, every robot is on its start and the operator, if there is
     one, agrees.
 
-    Robots that can stand still must do so. Robots that are carried may be off and out
-    of sight for a while: without a person, `limits.placing` is how long. AbortError says what is
-    wrong and how far each robot is off; KeyboardInterrupt if the operator gives up waiting.
+    Robots that can stand still must do so. Robots being carried may be away from their starts or
+    untracked: without an operator, for at most `limits.placing`. AbortError lists the problems and
+    each robot's distance from its start; KeyboardInterrupt if the operator gives up waiting.
     """
     prompt, clock = supervision.prompt, rig.clock
     limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)
@@ -211,7 +213,7 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     while True:
         findings: Preflight | None = None
         lines = unplaced(rig) or (moving_robots(rig) if rig.actuator.halts else [])
-        if lines:  # why a robot is not tracked is reported before the fact
+        if lines:  # the reason why a robot is not tracked is reported first
             lines = [*rig.camera.check().problems, *lines]
         if not lines:
             findings = inspect(rig)
@@ -229,7 +231,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),
-                "see `tetractl lab check`; limits.placing waits for robots to be placed",
+                "find the cause with `tetractl lab check`; limits.placing waits for robots "
+                "to be placed",
             )
         clock.sleep_until(clock.now() + PLACES_NS)
 

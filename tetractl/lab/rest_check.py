@@ -1,4 +1,4 @@
-"""Whether robots stand still, by the camera: a robot that is not seen to stand does not."""
+"""Checks by the camera whether robots stand still; an untracked robot counts as moving."""
 
 import math
 
@@ -7,15 +7,15 @@ from tetractl.core.poses import Pose
 from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rig import Rig
 
-REST_NS = SECOND // 4  # robots must be seen to stand still for this long
-WATCHED = 0.6  # share of it that the frames of each robot must span
-TURNING = 0.3  # rad/s: turning slower than this is standing still
+REST_NS = SECOND // 4  # time for which the camera must see robots stand still
+WATCHED = 0.6  # fraction of this time that the frames of each robot must span
+TURNING = 0.3  # a robot that turns more slowly stands still [rad/s]
 LOOK_NS = SECOND // 20
-ROLLING_NS = SECOND // 2  # robots that have not come to rest by then are stopped again
+ROLLING_NS = SECOND // 2  # time after which robots that still move are stopped again
 
 
 def moving_robots(rig: Rig) -> list[str]:
-    """Return the robots that were not seen to stand still in the last frames, one line each."""
+    """Return one line for each robot that did not stand still in the last frames."""
     window = rig.frames.last(REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
@@ -24,9 +24,9 @@ def moving_robots(rig: Rig) -> list[str]:
 
 
 def wait_for_rest(rig: Rig) -> str:
-    """Wait until every robot is seen to stand still, and stop them again while one is not.
+    """Wait until the camera sees every robot stand still, and repeat the stop while one moves.
 
-    Returns the robots that are not seen to stand within `limits.standstill`, and how, "" for none.
+    Returns a text on robots that do not stand still within `limits.standstill`, "" if all do.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -43,9 +43,9 @@ def wait_for_rest(rig: Rig) -> str:
 
 
 def wait_until_tracked(rig: Rig) -> str:
-    """Wait until every robot is tracked, of robots that cannot stand still.
+    """Wait until every robot is tracked, for robots that cannot stand still.
 
-    Returns the robots that are not tracked within `limits.standstill`, "" for none.
+    Returns a text on robots that are not tracked within `limits.standstill`, "" if all are.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -61,7 +61,7 @@ def _late(rig: Rig, lines: list[str]) -> str:
 
 
 def _stream_lost(rig: Rig) -> list[str]:
-    """Return a line if the cameras show nothing now."""
+    """Return a line if no camera frames arrive now."""
     silent_ns = rig.silent_ns()
     if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
         return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]
@@ -75,7 +75,7 @@ def _lost(rig: Rig) -> list[str]:
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return why robot i was not seen to stand within the frames, "" if it was."""
+    """Return why robot i does not count as standing in the frames, "" if it does."""
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:

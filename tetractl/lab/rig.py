@@ -12,15 +12,15 @@ from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
-ANYWHERE = 1e9  # mm or rad from a start
-FIRST_S = 0.5  # for a first frame of other robots
+ANYWHERE = 1e9  # distance from a start that allows any pose [mm, rad]
+FIRST_S = 0.5  # time to wait for a first frame of other robots
 
 
 class Rig:
-    """Everything between the devices and a plant; a context manager. Times are ns on `clock`.
+    """The parts between the devices and a plant; a context manager. Times are ns on `clock`.
 
-    Entering opens the actuator and the camera and begins to watch: in a thread or, if
-    `threaded` is False, at each call of `loop.step`. `wake` must be what the camera was made with.
+    Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
+    `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
     `frames` holds the camera frames that the guard accepted.
     """
 
@@ -37,7 +37,7 @@ class Rig:
     ) -> None:
         self.camera, self.actuator, self.limits = camera, actuator, limits
         self.setup, self.clock = setup, clock
-        self.mm = setup.metres / MM  # millimetres in a length unit
+        self.mm = setup.metres / MM  # millimetres per length unit of the spec
         self.guard = Guard(guard_rules(setup, limits, actuator.individual))
         self.loop = InnerLoop(
             camera,
@@ -52,7 +52,9 @@ class Rig:
         self._opened = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the devices and begin to watch, once; AbortError says what is wrong."""
+        """Open the devices and start the inner loop, once; AbortError with the reason if that
+        fails.
+        """
         if self._entered:
             return self
         self._entered = True
@@ -70,8 +72,9 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with robots that were found, by the camera's numbers; they start at their
-        present poses."""
+        """Continue with other robots, given by the camera's numbers, which start at their present
+        poses.
+        """
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]
@@ -88,21 +91,21 @@ class Rig:
 
     @property
     def left(self) -> list[int]:
-        """The robots that are not lost, by their indices."""
+        """The indices of the robots that are not lost."""
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return a line that robot i is not tracked, and why if that is known."""
+        """Return a line that says that robot i is not tracked, and why if known."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 
     def close(self) -> None:
-        """End the watch and release the devices; idempotent, never raises."""
+        """End the inner loop and release the devices; idempotent, never raises."""
         self.loop.close()
         self._opened.close()
 
     def silent_ns(self) -> int:
-        """Return for how long no accepted frame has come."""
+        """Return the time since the last accepted frame [ns]."""
         newest = self.frames.newest
         return self.clock.now() - (0 if newest is None else newest.frame.received_ns)
 

@@ -1,8 +1,8 @@
-"""A serial port of the lab's devices: opened for one process, written without waiting.
+"""A serial port of the lab's devices: opened by one process only, written without waiting.
 
-A port that takes nothing for 20 ms is stuck and raises, one that is gone raises at once; either is
-final. A thread reads. If another process has the port, `stop_beside` stops its robots and ends
-it.
+Writing raises if the port takes nothing for 20 ms, and at once if the port is gone; both failures
+are final. A thread reads. If another process has the port, `stop_beside` stops its robots and ends
+that process.
 """
 
 import os
@@ -21,13 +21,14 @@ from tetractl.core.errors import AbortError
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
-AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0  # a run ends at once at the second request
+# seconds to a second request to end, to SIGKILL, and to giving up
+AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0
 SWITCH_OFF = "switch the robots off by hand if they move"
-MAX_BUFFER = 2048  # bytes the system may still have to send before the port counts as stuck
+MAX_BUFFER = 2048  # bytes in the system's send buffer above which the port counts as stuck
 
 
 class PortHeldError(AbortError):
-    """Another process has the port `port` for itself."""
+    """Another process has locked the port `port`."""
 
     def __init__(self, port: str) -> None:
         super().__init__(
@@ -43,8 +44,8 @@ Heard = Callable[[bytes, int], None]
 class SerialPort:
     """The port `name` at `baud` bits per second, with `device` (such as "the radio") behind it.
 
-    `heard` is called in the reader's thread with bytes and their time [ns on `clock`], and with no
-    bytes once the port has failed; `hint` is what an error advises.
+    `heard` is called in the reader's thread with received bytes and their time [ns on `clock`], and
+    with no bytes when the port has failed; `hint` is the hint of errors.
     """
 
     def __init__(
@@ -59,10 +60,9 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or in addition to the process
-        that has it.
+        """Open the port and start to read, for this process `alone` or in addition to another one.
 
-        AbortError if it cannot, PortHeldError if another has it.
+        AbortError if the port cannot be opened, PortHeldError if another process has locked it.
         """
         try:
             self._port = serial.Serial(
@@ -77,7 +77,7 @@ class SerialPort:
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return when they were given to the system [ns].
+        """Send bytes; return the time when the system took them [ns].
 
         AbortError if the port is stuck, gone or not open.
         """
@@ -132,9 +132,9 @@ class SerialPort:
 
 
 def _put(fd: int, data: bytes) -> None:
-    """Write to a file descriptor; TimeoutError if it takes nothing for 20 ms.
+    """Write to a file descriptor; TimeoutError if it takes no bytes for 20 ms.
 
-    pyserial's own write also times out if this process was merely not scheduled for that long.
+    pyserial's own write would also time out if this process was not scheduled for that time.
     """
     rest = memoryview(data)
     while rest:
@@ -157,7 +157,8 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
         return _missing(name, device)
     if number == 13:
         return AbortError(
-            f"{name}: this user may not open it", "join the group that owns it, often dialout"
+            f"{name}: this user has no permission to open the port",
+            "join the group that owns it, often dialout",
         )
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
 
@@ -173,7 +174,9 @@ def _missing(name: str, device: str) -> AbortError:
 
 
 def holder(port: str) -> int | None:
-    """Return the process that has locked a port; None for none, or where Linux alone would say."""
+    """Return the id of the process that has locked a port, None if there is none or the system is
+    not Linux.
+    """
     with suppress(OSError):
         at = Path(port).stat()
         device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
@@ -185,7 +188,7 @@ def holder(port: str) -> int | None:
 
 
 def command_line(pid: int) -> list[str]:
-    """Return the words that started a process; none if it has ended."""
+    """Return the command line of a process as a list, empty if the process has ended."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="replace").split("\0")[:-1]
     return []
@@ -193,9 +196,9 @@ def command_line(pid: int) -> list[str]:
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
     """Stop the robots of the run that has a port, then end that run, by SIGKILL if necessary.
-    `stops` sends stops past the run and returns what it did; it is repeated until the port is free,
-    since a hanging run may still drive. AbortError if the run cannot be ended: it is unknown,
-    another user's, or not tetractl.
+    `stops` sends stops on the run's port and returns a description of what was sent; it is repeated
+    until the port is free, since a hanging run may still drive. AbortError if the process cannot be
+    ended: it is unknown, another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
@@ -212,7 +215,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             with suppress(ProcessLookupError):
                 try:
                     os.kill(pid, number)
-                    os.kill(pid, signal.SIGCONT)  # suspended, it would not hear
+                    os.kill(pid, signal.SIGCONT)  # a suspended process would not receive signals
                 except PermissionError:
                     raise _left(name, "belongs to another user", stops, say) from None
             say(f"{did}, after {time.monotonic() - began:.1f} s")
@@ -226,7 +229,9 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
                 say(f"{sent}, past it")
             said = True
         if pid is None or not ours:
-            raise _left(name, "is no tetractl that could be ended" if pid else "is not known")
+            raise _left(
+                name, "is not a tetractl process that can be ended" if pid else "is unknown"
+            )
         if holder(port) != pid:
             say(f"it let go of the port after {time.monotonic() - began:.1f} s")
             return
@@ -240,7 +245,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Return the error for a program that still has the port after the stops."""
+    """Return the error if another program still has the port after the stops."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

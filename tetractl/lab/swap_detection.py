@@ -1,18 +1,20 @@
-"""Detects swapped or wrong robot numbers: whether robots turn as commanded, or as another robot
-is commanded.
+"""Detects swapped or wrong robot numbers: robots that do not turn as commanded, but as another
+robot is commanded.
 
-For robot i, the turning seen s_i(t) [rad/s] is compared with the turning w_j sent to each robot j,
-of a delay d and a gain g,
+For robot i, the measured turning rate s_i(t) [rad/s] is compared with the rate w_j commanded to
+each robot j, with a delay d and a gain g,
 
     Q_ij = min over d, g of the integral of g^2 w_j(t - d)^2 - 2 g s_i(t) w_j(t - d) dt,
 
-which is the squared residual of j's commands less a term common to all j. The gain is 1 except for
-a robot's own commands: wheels that are not calibrated turn it by some more or less. Robot i follows
-j if Q_ii - Q_ij exceeds a share of the integral of (w_i - w_j)^2. Wheels that differ also turn it
-by a constant rate b besides, so its own commands are g w_i + b. A robot that does as commanded
-follows none, and robots that stand still cannot follow one another in a ring: so robots of a ring
-are swapped. One robot alone may have another fault, and is watched for longer. Robots that are
-commanded alike cannot be distinguished.
+which is the squared residual of j's commands minus a term common to all j. The gain is 1 except for
+a robot's own commands, since uncalibrated wheels turn it by somewhat more or less. Unequal wheels
+also turn it at a constant rate b, so its own commands are g w_i + b. Robot i follows j if Q_ii -
+Q_ij exceeds a fraction of the integral of (w_i - w_j)^2.
+
+A robot that moves as commanded follows no other, and robots that stand still cannot follow one
+another in a ring: robots that do follow in a ring are swapped. A single robot that follows another
+may have a different fault, and is observed for longer. Robots with the same commands cannot be
+distinguished.
 
 The identities of cells are watched too: a trial whose cells may have been swapped warns, and aborts
 if that lasts.
@@ -29,19 +31,19 @@ from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
 
 DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.3))
-KEPT_NS = SECOND  # of what was sent
+KEPT_NS = SECOND  # time for which transmissions are kept
 GAP_NS = 3 * SECOND // 20
-GAINS = (0.8, 1.25)  # of a robot's own commands, least and most
+GAINS = (0.8, 1.25)  # least and greatest gain of a robot's own commands
 BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
-CLEAR = 0.01  # rad^2/s: less is the noise of headings
-DISTINCT = 0.1  # rad^2/s: commands that differ less, over all, cannot be distinguished
-# fraction of that by which another robot's commands must fit each robot of a ring better
+CLEAR = 0.01  # least Q_ii - Q_ij [rad^2/s], above the noise of headings
+DISTINCT = 0.1  # least integral of (w_i - w_j)^2 for commands that can be distinguished
+# fraction of it by which another robot's commands must fit better, for each robot of a ring
 BETTER = 0.05
-ALONE_NS = SECOND // 2  # a robot alone must be seen to follow another twice in a row for so long
-ALONE_GAINS = (-1.25, 1.25)  # its own commands are tried with: a wheel may be stuck, or inverted
-ALONE_BETTER = 0.25  # fraction of that by which another's commands must fit it better,
-ALONE_CLEAR = 0.06  # fraction of those commands likewise: noise and wheels 10 % off reach 0.05,
-EXPLAINED = 0.8  # and fraction of them that must be seen
+ALONE_NS = SECOND // 2  # time for which a single robot must follow another, twice in a row
+ALONE_GAINS = (-1.25, 1.25)  # gains tried for its own commands, as a wheel may be stuck or inverted
+ALONE_BETTER = 0.25  # fraction by which another's commands must fit a single robot better,
+ALONE_CLEAR = 0.06  # the same relative to those commands: noise and wheels 10 % off reach 0.05,
+EXPLAINED = 0.8  # and fraction of those commands that must be observed
 TINY = 1e-12
 
 
@@ -50,34 +52,37 @@ class SwapDetector:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
-        self._times: list[int] = []  # of the turning rates sent, a row each
+        self._times: list[int] = []  # times of the turning rates sent, a row each
         self._sent: list[Floats] = []
-        self._shared: tuple[tuple[int, int], Floats] | None = None  # the same for a frame's robots
+        self._shared: tuple[tuple[int, int], Floats] | None = None  # commanded turning of a frame
         self.restart()
 
     def restart(self) -> None:
-        """Forget what was seen, as when robots start from rest."""
+        """Forget all turning, as when robots start from rest."""
         n = len(self._names)
         self._all, self._stretch = _TurnIntegrals(n), _TurnIntegrals(n)
-        self._followed = np.zeros((n, n), dtype=np.bool_)  # by robot i, in its last stretch
-        self._alone = np.zeros((n, n), dtype=np.bool_)  # in its last two
-        self._watched_ns = np.zeros(n, dtype=np.int64)  # of the stretch, while commanded to turn
-        self._found: str | None = None  # the fault, once sought
+        # whether robot i followed j in its last stretch
+        self._followed = np.zeros((n, n), dtype=np.bool_)
+        # whether robot i alone followed j in its last two stretches
+        self._alone = np.zeros((n, n), dtype=np.bool_)
+        # duration of the stretch while commanded to turn
+        self._watched_ns = np.zeros(n, dtype=np.int64)
+        self._found: str | None = None  # the fault, once it has been searched
 
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
-        """Note the turning rates of a transmission [rad/s], 0 for robots that stand."""
+        """Take the turning rates of a transmission [rad/s], 0 for robots that stand."""
         self._shared = None
         self._times.append(now_ns)
         self._sent.append(np.array(turning, dtype=np.float64))
         old = bisect_right(self._times, now_ns - KEPT_NS)
-        if old > 64:  # occasionally, all at once
+        if old > 64:  # old entries are removed occasionally, all at once
             del self._times[: old - 1], self._sent[: old - 1]
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
-        """Note that robot i was seen to turn by `angle` [rad] within the last `dt_ns`.
+        """Take a measured turn of robot i by `angle` [rad] within the last `dt_ns`.
 
-        The turning commanded is the mean over that time. A gap longer than GAP_NS is ignored: the
-        robot may have done several things.
+        It is compared with the mean command over that time. A gap longer than GAP_NS is ignored,
+        because the commands within it may differ.
         """
         if dt_ns > GAP_NS:
             return
@@ -99,7 +104,7 @@ class SwapDetector:
             stretch.forget(i)
 
     def fault(self) -> str:
-        """Return which robots answer the commands of others, "" if none does."""
+        """Return a text on the robots that follow the commands of others, "" if none does."""
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -134,14 +139,17 @@ class _TurnIntegrals:
     """The integrals of the module's Q over a stretch of time, for N robots and D delays."""
 
     def __init__(self, n: int) -> None:
-        self._commanded = np.zeros((len(DELAYS_NS), n, n))  # of w_j(t - d)^2 while i was seen
-        self._common = np.zeros((len(DELAYS_NS), n, n))  # of s_i(t) w_j(t - d)
+        # integrals of w_j(t - d)^2 while i was tracked
+        self._commanded = np.zeros((len(DELAYS_NS), n, n))
+        self._common = np.zeros((len(DELAYS_NS), n, n))  # integrals of s_i(t) w_j(t - d)
         self._differ = np.zeros((n, n))  # of (w_i - w_j)^2
-        self._way = np.zeros((len(DELAYS_NS), n))  # of w_i(t - d)
-        self._turned, self._seconds = np.zeros(n), np.zeros(n)  # of s_i, and of 1
+        self._way = np.zeros((len(DELAYS_NS), n))  # integrals of w_i(t - d)
+        self._turned, self._seconds = np.zeros(n), np.zeros(n)  # integrals of s_i, and of 1
 
     def add(self, i: int, commanded: Floats, angle: float, dt: float) -> None:
-        """Add that robot i turned by `angle` [rad] in `dt` [s], commanded (D, N) [rad/s]."""
+        """Add a turn of robot i by `angle` [rad] in `dt` [s], with the `commanded` rates (D, N)
+        [rad/s].
+        """
         self._commanded[:, i] += commanded**2 * dt
         self._common[:, i] += angle * commanded
         self._differ[i] += (commanded[0] - commanded[0, i]) ** 2 * dt
@@ -150,19 +158,20 @@ class _TurnIntegrals:
         self._seconds[i] += dt
 
     def forget(self, i: int) -> None:
-        """Forget what robot i did."""
+        """Forget the turning of robot i."""
         self._commanded[:, i] = self._common[:, i] = 0.0
         self._differ[i] = self._way[:, i] = self._turned[i] = self._seconds[i] = 0.0
 
     def follows(self) -> np.ndarray:
-        """Return whether robot i follows j better than its own commands, (N, N)."""
+        """Return (N, N): whether robot i follows the commands of j better than its own."""
         misfit = (self._commanded - 2.0 * self._common).min(axis=0)
         better = self._own(GAINS)[:, None] - misfit
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return which robots robot i may follow, (N,), excluding the case of a lost or swapped
-        wheel."""
+        """Return (N,): which robots robot i may follow, unless a lost or swapped wheel explains its
+        turning.
+        """
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
         commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
@@ -178,7 +187,9 @@ class _TurnIntegrals:
         )
 
     def _own(self, gains: tuple[float, float]) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, for the best bias and gain between two."""
+        """Return Q_ii (N,) of each robot's own commands, for the best bias and the best gain in a
+        range.
+        """
         bias = np.array(BIASES)[:, None, None]
         commanded = np.diagonal(self._commanded, axis1=1, axis2=2)
         common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
@@ -188,7 +199,9 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return robots each of whom follows the next and the last the first, [] if none do."""
+    """Return robots each of which follows the next, and the last of which follows the first; [] if
+    none do.
+    """
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])
@@ -202,16 +215,19 @@ SURE = 0.9
 
 
 class IdentityWatch:
-    """The robots of one run by their `names`; `unknown` are those that have not been known for
-    `patience_s` or longer, by their index, and why they must not be steered on."""
+    """The identities of a run's robots, called `names`. `unknown` maps the index of each robot
+    whose identity has been unknown for `patience_s` to the reason why the run must end.
+    """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
         self._names, self._patience_ns = names, round(patience_s * SECOND)
-        self._since_ns: dict[int, int] = {}  # since when robots are unknown
+        self._since_ns: dict[int, int] = {}  # since when each unknown robot has been unknown
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Yield what a picture changes, as text; a cell that is not seen changes nothing."""
+        """Take a picture's probabilities; yield a text for each change. A cell out of view changes
+        nothing.
+        """
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
@@ -225,6 +241,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Begin again with another cell in place of a robot."""
+        """Start again with another cell as this robot."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

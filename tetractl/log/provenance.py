@@ -29,20 +29,20 @@ PACKAGES = (
     "zstandard",
     "protobuf",
 )
-"""The packages whose version may change a result or its log."""
+"""Packages whose version may change a result or its log."""
 
 VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
-"""The keys that `versions` may return."""
+"""Keys that `versions` may return."""
 
 LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
-"""The facts of a host that are lists of words."""
+"""Keys of a host's facts that are lists of words."""
 
 PLUGIN = "package."
-"""Before the name of a package that provides a kind which the spec uses; the value is its version.
+"""Prefix of the key for a package that provides a kind used by the spec; the value is its version.
 """
 
 TRIAL_CODE = ("core", "experiment", "model", "control", "plant", "run", "log/format", "log/write")
-"""The parts of tetractl that decide what a simulated trial's log holds."""
+"""The parts of tetractl that determine the content of a simulated trial's log."""
 
 DIFF_LIMIT = 50_000  # characters
 UNTRACKED_LIMIT = 200  # files
@@ -56,7 +56,9 @@ def now() -> str:
 
 @cache
 def host() -> dict[str, str]:
-    """Return name, system and processor of this machine, and what chooses the code that runs."""
+    """Return name, system and processor of this machine, and the settings that select compiled
+    code.
+    """
     return {
         "host": socket.gethostname(),
         "os": platform.platform(),
@@ -70,10 +72,10 @@ def host() -> dict[str, str]:
 
 
 def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, as `znver3-1a2b3c`; "" if its record lacks it.
+    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if its record lacks it.
 
-    That is LLVM's name for it, and six digits that name the instruction sets in use: code compiled
-    for two types may differ in the last bits of its results.
+    This is LLVM's name for it, and six digits that identify the instruction sets in use: results of
+    code compiled for two types may differ in the last bits.
     """
     if not (name := host.get("cpu_target")):
         return ""
@@ -90,7 +92,7 @@ def _short_digest(text: str) -> str:
 def versions() -> dict[str, str]:
     """Return the versions behind a result and, from a source checkout, its git state.
 
-    `code` names the contents of the sources that decide: `tetractl.control` and `tetractl.model`.
+    `code` is a hash of the sources of decisions: `tetractl.control` and `tetractl.model`.
     `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git
     is not installed.
     """
@@ -106,10 +108,10 @@ def versions() -> dict[str, str]:
 
 @cache
 def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
-    """Return 12 hex digits that name all code behind a simulated trial and its log.
+    """Return 12 hex digits that identify all code behind a simulated trial and its log.
 
     They cover tetractl's own sources from the spec to the log, the versions of the libraries that
-    compute, and `packages`: name and version of those that provide a kind which the spec uses.
+    compute, and `packages`: name and version of those that provide a kind used by the spec.
     """
     sources = [file for part in TRIAL_CODE for file in (_here() / part).rglob("*.py")]
     computing = [(name, metadata.version(name)) for name in ("numpy", "numba", "llvmlite", "scipy")]
@@ -117,9 +119,9 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
 
 
 def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the metadata record of the host at the start of a log: hour, machine, versions.
+    """Return the metadata record of the host at the start of a log: time, machine, versions.
 
-    `packages` are name and version of those that provide a kind which the spec uses.
+    `packages` are name and version of those that provide a kind used by the spec.
     """
     return {"started": now(), "pid": str(os.getpid())} | host() | versions() | plugins(packages)
 
@@ -130,14 +132,16 @@ def plugins(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_version(key: str) -> bool:
-    """Return whether an item of the host's metadata is a version behind a result."""
+    """Return whether a key of the host's metadata belongs to a version behind a result."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 
 @cache
 def environment() -> str:
     """Return machine, versions, installed packages and local changes, as JSON."""
-    installed = [item.metadata for item in metadata.distributions()]  # each call parses a file
+    installed = [
+        item.metadata for item in metadata.distributions()
+    ]  # parsed once, as each access to `metadata` reads a file
     packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
         "host": host(),
@@ -161,7 +165,7 @@ def _here() -> Path:
 
 def _git_state() -> dict[str, str]:
     if _git("ls-files", "--error-unmatch", "__init__.py") is None:
-        return {}  # not a checkout, or one of another project around an installed package
+        return {}  # not a checkout, or the checkout of another project around an installed package
     commit, changes = _git("rev-parse", "HEAD"), _git("status", "--porcelain", ":/")
     if commit is None or changes is None:
         return {}
@@ -185,15 +189,16 @@ def _git(*arguments: str) -> str | None:
 
 
 def _cpu_target() -> str:
-    """Return the processor that compiled code is made for, as LLVM calls it."""
-    from llvmlite import binding  # slow to import, and needed by those who compute anyway
+    """Return LLVM's name of the processor for which code is compiled."""
+    from llvmlite import binding  # slow to import, but loaded anyway if anything is computed
 
     return binding.get_host_cpu_name()
 
 
 def _cpu_features() -> str:
-    """Return the processor features that LLVM may use; one name of a processor covers several
-    sets."""
+    """Return the processor features that LLVM may use, as a processor's name covers several sets of
+    them.
+    """
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()
@@ -210,7 +215,9 @@ def _numpy_dispatch() -> str:
 
 
 def _cpu() -> str:
-    """Return the processor's name; the kernel's list knows more than `platform`."""
+    """Return the processor's name, from the kernel's list if possible, which is more exact than
+    `platform`.
+    """
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

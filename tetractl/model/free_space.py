@@ -1,11 +1,11 @@
 """Tests whether obstacles wall a target off, for a point robot.
 
-The arena is covered with square cells. A cell is free unless its centre is deeper in an obstacle
-than half a side, and cells are neighbours across corners too. Then what is not connected in the
-grid is not connected at all: inscribe a circle in each cell. A way past the obstacles goes through
-discs, and from one to the next either where two touch or through the gap between four, all of which
-are neighbours; and a disc with a free point in it has a centre no deeper than its radius, so its
-cell is free. The reverse does not hold: a wall thinner than a cell is not seen.
+The arena is covered with square cells. A cell is free unless its centre is deeper inside an
+obstacle than half a side; cells that share a corner are neighbours too. Two points that are not
+connected in this grid are not connected by any path. Proof: inscribe a circle in each cell. A path
+passes from disc to disc where two touch or through the gap between four, and all of these are
+neighbours. A disc with a free point has its centre no deeper than its radius, so its cell is free.
+The reverse does not hold: a wall thinner than a cell may be missed.
 """
 
 import math
@@ -17,7 +17,7 @@ from tetractl.core.setup import Setup
 from tetractl.model.obstacles import Obstacles
 
 CELLS = 200
-"""Cells along the longer side of the arena."""
+"""Number of cells along the longer side of the arena."""
 TOUCHING = 1e-6
 """Gaps narrower than this fraction of a cell are closed, so that obstacles may touch a wall."""
 
@@ -39,11 +39,11 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 
 @np.errstate(all="ignore")
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
-    """Return how far from its target each robot stays, at least, (N,) [length unit].
+    """Return the least possible distance of each robot to its target (N,) [length unit].
 
-    0 if no wall is found between start and target. Robots keep `margin` from obstacles; with
-    `walls` they stay in the arena, without they may go round through its outside. A start nearer to
-    an obstacle than the margin is in no free space, and gives 0.
+    The distance is 0 if no wall is found between start and target. Robots keep `margin` from
+    obstacles; with `walls` they stay in the arena, otherwise they may pass outside. A start nearer
+    to an obstacle than the margin is in no free space, which gives 0.
     """
     from scipy.ndimage import label
 
@@ -53,13 +53,15 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     y = _centres(arena.bottom, arena.height, side, walls)
     depth = margin - clearance(setup, x[None, :], y[:, None], walls)
     free = ~(depth >= (0.5 - TOUCHING) * side)  # a NaN depth blocks nothing
-    if not walls:  # the outside is one free region, whatever its obstacles
+    if not walls:  # the outside counts as one free region
         free[[0, -1], :] = free[:, [0, -1]] = True
     regions = np.zeros(free.shape, dtype=np.int32)
     label(free, np.ones((3, 3)), output=regions)
 
     def around(point: Floats) -> set[int]:
-        """Return the regions at a point, which may lie between the discs of neighbours."""
+        """Return the numbers of the regions at a point, which may lie between the discs of
+        neighbours.
+        """
         row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
         near = regions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         return set(near[near > 0].tolist())

@@ -51,11 +51,11 @@ class Obstacles:
         return nearest
 
     def packed(self) -> tuple[Any, ...]:
-        """Return the shapes as the kernels take them: one `PackedShapes` a kind.
+        """Return the shapes for the kernels, one `PackedShapes` per kind.
 
-        Rectangles and circles are always among them, even with no element, so that one compiled
-        kernel serves most experiments, and another those with walls. Every call returns the same
-        arrays, which are not to be written to.
+        Rectangles and circles are always included, even if empty, so that one compiled kernel
+        serves most experiments, and another one those with walls. Every call returns the same
+        arrays, which must not be changed.
         """
         return self._packed
 

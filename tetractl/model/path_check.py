@@ -1,4 +1,4 @@
-"""Checks a path: which robots' centres entered an obstacle, and how near they came to obstacles,
+"""Checks a path: which robots' centres entered an obstacle, and their least distances to obstacles,
 the edge and each other.
 """
 
@@ -11,11 +11,11 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Bounds, Setup
 from tetractl.model.obstacles import Obstacles
 
-BLOCK = 10_000  # samples of a recorded path that are checked at a time
+BLOCK = 10_000  # number of samples of a recorded path that are checked at a time
 
 
 class PathCheck:
-    """The path of N robots, added sample by sample; between samples it is taken as straight.
+    """The check of a path of N robots, added sample by sample and straight between samples.
 
     `entered` (N,) is True for robots whose path touched an obstacle; `clearance` (N,) is the least
     signed distance of each robot's samples to an obstacle [length unit], inf without obstacles.
@@ -33,7 +33,7 @@ class PathCheck:
 
     @classmethod
     def of(cls, setup: Setup) -> Self:
-        """Return the check of an experiment's robots, before the first sample."""
+        """Return an empty check for an experiment's robots."""
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats) -> None:

@@ -16,8 +16,8 @@ from tetractl.core.poses import Bools, Floats
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
 WIDTH_UM = 26.3, 4.5
 SPEED_UM_S = 420.0  # median of swimmers at 20 C
-SPEED_LOG_SD = 0.25  # of log(speed): speeds are log-normal
-ACTIVATION_EV = 0.27  # middle of 0.16 to 0.37
+SPEED_LOG_SD = 0.25  # standard deviation of log(speed): speeds are log-normal
+ACTIVATION_EV = 0.27  # activation energy: middle of 0.16 to 0.37 eV
 BOLTZMANN_EV_K = 8.617e-5
 ZERO_C_K = 273.15
 WARM_C = 20.0  # the temperature of SPEED_UM_S
@@ -25,32 +25,33 @@ HELIX_HZ = 2.5, 0.3
 HELIX_UM = 8.0, 1.5  # guess
 A_RAD_S = 4.0  # guess: median turning rate at the reference field
 A_LOG_SD = 0.25  # guess
-DIPOLE_SD_RAD = 0.1  # guess: the dipole off the body's axis
+DIPOLE_SD_RAD = 0.1  # guess: standard deviation of the angle between dipole and body axis
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium
-SINK_UM = 10.0  # guess: how far cells wander in depth
+SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
 SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 def speed_factor(celsius: float) -> float:
-    """Return speed at a temperature over that at 20 C, by Arrhenius with `ACTIVATION_EV`.
+    """Return the ratio of the speed at a temperature to that at 20 C, by Arrhenius with
+    `ACTIVATION_EV`.
 
-    Some 4 % a degree; meant for 10 to 28 C, ValueError outside of 0 to 40.
+    The speed changes by about 4 % per degree. Valid for 10 to 28 C; ValueError outside 0 to 40.
     """
     if not 0.0 <= celsius <= 40.0:
-        raise ValueError(f"cells do not swim at {celsius:g} C")
+        raise ValueError(f"cells do not swim at {celsius:g} C; use 0 to 40")
     inverse = 1 / (ZERO_C_K + WARM_C) - 1 / (ZERO_C_K + celsius)
     return math.exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 
 
 @dataclass(slots=True)
 class Swimmers:
-    """N cells as they truly are: one number per cell in each array (N,).
+    """The true state of N cells: one number per cell in each array (N,).
 
-    x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is how far that is
-    from focus, `phase` [rad] where on the helix the body is. `a` [rad/s] is the turning rate at the
-    reference field, 0 for a cell without magnet, `bias` [rad] the dipole's angle from the axis,
-    `walk` [rad/sqrt(s)] that of the heading. `resting` cells keep their place.
+    x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is the axis's height
+    from focus, `phase` [rad] the body's position on the helix. `a` [rad/s] is the turning rate at
+    the reference field, 0 for a cell without magnet, `bias` [rad] the dipole's angle from the axis,
+    `walk` [rad/sqrt(s)] the random walk of the heading. `resting` cells keep their place.
     """
 
     x: Floats
@@ -72,7 +73,9 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Return cells drawn from a culture, at the origin; the last ones have no magnet."""
+        """Return cells drawn at random from a culture, at the origin; the last `unmagnetised` have
+        no magnet.
+        """
 
         def normal(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
@@ -105,12 +108,12 @@ class Swimmers:
         return replace(self, **{field.name: getattr(self, field.name).copy() for field in _FIELDS})
 
     def joined(self, others: "Swimmers") -> "Swimmers":
-        """Return these cells and others after them."""
+        """Return these cells followed by others."""
         both = {f.name: np.append(getattr(self, f.name), getattr(others, f.name)) for f in _FIELDS}
         return Swimmers(**both)
 
     def kept(self, which: Bools) -> "Swimmers":
-        """Return some of the cells, (N,) true for those that stay."""
+        """Return the cells for which a mask (N,) is true."""
         return Swimmers(**{field.name: getattr(self, field.name)[which] for field in _FIELDS})
 
     def swim(
@@ -120,11 +123,10 @@ class Swimmers:
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Advance every cell by the midpoint rule; some milliseconds at a time.
+        """Advance every cell by the midpoint rule, by a few milliseconds.
 
-        `field` is B / B_ref times the unit vector of u, of all cells or of each (N,): turning is in
-        proportion to it. `drift`
-        [um/s] is the medium's flow. A resting cell drifts and does not turn its helix.
+        `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
+        rate is proportional to it. `drift` [um/s] is the medium's flow. A resting cell only drifts.
         """
         going = ~self.resting
         half = self.heading + self._turning(field, self.heading) * going * seconds / 2
@@ -155,13 +157,13 @@ class Swimmers:
                 at[beyond] = edge
 
     def rest(self, cell: int, resting: bool = True) -> None:
-        """Let a cell stop, or go on."""
+        """Make a cell rest, or swim again."""
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
-        """Return the cells after one became two, the second one last.
+        """Return the cells after one has divided; the daughter is the last.
 
-        Both are as wide as before and 0.8 of the length, and share the magnet unequally.
+        Both have the mother's width and 0.8 of its length, and share the magnet unequally.
         """
         daughter = self.kept(np.arange(len(self)) == cell)
         both = self.copy()
@@ -176,7 +178,7 @@ class Swimmers:
         return both.joined(daughter)
 
     def _turning(self, field: tuple[float | Floats, float | Floats], heading: Floats) -> Floats:
-        """Turning rate [rad/s] at headings (N,): a (field x dipole), as in (3)."""
+        """Return the turning rate [rad/s] at headings (N,): a (field x dipole), as in (3)."""
         dipole = heading + self.bias
         return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))
 
@@ -200,7 +202,9 @@ class Bodies:
 
 
 def bodies(cells: Swimmers) -> Bodies:
-    """Return where the helix has each body, and how it is tilted: atan(2 pi f r / v) at most."""
+    """Return the bodies' positions on their helices, and their tilts, at most atan(2 pi f r
+    / v).
+    """
     across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
     turning = 2 * math.pi * cells.helix_hz
     return Bodies(

@@ -1,8 +1,8 @@
-"""A two-wheeled robot standing in for a cell, (21)-(25), and the counts that its wheels are sent.
+"""A two-wheeled robot in place of a cell, (21)-(25), and the counts sent to its wheels.
 
-A wheel turns at gain * (|count| - dead zone) mm/s, and not at all below. One count turns an m3pi
-at about 0.19 rad/s, too coarse to round away: the rounding error is carried to the next command
-(error diffusion), so that the mean of what was sent is what was wanted.
+A wheel turns at gain * (|count| - dead zone) mm/s, and stands within the dead zone. One count turns
+an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
+(error diffusion), so that the mean of the speeds sent is the wanted one.
 """
 
 import math
@@ -14,14 +14,15 @@ from tetractl.core.poses import Floats
 
 COUNT_MAX = 127
 Counts = tuple[int, int]
-"""Of the left and the right wheel, each in -COUNT_MAX..COUNT_MAX."""
+"""Counts of the left and the right wheel, each in -COUNT_MAX..COUNT_MAX."""
 STOP: Counts = (0, 0)
 
 
 def wheel_speeds(
     heading: Floats, u: Floats | float, a: Floats, v: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return (left, right) wheel speeds [length unit/s] that turn a robot like a cell, (24)-(25).
+    """Return (left, right) wheel speeds [length unit/s] with which a robot turns like a cell,
+    (24)-(25).
 
     heading, a [rad/s] and v [length unit/s] have shape (N,); r is the distance from a wheel to the
     centre [length unit].
@@ -42,7 +43,9 @@ def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Float
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One wheel: `gain` in mm/s a count, `dead_zone` in counts that do not move it yet."""
+    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count that does not
+    move it.
+    """
 
     gain: float = 1000.0 / COUNT_MAX
     dead_zone: int = 0
@@ -52,7 +55,7 @@ class Wheel:
         if not (math.isfinite(self.gain) and self.gain > 0):
             raise ValueError(f"a wheel's gain must be positive, not {self.gain}")
         if not 0 <= self.dead_zone < COUNT_MAX:
-            raise ValueError(f"a dead zone of {self.dead_zone} counts")
+            raise ValueError(f"a dead zone of {self.dead_zone} counts is out of range")
 
     def speed(self, count: int) -> float:
         """Return the speed [mm/s] at a count."""
@@ -69,10 +72,10 @@ class Wheel:
 
 @dataclass(frozen=True, slots=True)
 class Drivetrain:
-    """One robot's wheels, found by a wheel check and fitted from mocap.
+    """One robot's wheels, as calibrated.
 
-    `swap`: the left wheel hangs on the channel sent second. `limit`: the greatest count ever
-    sent, for a speed cap.
+    `swap`: the left wheel is connected to the channel sent second. `limit`: the largest count that
+    is sent.
     """
 
     left: Wheel = field(default_factory=Wheel)
@@ -96,10 +99,10 @@ class Residue:
 def wheel_counts(
     left: float, right: float, drivetrain: Drivetrain, residue: Residue
 ) -> tuple[Counts, Residue]:
-    """Turn speeds [mm/s] into the counts to send, as sent, and the residue for the next call.
+    """Return the counts to send for speeds [mm/s], and the residue for the next call.
 
-    If a wheel would exceed the limit both are scaled alike, which keeps the path's curvature.
-    A wheel that is to stand gets exactly 0; both standing clears the residue. Speeds that are not
+    If a wheel would exceed the limit, both are scaled equally, which keeps the path's curvature. A
+    wheel that must stand gets exactly 0; if both stand, the residue is cleared. Speeds that are not
     finite are refused with ValueError.
     """
     if not (math.isfinite(left) and math.isfinite(right)):
@@ -121,13 +124,15 @@ def wheel_counts(
 
 
 def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
-    """Return the left and right speeds [mm/s] that counts, as sent, really ask for."""
+    """Return the left and right speeds [mm/s] that sent counts command."""
     left, right = counts[::-1] if drivetrain.swap else counts
     return drivetrain.left.speed(left), drivetrain.right.speed(right)
 
 
 def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
-    """Round wish + owed to a whole step within the span; return it and the new rounding error."""
+    """Round wish + owed to a whole step within the span; return the step and the new rounding
+    error.
+    """
     if wish == 0:
         return 0, owed
     total = wish + owed

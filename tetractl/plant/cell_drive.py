@@ -1,4 +1,6 @@
-"""Cells that swim on a helix under a field, between walls: `tetractl.model.swimmers` in a plant."""
+"""Simulates cells that swim on a helix under a field, between walls, by
+`tetractl.model.swimmers`.
+"""
 
 import math
 
@@ -11,12 +13,14 @@ from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies
 from tetractl.plant.direct import NEVER
 
-STEP_S = 0.005  # of the midpoint rule, at most
+STEP_S = 0.005  # largest step of the midpoint rule
 
 
 class CultureSection(Model):
-    """Robots are swimming cells, with a and speed of the spec, the rest drawn from a culture:
-    docs/explanation/cells.md. They turn by (3) and walk by `heading_noise`."""
+    """Makes the robots swimming cells with the spec's a and speed; other properties are drawn at
+    random, see docs/explanation/cells.md. Cells turn by (3), and their headings walk by
+    `heading_noise`.
+    """
 
     dipole: NonNegative = DIPOLE_SD_RAD
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
@@ -27,16 +31,16 @@ class CultureSection(Model):
 
 
 class CellDrive:
-    """N cells; a pose is the middle of a body with the heading of its helix, as the `cells` camera
-    has it.
+    """Moves N cells; a pose is the middle of a body with the heading of its helix, as measured by
+    the `cells` camera.
 
-    Cells wait until the first command. A stop holds them, too, so that a trial ends where they are
-    when it acts: real ones swim on.
+    Cells wait until the first command. A stop holds them, so that a trial ends where they are when
+    it acts, whereas real cells swim on.
     """
 
     host = None  # a field needs none
     sampled = True  # the path is a sum over samples
-    repeats_ns = NEVER  # a field holds until the next
+    repeats_ns = NEVER  # a field holds until the next command
     rest_s = 0.0
 
     def __init__(
@@ -66,7 +70,7 @@ class CellDrive:
 
     @property
     def poses(self) -> Poses:
-        """The bodies' poses now."""
+        """The present poses of the bodies."""
         seen = bodies(self.cells)
         return Poses(seen.x / self._um, seen.y / self._um, self.cells.heading.copy())
 
@@ -87,7 +91,9 @@ class CellDrive:
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Swim on, and return x, y and heading (M, N) after each of the times (M,) from now [s]."""
+        """Advance the cells; return x, y and heading (M, N) after each of the times (M,) from now
+        [s].
+        """
         found, now = [], 0.0
         for until in seconds.tolist():
             steps = max(1, math.ceil((until - now) / STEP_S))

@@ -1,4 +1,6 @@
-"""Robots that are sent the direction itself and turn towards it, as cells do in a field, (3)."""
+"""Simulates robots that receive the direction itself and turn towards it, like cells in a field,
+(3).
+"""
 
 import numpy as np
 
@@ -13,16 +15,15 @@ LEAST_A = 1e-12
 
 
 class DirectDrive:
-    """N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
+    """Moves N robots with turning rates a [rad/s] and speeds [length unit/s], both (N,).
 
-    Between two commands the motion is known in closed form, so that the path is sampled, not
-    integrated.
+    Between two commands the motion is known in closed form, so the path is sampled, not integrated.
     """
 
     host = None  # robots are sent the direction itself
     sampled = False  # the path is known between samples too
-    repeats_ns = NEVER  # a direction holds until the next: nothing is sent again
-    rest_s = 0.0  # from a stop until the robots stand [s]
+    repeats_ns = NEVER  # a direction holds until the next one: no repetition is sent
+    rest_s = 0.0  # time from a stop until the robots stand [s]
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:
         self.poses = starts
@@ -44,13 +45,14 @@ class DirectDrive:
         self._held.turning = a * self._sine
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
+        """Advance the robots; return x, y and heading (M, N) after each of the times (M,) from now
+        [s].
 
-        `ticks` tells which of the times are those of true samples; here they make no difference.
+        `ticks` (which times are true samples) has no effect here.
         """
         p, held = self.poses, self._held
         t = seconds[:, None] * self.moving
-        if self._free.any():  # a robot turns no further if u is its heading
+        if self._free.any():  # a robot does not turn if u is its heading
             held.direction = np.where(self._free, p.heading, held.direction)
         x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
         self.poses = Poses(x[-1], y[-1], heading[-1])
@@ -59,8 +61,8 @@ class DirectDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Let a command act on the robots that received it.
 
-        The wheel speeds of `arc` are those of the headings measured when the command was sent; the
-        chords of `euler` begin at the true headings.
+        For `arc`, wheel speeds are computed from the headings measured when the command was sent;
+        for `euler`, the chords begin at the true headings.
         """
         got, held = command.reached, self._held
         heading = self.poses.heading

@@ -1,4 +1,4 @@
-"""The lab as a plant: real robots between a camera and an actuator."""
+"""The plant of the lab: real robots with a camera and an actuator."""
 
 import math
 from collections import deque
@@ -25,11 +25,11 @@ from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
-RECENT = 600  # frames, some seconds
+RECENT = 600  # number of frames kept, some seconds
 
 
 class LabPlantSection(LabSection):
-    """Real robots in a real arena: a camera in, an actuator out."""
+    """A lab with real robots: a camera, an actuator and limits."""
 
     type: Literal["lab"] = "lab"
 
@@ -52,8 +52,9 @@ class LabPlantSection(LabSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Open the lab, turn the field, and return the cells that answer; the field goes on turning
-        until the first direction."""
+        """Open the lab, turn the field, and return the cells that respond; the field goes on
+        turning until the first direction.
+        """
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
 
         rig = build_rig(self, setup, clock, supervision.emergency)
@@ -79,13 +80,13 @@ class LabPlant:
         self._supervision = supervision
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
-        self._read = 0  # of the rig's accepted frames
+        self._read = 0  # number of the rig's accepted frames that have been read
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
-        self._films: dict[int, CellFilm] = {}  # by the time of exposure
+        self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
         self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
-        self._returned: set[int] = set()  # send times of what `steer` has returned
+        self._returned: set[int] = set()  # send times of transmissions that `steer` has returned
         self._observed_ns: int | None = None
         self._stop: Command | None = None
         self._stopped_ns = 0
@@ -127,7 +128,7 @@ class LabPlant:
         self._raise_abort()
         sent = self.rig.loop.steer(direction)
         self._returned.add(sent.sent_ns)
-        if sent.direction is None:  # the guard holds every robot just now
+        if sent.direction is None:  # the guard presently holds every robot
             nobody = (False,) * len(sent.moving)
             return Command(direction, sent.sent_ns, nobody, sent.left, sent.right)
         return self._command(sent)
@@ -166,8 +167,8 @@ class LabPlant:
     def settle(self) -> Verdict:
         """Wait until the camera shows every robot, standing if it can, and check the path.
 
-        A fault after the last step, such as a stop that could not be sent, counts as robots that
-        are not seen to stand.
+        After a fault since the last step, such as a stop that could not be sent, the robots count
+        as not standing.
         """
         not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
         not_at_rest = not_shown(self.rig) if self.rig.frames.newest else ""
@@ -181,8 +182,9 @@ class LabPlant:
         return self._path_check.verdict(self._final(), not_at_rest)
 
     def _final(self) -> Poses:
-        """Return the final poses: at rest or, if the robots swim on, those of the frame exposed
-        nearest to the stop's sending."""
+        """Return the final poses: at rest or, if the robots swim on, those in the frame exposed
+        nearest to the sending of the stop.
+        """
         if self._newest is None:
             return self.setup.starts
         if self.rig.actuator.halts:
@@ -201,7 +203,7 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Keep the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
-        if films := getattr(self.rig.camera, "films", None):  # of a camera that follows cells
+        if films := getattr(self.rig.camera, "films", None):  # only a camera of cells has films
             self._films |= {film.sampled_ns: film for film in films()}
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
@@ -216,13 +218,15 @@ class LabPlant:
             if film is not None:
                 self._news.extend(self._identities.see(film))
             self._fresh.append(Sample(self._newest, None, film))
-        if self._newest is not None:  # frames that the guard refused leave no sample
+        if self._newest is not None:  # frames that the guard refused give no sample
             now = self._newest.sampled_ns
             self._films = {at: film for at, film in self._films.items() if at > now}
             self._lose_cells(now)
 
     def _lose_cells(self, now: int) -> None:
-        """Give up robots whose cell is not that cell any more; put others in their places."""
+        """Give up robots whose cell has divided, left or lost its identity; replace them by other
+        cells.
+        """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
         for i in getattr(self.rig.camera, "divided", ()):
             guard.lose(i, f"{names[i]} has divided, or was one blob with a cell not known before")
@@ -244,9 +248,9 @@ class LabPlant:
                 self._news.append(Note(now, "warning", f"{names[i]} is another cell now: {what}"))
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
-        """Return the poses with headings that go on from the last ones without a turn of 2 pi.
+        """Return the poses with headings unwrapped relative to the last ones.
 
-        A robot without any pose yet is on its start.
+        A robot without a pose so far is at its start.
         """
         starts = self.setup.starts
         x, y, heading = starts.x.copy(), starts.y.copy(), self._heading.copy()
@@ -257,7 +261,7 @@ class LabPlant:
         return Poses(x, y, heading)
 
     def _command(self, sent: Transmission) -> Command:
-        delivered = sent.moving  # as far as is known: a broadcast is not acknowledged
+        delivered = sent.moving  # as far as known, since broadcasts are not acknowledged
         if sent.direction is None:
             delivered = (True,) * len(sent.moving)
         return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)

@@ -1,4 +1,4 @@
-"""The camera of a simulation: times of exposure, measurements, and times of arrival."""
+"""The camera of a simulation: exposure times, measurements and arrival times."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
 
 
 class MeasurementNoise(Model):
-    """Standard deviations of what the camera measures, drawn again in every frame."""
+    """Standard deviations of the camera's measurements, with errors drawn in every frame."""
 
     position: NonNegative = 0.0
     """Standard deviation of x and of y [length unit]."""
@@ -46,8 +46,8 @@ class SimCamera:
         self._received = overriding(disturbances, "received")
         self._tracked = np.ones(robots, dtype=np.bool_)
         self._tracked.setflags(write=False)  # one array for all frames
-        self._exposed = 0  # frames so far
-        self._shown: Poses | None = None  # what the last frame measured
+        self._exposed = 0  # number of frames so far
+        self._shown: Poses | None = None  # poses in the last frame
         self._under_way: deque[Sample] = deque()
         self._fresh: list[Sample] = []
         self.newest: Observation | None = None
@@ -55,16 +55,16 @@ class SimCamera:
 
     @property
     def next_ns(self) -> int:
-        """When the next frame is exposed [ns]."""
+        """The time of the next exposure [ns]."""
         return round(self._exposed * SECOND / self.rate_hz)
 
     @property
     def arriving_ns(self) -> int | None:
-        """When the next frame under way reaches the host [ns], None if none is under way."""
+        """The time when the next frame reaches the host [ns], None if no frame is in transit."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
     def due(self, until: int) -> list[int]:
-        """Return the times up to `until` at which frames have to be exposed, oldest first [ns]."""
+        """Return the times of exposures due up to `until`, oldest first [ns]."""
         return due_ns(self._exposed, self.rate_hz, until)
 
     def expose(self, when: int, truth: Poses) -> None:
@@ -83,7 +83,7 @@ class SimCamera:
         if self._measured:
             measured, valid = self._disturb(measured, when)
         received: int | None = when
-        # The robots stand before the trial and the camera has shown them: the host has frame 0.
+        # The robots stand before the trial in view of the camera, so the host has frame 0.
         for disturbance in self._received if number else ():
             if received is not None:
                 received = disturbance.received(when, received)
@@ -109,7 +109,7 @@ class SimCamera:
         return measured, valid
 
     def receive(self, until: int) -> None:
-        """Let the host have every frame that reaches it up to `until` [ns]."""
+        """Pass to the host every frame that arrives up to `until` [ns]."""
         while self._under_way and self._under_way[0].observation.received_ns <= until:
             sample = self._under_way.popleft()
             self.newest = sample.observation

@@ -31,12 +31,16 @@ from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from
-FINDING = 1000  # spawn key of their random numbers: those of the plant stay what `verify` has
-SURVEYED = 0.03  # relative deviation with which a survey knows a and speed
-STOPS_MAX = 3000  # repetitions of a stop that some robot has not heard: one minute
-POSES_MAX = 2_000_000  # of one control period, which are simulated together
+FINDING = (
+    1000  # spawn key of their random numbers, separate from the plant's, which `verify` repeats
+)
+SURVEYED = 0.03  # relative error of a and speed as known from a survey
+STOPS_MAX = (
+    3000  # largest number of repetitions of a stop that a robot has not received: one minute
+)
+POSES_MAX = 2_000_000  # largest number of poses in a control period, which are simulated together
 WHEELS_KEY = 2**32 - 1
-"""Spawn key of the wheels' draws; disturbances have those from 4 on."""
+"""Spawn key of the wheels' random numbers; disturbances use the keys from 4 on."""
 
 
 class SimSection(PlantSection):
@@ -65,16 +69,21 @@ class SimSection(PlantSection):
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From the exposure of the frame that a command answers, the newest when it is sent, until the
-    robots act on it [s], as `controller.dead_time`; a command that is sent later acts at once. A
-    stop takes as long. Delays of `drive` and `disturbances` are added."""
+    """Time from the exposure of the newest frame when a command is decided until the robots act on
+    the     command [s], as `controller.dead_time`; a command that is sent later acts at once. The
+    same     applies to a stop. Delays of `drive` and `disturbances` are added.
+    """
     lost_commands: Fraction = 0.0
-    """Probability that a command never reaches a robot, which goes on with the one before."""
+    """Probability that a command does not reach a robot, which then continues with the previous
+    one.
+    """
     a_error: Fraction = 0.0
     """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once per
     trial and robot."""
     speed_error: Fraction = 0.0
-    """As `a_error`, for the speed."""
+    """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
+    drawn once per     trial and robot.
+    """
     disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100
     )
@@ -88,7 +97,9 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Report wheels that the experiment does not have, and periods of too many samples."""
+        """Yield the problems of wheels that the experiment lacks, and of periods with too many
+        samples.
+        """
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
@@ -122,7 +133,7 @@ class SimSection(PlantSection):
         return made or any((*sizes, *chances, *self.disturbances))
 
     def clock(self) -> Clock:
-        """Return virtual time."""
+        """Return a new virtual clock."""
         return VirtualClock()
 
     def build(
@@ -139,8 +150,9 @@ class SimSection(PlantSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return cells drawn from a culture, scattered in the arena, with a and speeds as a
-        survey knows them."""
+        """Return cells drawn at random, scattered in the arena, with a and speeds as measured by a
+        survey.
+        """
         own = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, FINDING))
         random, arena = np.random.default_rng(own), setup.arena
         count = max(CULTURE, choice.choose)
@@ -162,7 +174,7 @@ class SimSection(PlantSection):
 
 
 class SimPlant:
-    """A `Plant` of simulated robots; `seed` feeds every disturbance."""
+    """A `Plant` of simulated robots; every disturbance is drawn from `seed`."""
 
     def __init__(
         self, section: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
@@ -205,12 +217,12 @@ class SimPlant:
 
     @property
     def poses(self) -> Poses:
-        """The true poses now."""
+        """The present true poses."""
         return self._drive.poses
 
     @property
     def rates(self) -> tuple[Floats, Floats]:
-        """The true a [rad/s] and speed [length unit/s] now, (N,) each."""
+        """The present true a [rad/s] and speed [length unit/s], (N,) each."""
         return self._motion.rates
 
     def open(self) -> PlantInfo:
@@ -230,7 +242,7 @@ class SimPlant:
         return newest
 
     def steer(self, direction: float | None) -> Command:
-        """Send u to every robot, or switch the field off, after the time that planning takes."""
+        """Send u to every robot, or switch the field off, after the planning time."""
         answered = self.observe()
         now = self._plan()
         if self._drive.host is None:
@@ -252,9 +264,9 @@ class SimPlant:
         return news
 
     def stop(self) -> Command:
-        """Stop every robot, after the time that planning takes.
+        """Stop every robot, after the planning time.
 
-        The stop is repeated until every robot has heard it.
+        The stop is repeated until every robot has received it.
         """
         if self._stop is None:
             self._stop = self.pause()
@@ -287,7 +299,7 @@ class SimPlant:
         return Command(None, now, tuple(heard.tolist()), still, still)
 
     def settle(self) -> Verdict:
-        """Wait until the robots stand and for a camera frame of it, and check the true path."""
+        """Wait until the robots stand and a camera frame shows that, and check the true path."""
         stopped = max(self._motion.settled_ns, self.clock.now())
         stand = stopped + round(self._drive.rest_s * SECOND)
         self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
@@ -297,7 +309,7 @@ class SimPlant:
         return self._motion.path_check.verdict(self.poses)
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing: there is nothing to release."""
 
     def _driven(self, starts: Poses, seed: np.random.SeedSequence) -> Drive:
         section, setup = self.spec, self.setup
@@ -330,7 +342,7 @@ class SimPlant:
             self._motion.advance(self.clock.now())
 
     def _plan(self) -> int:
-        """Let the planning time pass, and return the time then [ns]."""
+        """Advance by the planning time, and return the new time [ns]."""
         seconds = sum(one.planning_s(self.clock.now() / SECOND) for one in self._disturbances)
         if seconds > 0:
             self.clock.sleep_until(self.clock.now() + round(seconds * SECOND))
@@ -338,7 +350,7 @@ class SimPlant:
         return self.clock.now()
 
     def _due_ns(self, answered: Observation, now: int) -> int:
-        """Return when a command sent `now` in answer to a frame acts, by `dead_time` alone [ns]."""
+        """Return when a command sent `now`, decided on a frame, acts by `dead_time` alone [ns]."""
         return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
 
     def _heard(self) -> Bools:

@@ -19,16 +19,16 @@ from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
-UNCHECKED = 200  # stretches of the path that are checked together
+UNCHECKED = 200  # number of stretches of the path that are checked together
 
 
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
 
-    `a` and `speed` (N,) are those of the trial, before disturbances vary them.
-    `heading_walk` [rad/sqrt(s)] is that of robots without wheels, drawn from `walking` at each
-    frame; the path is checked `truth_rate` times per second [Hz]. `repeat(now)` is called at each
-    time [ns] at which the drive has something sent again.
+    `a` and `speed` (N,) are the trial's values, before disturbances vary them. `heading_walk`
+    [rad/sqrt(s)] is the random walk of headings without wheels, drawn from `walking` at each frame;
+    the path is checked at `truth_rate` [Hz]. `repeat(now)` is called at each time [ns] at which the
+    drive repeats a transmission.
     """
 
     def __init__(
@@ -47,25 +47,26 @@ class TrueMotion:
         self.drive, self.path_check = drive, PathCheck.of(setup)
         self._camera, self._disturbances, self._repeat = camera, disturbances, repeat
         self._a, self._speed = a, speed
-        self.rates = a, speed  # as they are now
+        self.rates = a, speed  # present a and speed
         self._moving = overriding(disturbances, "moved")
         self._varying = overriding(disturbances, "varied")
         self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
         self._disturbs = bool(self._moving or self._varying)
         self._by_frame = self._disturbs or heading_walk > 0
         self._truth_rate = truth_rate
-        self._under_way: deque[DelayedCommand] = deque()  # on their way, by `due_ns`
-        self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)  # when the last one sent acts
+        self._under_way: deque[DelayedCommand] = deque()  # commands in transit, ordered by `due_ns`
+        # when the last command sent acts on each robot
+        self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)
         self._watchdog_s = setup.watchdog_s
-        self._stopping_ns = np.full(len(setup.names), NEVER)  # when each stops if it hears nothing
+        self._stopping_ns = np.full(len(setup.names), NEVER)  # when each robot's watchdog stops it
         self._time = 0
-        self._disturbed_ns = -1  # until when the disturbances have acted
-        self._ticks = 0  # true samples taken so far
-        self._path: list[tuple[Floats, Floats]] = []  # x, y of the samples not checked yet
+        self._disturbed_ns = -1  # time up to which the disturbances have acted
+        self._ticks = 0  # number of true samples taken so far
+        self._path: list[tuple[Floats, Floats]] = []  # x, y of samples not yet checked
 
     @property
     def settled_ns(self) -> int:
-        """When the last command sent so far acts on the last robot [ns]."""
+        """The time when the last command sent so far acts on the last robot [ns]."""
         return int(self._acting_ns.max(initial=0))
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
@@ -81,7 +82,7 @@ class TrueMotion:
         return command
 
     def advance(self, until: int) -> None:
-        """Move the robots on, block by block; nothing changes what is held inside a block."""
+        """Advance the robots block by block; the held commands are constant within a block."""
         while True:
             frame = self._camera.next_ns
             end = min(until, frame) if self._by_frame else until
@@ -120,13 +121,15 @@ class TrueMotion:
         return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
 
     def _swerve(self) -> None:
-        """Let the headings walk at random over one frame period."""
+        """Apply the random walk of the headings over one frame period."""
         drive, p = self.drive, self.drive.poses
         walk = self._walk * self._walking.standard_normal(p.x.size) * drive.moving
         drive.poses = Poses(p.x, p.y, p.heading + walk)
 
     def _disturb(self, now: int) -> None:
-        """Let the disturbances act on the true poses up to `now`, and on what follows [ns]."""
+        """Apply the disturbances to the true poses up to `now` [ns], and vary a and speed from then
+        on.
+        """
         if now == self._disturbed_ns:
             return
         drive, time_s = self.drive, now / SECOND
@@ -143,11 +146,11 @@ class TrueMotion:
             drive.vary(a, speed)
 
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
-        """Move to `end` with everything held, exposing and checking what is due on the way.
+        """Advance to `end` under held commands, with the exposures and samples due until then.
 
-        If it is `disturbed`, the disturbances act at `end`, before a frame is exposed there.
-        Wheels, whose path is a sum, stop at the last sample before `end` unless something happens
-        there: so it makes no difference how often they are read.
+        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. Wheels,
+        whose path is a sum, stop at the last sample before `end` unless an event happens there, so
+        that the result does not depend on how often they are read.
         """
         nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
         if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots
@@ -181,7 +184,7 @@ class TrueMotion:
 
     @property
     def _next_tick_ns(self) -> int:
-        """When the next true sample is taken [ns]."""
+        """Return the time of the next true sample [ns]."""
         return round(self._ticks * SECOND / self._truth_rate)
 
     def check(self) -> None:

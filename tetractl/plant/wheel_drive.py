@@ -1,9 +1,9 @@
-"""Two-wheeled robots in a simulation: wheels that follow what they hear, (21)-(23).
+"""Simulates two-wheeled robots whose wheels follow received commands, (21)-(23).
 
-Wheels follow with a first-order lag. Between two transmissions wheel speeds, path length and
+Wheels follow with a first-order lag. Between two transmissions, wheel speeds, path length and
 heading are known in closed form. The position is the sum of the chords between true samples, each
-taken as an arc: with wheels that have settled it is exact, and else its error falls with the square
-of the time between samples.
+computed as of an arc: exact for settled wheels; otherwise the error falls with the square of the
+time between samples.
 
 Their host computes and sends wheel speeds: (24)-(25) at the headings of the newest frame received,
 rounded to wheel counts, and sent again at the radio's rate or once per control step.
@@ -35,37 +35,43 @@ class WheelDriveSection(Model):
     """Wheels between the direction and the robots; the defaults are ideal wheels."""
 
     rate: Positive | None = None
-    """Transmissions per second under a held direction [Hz]. One is sent at once with each new
-    direction, and by default only then; with a rate, it replaces the next one due."""
+    """Transmissions per second under a held direction [Hz]. Each new direction is sent at once; by
+    default there are no further transmissions.
+    """
     recompute: bool = True
-    """Whether each transmission computes the wheel speeds again from the newest frame; else it
-    repeats those of the control step."""
+    """Whether each transmission computes the wheel speeds from the newest frame; otherwise it
+    repeats those     of the control step.
+    """
     lead: NonNegative | None = None
-    """The host predicts the headings over the age of the frame and this much more [s]; by default
-    it takes them as measured."""
+    """Time added to the frame's age over which the host predicts the headings [s]; by default it
+    uses     the measured ones.
+    """
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
     """Largest count that does not move a wheel, as known to the host; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
-    """Each wheel's true dead zone differs from `dead_zone` by a whole number, uniform up to this in
-    either direction."""
+    """Largest difference of a wheel's true dead zone from `dead_zone`; the difference is a whole
+    number,     uniform in both directions.
+    """
     gain_error: Fraction = 0.0
     """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
     gain_error], drawn once per trial."""
     radius_error: Fraction = 0.0
-    """Each robot's true distance from wheel to centre is the spec's times 1 + e, likewise."""
+    """Each robot's true distance from wheel to centre is the spec's times 1 + e, with e uniform in
+    [-radius_error, radius_error], drawn once per trial.
+    """
     lag: NonNegative = 0.0
     """Time constant with which wheels follow a received command [s]."""
 
 
 class WheelHost:
-    """Computes the wheel speeds sent to N robots, and those that result.
+    """Computes the wheel speeds sent to N robots, and the true ones that result.
 
-    `repeats_ns` is when the next transmission is due [ns], `direction` the one held [rad],
-    None while the field is off: wheels then run alike. `erring` feeds gains and dead zones, drawn
-    once per trial.
+    `repeats_ns` is the time of the next transmission [ns], `direction` the held one [rad], None
+    while the field is off: both wheels then have equal speeds. Gains and dead zones are drawn from
+    `erring`, once per trial.
     """
 
     def __init__(
@@ -80,7 +86,9 @@ class WheelHost:
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
         more = section.dead_zone_error
         zones = section.dead_zone + erring.integers(-more, more + 1, (2, count))
-        self._trains: list[tuple[Drivetrain, Drivetrain]] = []  # as known, and as they are
+        self._trains: list[
+            tuple[Drivetrain, Drivetrain]
+        ] = []  # wheels as known to the host, and true wheels
         if section.count is not None:
             known = Wheel(section.count, section.dead_zone)
             true = [
@@ -99,19 +107,19 @@ class WheelHost:
     def direct(self, direction: float | None) -> None:
         """Hold a direction u [rad] from now on, None for no field.
 
-        Wheel speeds for it have to be sent at once.
+        The caller sends wheel speeds for it at once.
         """
         self.direction, self._last = direction, None
 
     def halt(self) -> None:
-        """Hold no direction any more."""
+        """End holding a direction."""
         self.repeats_ns = NEVER
 
     def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
         """Return the wheel speeds to send `now` [ns], and the true ones that result.
 
         Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. The
-        next transmission is planned, as by the lab's inner loop.
+        next transmission is scheduled, as by the lab's inner loop.
         """
         rate = self._section.rate
         if rate is not None:
@@ -123,7 +131,7 @@ class WheelHost:
         return self._last
 
     def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
-        """Return the wheel speeds of (24)-(25) as sent, and as the wheels truly make them."""
+        """Return the wheel speeds of (24)-(25) as sent, and the true ones that result."""
         heading = seen.poses.heading
         u = heading if self.direction is None else np.array(self.direction)
         if self._section.lead is not None:
@@ -144,18 +152,17 @@ class WheelHost:
 
 
 REST = 1e-10
-"""Wheels slower than this share of the fastest robot's speed stand."""
+"""Wheels slower than this fraction of the fastest robot's speed count as standing."""
 SMALL = 0.3
 """Half a turn [rad] below which sin(h)/h is taken from its series, to 1e-9."""
 
 
 class WheelDrive:
-    """N robots on wheels, and their host.
+    """Moves N robots on wheels, including their host.
 
-    `a`, `speed` (N,) are the true ones: if they differ from the setup's, turning and speed are
-    scaled by the ratio. `walk` [rad/sqrt(s)] is the random walk of the
-    heading, at `truth_rate` [Hz], drawn from `walking`; `erring` feeds what is drawn once per
-    trial.
+    `a`, `speed` (N,) are the true values: turning and speed are scaled by their ratio to the
+    setup's. `walk` [rad/sqrt(s)] is the random walk of the heading, at `truth_rate` [Hz], drawn
+    from `walking`; values fixed for the trial are drawn from `erring`.
     """
 
     sampled = True  # the path is a sum over samples
@@ -183,12 +190,12 @@ class WheelDrive:
         radii = setup.wheel_radius * (1 + section.radius_error * erring.uniform(-1, 1, count))
         self._setup, self._radii = setup, radii
         self.vary(a, speed)
-        self._targets = np.zeros((2, count))  # what the wheels follow, left and right
+        self._targets = np.zeros((2, count))  # speeds that the left and right wheels follow
         self._wheels = np.zeros((2, count))
 
     @property
     def repeats_ns(self) -> int:
-        """When the next transmission is due [ns]."""
+        """The time of the next transmission [ns]."""
         return self.host.repeats_ns
 
     @property
@@ -200,14 +207,15 @@ class WheelDrive:
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true a and speed from now on, (N,) each."""
         known = self._setup
-        self._turn_of = a / known.a / (2 * self._radii)  # turning rate of a wheel difference
+        # turning rate per difference of wheel speeds
+        self._turn_of = a / known.a / (2 * self._radii)
         nominal = np.ones(speed.size)
         self._way_of = np.divide(speed, known.speed, out=nominal, where=known.speed > 0) / 2
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
 
-        At the times of true samples, where `ticks` (M,) is 1, the heading walks at random.
+        The heading's random walk is applied at the times of true samples, where `ticks` (M,) is 1.
         """
         p = self.poses
         ways = self._follow(seconds[:, None, None])
@@ -232,18 +240,19 @@ class WheelDrive:
         return x, y, heading
 
     def apply(self, command: DelayedCommand) -> None:
-        """Let the wheels of the robots that received a command follow it."""
+        """Apply a command to the wheels of the robots that received it."""
         assert command.wheels is not None, "every command holds wheel speeds"
         self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
         """Return the distances driven by the wheels (M, 2, N) after times t (M, 1, 1), and advance
-        to the last."""
+        them to the last time.
+        """
         target = self._targets
         if self._lag == 0:
             self._wheels = target
             return target * t
-        share = -np.expm1(t / -self._lag)  # of the change, that has happened
+        share = -np.expm1(t / -self._lag)  # completed fraction of the change
         behind = self._wheels - target
         wheels = target + behind * (1 - share[-1])
         if not target.any() and np.abs(wheels).max() < self._still:
@@ -253,7 +262,7 @@ class WheelDrive:
 
 
 def _sinc(half: Floats) -> Floats:
-    """Return sin(h)/h, the chord of an arc over its length."""
+    """Return sin(h)/h, the ratio of an arc's chord to its length."""
     if np.abs(half).max() > SMALL:
         return np.sinc(half / np.pi)
     square = half * half

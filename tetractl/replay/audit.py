@@ -1,4 +1,4 @@
-"""Checks the consistency of a log: values stored twice, and values that follow from others."""
+"""Checks that a log is consistent: values stored twice, and values that follow from others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,16 +19,16 @@ from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.replay.recompute import ROUNDING
 
-REST = 1e-6  # relative to a coordinate: tolerance for the position of a robot at rest
-STOPPING_S = 1.0  # the longest time until a stop is sent, on a host under load
-STOPPING_NS = 500_000_000  # before the end of a stop, its first repetition has been sent
-LAST_FRAMES = 120  # of a lab trial, one of which shows the final poses
-SLACK = 2.0  # times the lab's limits: a few frames come between its last look and the log's end
+REST = 1e-6  # tolerance for the position of a robot at rest, relative to a coordinate
+STOPPING_S = 1.0  # longest time until a stop is sent on a busy host
+STOPPING_NS = 500_000_000  # a stop's first repetition was sent at most this time before its end
+LAST_FRAMES = 120  # number of a lab trial's last frames, one of which shows the final poses
+SLACK = 2.0  # factor on the lab's limits, as a few frames follow the lab's last check
 
 
 @dataclass(slots=True)
 class Audit:
-    """The contradictions in a log, and notes on it that are no contradictions."""
+    """The contradictions in a log, and notes that are not contradictions."""
 
     problems: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -48,7 +48,7 @@ def audit(log: TrialLog, same_host: bool) -> Audit:
     for gap in frame_gaps(log):
         if not log.experiment.plant.loses_frames or log.damage:
             findings.problems.append(Difference(None, "frames", f"missing: {gap}"))
-        else:  # a datagram may get lost on the way
+        else:  # datagrams may get lost
             findings.notes.append(f"missing: {gap}")
     for gap in step_gaps(log):
         findings.problems.append(Difference(gap.first, "k", f"missing: {gap}"))
@@ -121,7 +121,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
 
 
 def _at(k: int | None, found: tuple[str, str] | None) -> Iterator[Difference]:
-    """Yield the result of `first_difference`, in step `k`."""
+    """Yield a result of `first_difference` as a difference in step `k`."""
     if found:
         yield Difference(k, *found)
 
@@ -138,8 +138,9 @@ def _order(step: Step, before: Step | None) -> Iterator[Difference]:
 
 
 def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Difference]:
-    """Check the result against the final poses and the steps, in the lab against the frames as
-    well."""
+    """Check the result against the final poses and the steps; in the lab also against the
+    frames.
+    """
     verdict, simulated = result.verdict, log.start.plant.simulated
     ours = Result.of(
         log.start.setup,
@@ -151,7 +152,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
         deadline_misses=sum(step.deadline_missed for step in log.steps),
         tour=log.tour,
     )
-    if log.damage:  # whose steps may be lost
+    if log.damage:  # steps may be lost
         lost = {"steps": result.steps, "solve_ns": result.solve_ns}
         lost |= {"passed": result.passed, "inside": result.inside, "lost": result.lost}
         ours = replace(ours, **lost, deadline_misses=result.deadline_misses)
@@ -177,8 +178,8 @@ def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     """Check the verdict against the path.
 
-    The plant of a lab evaluates some of the logged frames: all between the first step and the stop.
-    A log that is damaged may have lost frames.
+    The plant of a lab evaluates only the frames between the first step and the stop. A damaged log
+    may have lost frames.
     """
     path, known = trial_path(log)
     least = most = path_verdict(log, path, known, verdict.final)
@@ -212,11 +213,13 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """Check that the last frames of a complete lab trial show every robot, standing if it can."""
+    """Check that the last frames of a complete lab trial show every robot and, unless it swims, at
+    rest.
+    """
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
-    halts = log.start.plant.facts.get(HALTS) == "yes"  # early logs do not say
+    halts = log.start.plant.facts.get(HALTS) == "yes"  # early logs lack this fact
     for i, (name, gone) in enumerate(zip(log.start.setup.names, log.tour.gone, strict=True)):
         if gone:
             continue
@@ -247,8 +250,9 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:
-    """Return whether the final poses are those of the last frames or, of robots that swim on, of a
-    frame about the stop."""
+    """Return whether the final poses are in the last frames or, for robots that swim on, in a frame
+    near the stop.
+    """
     if not len(log.mocap):
         return True
     rows = log.mocap[-LAST_FRAMES:]

@@ -1,4 +1,4 @@
-"""The first value in which two records differ: of two trials, two plans or two messages."""
+"""Finds the first value in which two records differ: two trials, plans or messages."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
@@ -28,7 +28,7 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """How far two numbers may differ: |ours - logged| <= relative * larger + absolute.
+    """The allowed difference of two numbers: |ours - logged| <= relative * larger + absolute.
 
     `larger` is the larger of both magnitudes. Without a tolerance two numbers must have the same
     bits, or both be NaN. Integers, texts and truth values must always be equal.
@@ -56,7 +56,7 @@ EXACT = Tolerance()
 def first_difference(
     ours: Any, logged: Any, tolerance: Tolerance = EXACT, name: str = ""
 ) -> tuple[str, str] | None:
-    """Return (field, what differs) of two records of one type, None for no difference.
+    """Return the field and a description of the first difference of two records, None without one.
 
     A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value. The
     field is a path such as "searches.1.history.3", below `name`.
@@ -116,9 +116,9 @@ def _array_difference(
 def trial_difference(
     ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
 ) -> Difference | None:
-    """Return the first difference of two trials except for the solve times, None for none.
+    """Return the first difference of two trials except in solve times, None if they agree.
 
-    What both have of commands, frames and steps is compared before how many they have.
+    Commands, frames and steps that both have are compared before their numbers.
     """
     counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
     common = tuple(map(min, *counts))

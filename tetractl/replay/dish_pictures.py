@@ -1,4 +1,4 @@
-"""The microscope's pictures in a log, for what shows a trial: which, and where they are."""
+"""The microscope's pictures in a log, selected and placed for displays of a trial."""
 
 import io
 from bisect import bisect_right
@@ -9,17 +9,17 @@ from PIL import Image
 from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
-PIXELS_MAX = 8192  # of a side
-SHOWN = 720  # pixels of the longer side
+PIXELS_MAX = 8192  # longest side of a picture [px]
+SHOWN = 720  # longer side as shown [px]
 QUALITY = 60  # as JPEG counts
-MOST = 120  # of a report's trial
+MOST = 120  # most pictures of a trial in a report
 
 
 class DishPictures:
-    """Those of one trial that can be read; most logs have none. Times are ns on its clock.
+    """The readable pictures of one trial; most logs have none. Times are ns on the trial's clock.
 
-    `corners` (3, 2) are where lower left, lower right and upper left corner are, in the spec's
-    coordinates.
+    `corners` (3, 2) are the positions of lower left, lower right and upper left corner in the
+    spec's coordinates.
     """
 
     def __init__(self, log: TrialLog, most: int | None = None) -> None:
@@ -37,8 +37,9 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the picture shown at a time: the newest until then, else the first;
-        None without pictures."""
+        """Return the index of the picture for a time: the newest before, or else the first; None
+        without pictures.
+        """
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:
@@ -53,8 +54,9 @@ class DishPictures:
 
 
 def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Return a JPEG's grey picture, made smaller, and its own width and height; None where it
-    cannot be read."""
+    """Return a JPEG's grey picture, reduced, and its original width and height; None if it cannot
+    be read.
+    """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
         size = picture.size
@@ -64,5 +66,5 @@ def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
         grey = picture.convert("L")
         grey.thumbnail((SHOWN, SHOWN))
         return grey, size
-    except Exception:  # what Pillow raises for hostile bytes is not documented
+    except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

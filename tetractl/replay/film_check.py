@@ -1,8 +1,7 @@
-"""Checks the film in a log: the cells are found again in the crops, by the same code.
+"""Checks the film in a log by finding the cells in the crops again, with the same code.
 
-The blob of each crop is searched again, and a robot's logged pose must be where its blob is.
-Another OpenCV may find another last pixel: then only the checksums are compared, and a note says
-so.
+The blob of each crop is searched again, and a robot's logged pose must be at its blob. With another
+version of OpenCV, results may differ by a pixel: then only the checksums are compared, with a note.
 """
 
 import time
@@ -23,8 +22,8 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.difference import Difference
 
-SAME = 1e-9  # relative, of a blob's numbers on another machine
-NEAR_UM = 25.0  # half a body: how far a followed cell may be from its blob
+SAME = 1e-9  # relative tolerance of a blob's numbers on another machine
+NEAR_UM = 25.0  # half a body: largest distance of a followed cell from its blob
 
 
 class FilmCheck:
@@ -36,7 +35,7 @@ class FilmCheck:
         self.notes: list[str] = []
 
     def differences(self) -> Iterator[Difference]:
-        """Yield the first difference."""
+        """Yield the first difference between the film and the crops searched again."""
         log = self._log
         wanted = "opencv" in log.start.plant.facts  # earlier logs have no film
         if log.damage or not (wanted or self._entries):
@@ -62,7 +61,7 @@ class FilmCheck:
                 return
 
     def _comparable(self) -> bool:
-        """Return whether the search can be repeated here; note why not."""
+        """Return whether the search can be repeated here; if not, add a note with the reason."""
         there = self._log.start.plant.facts.get("opencv")
         try:
             from cv2 import __version__ as here
@@ -77,7 +76,7 @@ class FilmCheck:
         """Check the messages of one picture; ValueError if they are inconsistent."""
         log, topics = self._log, [entry.topic for entry in entries]
         if topics[:2] != [channels.CELLS, channels.CROPS] or len(set(topics)) < len(topics):
-            raise ValueError("cells and crops do not come in pairs")
+            raise ValueError("a picture has cells without crops, or crops without cells")
         cells = CellCrops.FromString(entries[0].data)
         seen = log.sample(row).observation
         shown = [entry.data for entry in entries[1:]]
@@ -89,11 +88,11 @@ class FilmCheck:
             _search_again(film, self._tolerance)
 
     def _check_robots(self, film: CellFilm, row: int) -> None:
-        """Check that a robot's logged pose is at its blob, unless the blob is of several cells."""
+        """Check that a robot's logged pose is at its blob, unless several cells share the blob."""
         log = self._log
         camera: Any = getattr(log.experiment.plant, "camera", None)
         if len(film.sure) != log.valid.shape[1] or (film.robots >= len(film.sure)).any():
-            raise ValueError("is not of as many robots as the trial")
+            raise ValueError("has a different number of robots than the trial")
         placed = getattr(camera, "placed", None)
         _, _, height = log.start.plant.facts.get("resolution", "").partition("x")
         if placed is None or not height.isdecimal():
@@ -110,11 +109,11 @@ class FilmCheck:
 
 
 def _search_again(film: CellFilm, tolerance: float) -> None:
-    """Raise ValueError if another blob is found than stated."""
+    """Search each crop again; raise ValueError if the blob found differs from the stated one."""
     from tetractl.lab.cameras.cells.crops import found_again  # needs OpenCV
 
     rows = zip(film.crops, film.corners.tolist(), film.blobs, strict=True)
     for i, (crop, corner, blob) in enumerate(rows):
         found = found_again(crop, corner, blob.tolist(), film.limits)
         if found is None or not np.allclose(found, blob, rtol=tolerance, atol=tolerance):
-            raise ValueError(f"crop {i} shows another blob than stated")
+            raise ValueError(f"the blob found in crop {i} differs from the stated one")

@@ -210,7 +210,7 @@ class Player:
         self._steps, self._events = recording.step_ns, recording.event_ns
         self._loop = loop
         self._quit = False
-        self.jumps = 0  # how often the time was set
+        self.jumps = 0  # number of jumps in time so far
         self._clock = PlayerClock(wall, at_ns=self.start_ns, rate=rate, paused=paused)
 
     @property
@@ -233,7 +233,7 @@ class Player:
         return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
-        """At the end of the span, begin again with `loop`, else pause."""
+        """At the end of the span, pause or, with `loop`, begin again."""
         if self._clock.now() >= self.until_ns and not self._clock.paused:
             if self._loop:
                 self._seek(self.start_ns)
@@ -242,9 +242,10 @@ class Player:
                 self._clock.pause()
 
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
-        """Do what other controls ask: play or pause, at a rate, from a time [ns] or from now.
+        """Apply a command of other controls: play or pause, at a rate, from a time [ns] or from
+        now.
 
-        A rate out of bounds becomes the nearest within, and one that is no number changes nothing.
+        A rate out of bounds is limited to the range; a rate of NaN is ignored.
         """
         if at_ns is not None:
             self._seek(at_ns)

@@ -1,4 +1,4 @@
-"""Repeats each decision of a trial by the controller rebuilt from the log.
+"""Computes each decision of a trial again with the controller rebuilt from the log.
 
 There are two ways. *Re-computed*: every search is run again and every number must come out with the
 same bits, which holds on the machine and versions that wrote the log. *Re-evaluated*: the searches
@@ -47,11 +47,11 @@ _LONG_AGO = 2**62
 
 
 class NoSearchError(Exception):
-    """The controller wants to search where the log has no search."""
+    """The controller searches at a point where the log has no search."""
 
 
 class _TooLongError(Exception):
-    """Continuing would take longer than `bounds` allows."""
+    """Computing the decisions again would take longer than the limits allow."""
 
 
 class Rerun:
@@ -72,19 +72,19 @@ class Rerun:
 
     @property
     def started(self) -> bool:
-        """Whether the time counts."""
+        """Whether the time limit is running."""
         return self._until is not None
 
     def start(self) -> None:
-        """Count the time from now on."""
+        """Start the time limit."""
         self._until = self._cpu() + self._limit_s
 
     def expired(self) -> bool:
-        """Return whether the time is up."""
+        """Return whether the time limit is exceeded."""
         return self._until is not None and self._cpu() > self._until
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Go on with the searches that a step logged."""
+        """Continue with the logged searches of a step."""
         self._left, self.wrong = list(enumerate(searches)), []
 
     def timer(self) -> int:
@@ -111,7 +111,7 @@ class _Repeated:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Do the next logged search."""
+        """Run the next logged search again, or return it."""
         index, logged = self._rerun.next()
         if not self._rerun.search_again:
             self._evaluate(problem, length, warm is not None, limits, index, logged)
@@ -135,7 +135,7 @@ class _Repeated:
         few, many = 1, 2  # readings: the fewest that spend as many evaluations
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
-                return found  # it ends by itself before that
+                return found  # the search ends without the deadline
             few, many = many, 2 * many
         while few < many:
             middle = (few + many) // 2
@@ -232,7 +232,8 @@ def recompute(
             text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
-            decision = replace(decision, estimate=None)  # lost, or written before there were any
+            # the log has none: lost, or written by an earlier version
+            decision = replace(decision, estimate=None)
         found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:
             return Difference(step.k, *found)
@@ -257,7 +258,7 @@ def plan_again(
 def first_steps(log: TrialLog) -> list[Step]:
     """Return the steps up to the first gap, of steps or, in a damaged log, of camera frames."""
     lost = log.damage.lost if log.damage else ()
-    torn = len(lost) > (log.result is None)  # more is lost than the end
+    torn = len(lost) > (log.result is None)  # more than the end is lost
     gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
     return [
         step for k, step in enumerate(log.steps) if step.k == k and step.observation.frame < gap

@@ -17,7 +17,7 @@ from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field, stopped_ns
 
-EARLY = 0.25  # of a control period, by which a stop may come before its end
+EARLY = 0.25  # fraction of a control period by which a stop may precede its end
 
 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
@@ -32,7 +32,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
         (one for one in log.commands if one.direction is not None), key=lambda one: one.sent_ns
     )
     if not sent:
-        raise UsageError(f"{log.path}: no direction was sent in it")
+        raise UsageError(f"{log.path}: contains no sent direction")
     period = round(log.experiment.controller.period * SECOND)
     began = sent[0].sent_ns
     end = stopped_ns(log)
@@ -67,8 +67,8 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
 class Apart:
     """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
 
-    `distance` (M, N) is that of a robot's two measured positions [length unit], NaN if it was
-    not tracked in either.
+    `distance` (M, N) is between a robot's two measured positions [length unit], NaN unless it was
+    tracked in both.
     """
 
     names: tuple[str, ...]
@@ -91,7 +91,7 @@ def paths_apart(recorded: TrialLog, again: TrialLog) -> Apart:
     """
     names = recorded.start.setup.names
     if names != again.start.setup.names:
-        raise UsageError(f"{again.path}: has other robots than {recorded.path}")
+        raise UsageError(f"{again.path}: its robots differ from those of {recorded.path}")
     first, second = ((log.mocap_ns - log.began_ns) / SECOND for log in (recorded, again))
     within = (first >= 0) & (first <= (second[-1] if len(second) else -1.0))
     time = first[within]

@@ -67,7 +67,7 @@ def _samples(log: TrialLog) -> float:
 
 
 def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
-    """Run the trial again; TetractlError if it cannot be."""
+    """Run the trial again; TetractlError if that fails."""
     section, setup = log.experiment.plant, log.start.setup
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
@@ -97,7 +97,7 @@ def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
     verdict = replace(
         found,
         entered=tuple(theirs if touch else own for touch, own, theirs in entered),
-        edge=found.edge if logged.edge else (),  # older logs have neither
+        edge=found.edge if logged.edge else (),  # older logs lack some columns
         apart=found.apart if logged.apart else (),
     )
     return replace(ours, start=log.start, result=replace(ours.result, verdict=verdict))
@@ -113,7 +113,7 @@ class _Ending:
     plant: Plant
     clock: Clock
     sent_ns: int
-    plans: bool  # whether the plant takes time to plan
+    plans: bool  # whether planning takes time on the plant
 
     @property
     def delay_ns(self) -> int:
@@ -178,7 +178,9 @@ class _Recorder(Recorder):
             raise AbortError(ENDED)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the end, its outcome and reason as logged: the plans did not decide them."""
+        """Keep the end, with outcome and reason from the log, as the logged plans do not determine
+        them.
+        """
         logged = self._log.result
         assert logged
         if result.reason not in ("", ENDED, logged.reason):

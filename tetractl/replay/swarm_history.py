@@ -74,7 +74,7 @@ class _SpyOptimizer:
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Note the search and return the logged one."""
+        """Record the arguments of the search, and return the logged search."""
         kept = None if warm is None else warm.copy()
         self._asked.append(_Asked(self._section, problem, length, kept, key))
         return self._answers.search(problem, length, warm, key, limits)
@@ -93,11 +93,11 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     section, logged = asked.optimizer, log.steps[0].plan.search
     if not isinstance(section, Pso):
         raise LogError(
-            f"{log.path}: its optimiser, {section.type}, has no swarm",
+            f"{log.path}: has no swarm, as its optimiser is {section.type}",
             "run it with --set controller.optimizer.type=pso",
         )
     if asked.length < 2:
-        raise LogError(f"{log.path}: a plan of one signal has no two dimensions")
+        raise LogError(f"{log.path}: the plan has one signal, but the figure needs two")
     rounds = section.particles * asked.length * asked.problem.a.size
     if rounds * (1 + len(asked.problem.obstacles.shapes)) > limits.swarm_limit():
         raise LogError(f"{log.path}: a swarm this large takes too long to run again")
@@ -115,7 +115,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
         rerun.timer,
     )
     rerun.begin(step.plan.searches)
-    with suppress(TetractlError, NoSearchError):  # what was asked by then is noted
+    with suppress(TetractlError, NoSearchError):  # the searches so far are recorded
         controller.plan(step.observation)
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(

@@ -40,13 +40,13 @@ from tetractl.replay.resimulate import resimulate
 
 NEARLY = Tolerance(1e-9, 1e-9)
 DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
-"""Topics whose messages an earlier version may have drawn otherwise."""
+"""Topics whose messages earlier versions may have drawn differently."""
 
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference of each topic, and of what else follows.
+    """Yield the first difference of each topic, and of the operator messages that must follow.
 
-    None of a damaged log, nor of format 1, whose messages nothing writes any more.
+    Yields nothing for a damaged log, or for format 1, which no encoder writes any more.
     """
     if log.damage or raw.run.version == 1:
         return
@@ -69,11 +69,11 @@ def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator
 def _messages(
     raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
 ) -> Iterator[Difference]:
-    """Compare all topics but /log, one message at a time: a log may hold very many.
+    """Compare all topics except /log message by message, since a log may hold very many.
 
-    What is made for /log is appended to `called_for`.
+    Messages encoded for /log are appended to `called_for`.
     """
-    others = {channels.LOG, *channels.FILM}  # `FilmCheck` has the film
+    others = {channels.LOG, *channels.FILM}  # `FilmCheck` checks the film
     left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - others}
     count, until = dict.fromkeys(left, 0), time.thread_time() + limits.seconds_limit()
     for made in _encoded(raw, log):
@@ -83,7 +83,7 @@ def _messages(
             return
         if made.topic == channels.LOG:
             called_for.append(made)
-        if made.topic not in left:  # it has differed already
+        if made.topic not in left:  # a difference was reported already
             continue
         entry, number = next(left[made.topic], None), count[made.topic]
         count[made.topic] += 1
@@ -98,9 +98,9 @@ def _messages(
 
 
 def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
-    """Yield the messages of a trial, those of a topic in their order; of /log those that follow.
+    """Yield the encoded messages of a trial, in order within a topic; for /log those that follow.
 
-    Camera frames are put together as in the log: which were handed on together is not known.
+    Camera frames are grouped as in the log, since their original groups are unknown.
     """
     messages = Messages(log.start)
     yield from messages.start()
@@ -144,7 +144,7 @@ def _entry_difference(
 def _operator_messages(
     raw: RawLog, log: TrialLog, called_for: Sequence[Entry]
 ) -> Iterator[Difference]:
-    """The /log channel has the messages that the records require, as tetractl writes them."""
+    """Check that /log has the messages that follow from the records, as tetractl writes them."""
     begin = log.start.start_unix_ns
     for number, entry in enumerate(raw.by_topic[channels.LOG]):
         note = decode_note(Log.FromString(entry.data), begin)
@@ -181,7 +181,7 @@ DECIDES_BITS = (
     "numba",
     "llvmlite",
 )
-"""Facts that must agree on two hosts to give the same bits."""
+"""Facts of a host that must agree for results with the same bits."""
 
 
 class Method(StrEnum):
@@ -210,7 +210,7 @@ class Verification:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing was found wrong."""
+        """Whether no problem was found."""
         return not self.problems
 
 

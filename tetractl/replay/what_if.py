@@ -48,7 +48,9 @@ class StepPrediction:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """The predictions of a trial; `ended` says why later steps have none, "" if all have."""
+    """The predictions for a trial; `ended` is why later steps have none, "" if all steps
+    have one.
+    """
 
     unit: str
     steps: tuple[StepPrediction, ...]
@@ -57,15 +59,15 @@ class WhatIf:
 
     @property
     def changed(self) -> int:
-        """How many steps would have sent another direction."""
+        """Number of steps at which the other controller decides another direction."""
         return sum(abs(step.difference) > SAME for step in self.steps)
 
 
 def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     """Return the log's experiment with values of its controller replaced.
 
-    UsageError for a setting of anything else, and for another control period: the observations are
-    those of the recorded one. SpecError if the spec is not valid any more.
+    UsageError for other settings, and for another control period, since observations exist only at
+    the recorded one. SpecError if the changed spec is not valid.
     """
     for setting in sets:
         path = setting.partition("=")[0].strip()
@@ -78,8 +80,8 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     period, recorded = other.controller.period, log.experiment.controller.period
     if period != recorded:
         raise UsageError(
-            f"controller.period: {period:g} is not the recorded one, {recorded:g}",
-            "there are no observations between the recorded ones",
+            f"controller.period: {period:g} differs from the recorded {recorded:g}",
+            "keep the period: there are no observations between the recorded ones",
         )
     return other
 
@@ -96,7 +98,7 @@ def what_if(
     if other.controller.switches_field:
         raise UsageError(
             f"controller.type: {other.controller.type} switches the field off at times",
-            "there is no direction then to compare with the recorded one",
+            "choose a controller that sends a direction at every step",
         )
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup

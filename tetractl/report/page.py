@@ -1,4 +1,4 @@
-"""The report: logs in, one HTML file out that needs no network and no other file."""
+"""Makes the report of logs: one HTML file that needs no network and no other file."""
 
 import hashlib
 import json
@@ -97,7 +97,9 @@ def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
 
 
 def _page(title: str, body: str, scripts: str) -> str:
-    """Return the whole page; its policy allows this style and this script, and no address."""
+    """Return the whole page, whose security policy allows only this style and script, and no
+    address.
+    """
     style = (ASSETS / "page.css").read_text()
     program = f'"use strict";\n{scripts}'
     allowed = b64encode(hashlib.sha256(program.encode()).digest()).decode()
@@ -159,7 +161,7 @@ def _entered(group: Group) -> str:
 
 
 def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
-    """Return the player of trials, each a name and its data."""
+    """Return the HTML of the player for trials, each given by name and data."""
     options = "".join(
         f'<option value="{i}">{i + 1}: {escape(name)}</option>' for i, (name, _) in enumerate(shown)
     )
@@ -174,7 +176,7 @@ def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
 
 
 def _json(value: Any) -> str:
-    """Return JSON that may stand inside a script element."""
+    """Return JSON that is safe inside an HTML script element."""
     text = json.dumps(value, ensure_ascii=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 

@@ -121,7 +121,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
-    """Return the frames to keep: those from the first direction on, `FRAMES_HZ` at most."""
+    """Return the frames to keep, from the first direction on and at most at `FRAMES_HZ`."""
     times = log.mocap_ns
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
     if not len(from_start):

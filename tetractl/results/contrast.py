@@ -83,7 +83,7 @@ class Contrast:
 
     @property
     def counted(self) -> str:
-        """How much is compared: "20 pairs", or "20 and 9" trials."""
+        """Number of trials compared, as "20 pairs" or "20 and 9"."""
         return (
             f"{self.pairs} pairs" if self.pairs else f"{self.one.counted} and {self.other.counted}"
         )
@@ -117,7 +117,7 @@ def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupCom
     for group in every:
         if group.unit != first.unit:
             units = f"{group.name} has errors in {group.unit}, {first.name} in {first.unit}"
-            raise UsageError(units, "compare those of one unit")
+            raise UsageError(units, "compare groups with the same length unit")
     two = [(group, baseline) for group in groups] if baseline else list(combinations(groups, 2))
     tests = sum(one.origin is other.origin for one, other in two)
     found = [_contrast(one, other, max(tests, 1)) for one, other in two]
@@ -190,7 +190,7 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
 
 
 def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
-    """Correct the p-values for their number, and give the verdicts."""
+    """Correct the p-values for the number of tests, and set the verdicts."""
     means = holm([one.difference.p_value for one in found])
     ranks = holm([one.rank_p for one in found])
     deviations = holm([one.deviations.p_value for one in found])

@@ -142,7 +142,7 @@ def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
 
 @dataclass(frozen=True, slots=True)
 class Flagged:
-    """One log to read; `outcome` is the word for how its trial ended."""
+    """A log to be examined; `outcome` is how its trial ended."""
 
     path: str
     outcome: str

@@ -17,11 +17,11 @@ from tetractl.core.table.table import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # medians, above which a value is far off if no bound is stated
-_FEWEST = 3  # values for an interval of a mean: two have no skewness
+FAR = 10  # multiple of the median above which a value counts as far off without a stated bound
+_FEWEST = 3  # least number of values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
-"""Of the normal distribution: |z| lies below it with the confidence of the intervals."""
+"""Quantile z of the normal distribution for the confidence of the intervals."""
 
 
 def finite(value: float) -> float | None:
@@ -40,7 +40,7 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """Return the absence of an interval, with its cause."""
+        """Return an `Interval` that states why there is none."""
         return cls(_NAN, _NAN, None, reason)
 
     @property

@@ -27,7 +27,7 @@ class Damaged:
 
     @property
     def set_aside(self) -> bool:
-        """Whether it is an attempt that was set aside."""
+        """Whether the log is an attempt that was set aside."""
         return is_set_aside(Path(self.path).name)
 
 
@@ -60,7 +60,7 @@ class Batch:
 
     @property
     def logs(self) -> list[Path]:
-        """The logs of the trials that were read from one, not from a row."""
+        """The paths of the trials that were read from logs, not from rows."""
         return [Path(trial.path) for trial in self.trials if f"{ROWS}:" not in trial.path]
 
     @property
@@ -75,7 +75,7 @@ class Batch:
 
     @property
     def whole(self) -> bool:
-        """Whether no log of a trial is damaged."""
+        """Whether no log or row of the batch is damaged, attempts excepted."""
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
@@ -210,7 +210,9 @@ def experiment_of(batch: Batch) -> Experiment:
     """
     if not batch.trials:
         if batch.attempts:
-            raise UsageError("no trial to summarise but earlier attempts", "go on with --resume")
+            raise UsageError(
+                "the only logs are of earlier attempts", "complete the batch with --resume"
+            )
         if batch.lost:
             raise LogError("no log can be read: {0.path}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")

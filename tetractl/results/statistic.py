@@ -1,4 +1,6 @@
-"""A statistic of a batch: in every table, in JSON, and as columns of each trial in CSV."""
+"""Statistics of a batch, which appear in every table, in JSON, and as columns of each trial
+in CSV.
+"""
 
 import math
 from collections.abc import Callable, Sequence

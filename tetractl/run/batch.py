@@ -50,8 +50,8 @@ class TimeLeft:
     def __init__(self, tasks: Sequence[Task]) -> None:
         self._left = Counter(task.arm for task in tasks)
         self._spent: dict[str, tuple[float, int]] = {}  # time [s] and number of trials
-        self._known_s = 0.0  # of the trials left in arms with a time
-        self._unknown = len(tasks)  # trials left in the others
+        self._known_s = 0.0  # estimated time of the trials left in arms whose time is known
+        self._unknown = len(tasks)  # number of trials left in the other arms
 
     @property
     def known(self) -> bool:
@@ -89,22 +89,22 @@ class RunObserver(Protocol):
     """Watches trials, which may end in any order."""
 
     def trial_started(self, task: Task) -> None:
-        """A trial starts."""
+        """Called when a trial starts."""
         ...
 
     def trial_ended(self, ending: Ending) -> None:
-        """A trial has ended."""
+        """Called when a trial has ended."""
         ...
 
 
 @dataclass(slots=True)
 class Report:
-    """How the trials ended, by arm and number: results, and errors if there is none."""
+    """The outcome of each trial, by arm and number: a result, or an error if there is none."""
 
     results: dict[tuple[str, int], Result] = field(default_factory=dict)
     errors: dict[tuple[str, int], Exception] = field(default_factory=dict)
     left: int = 0
-    """Trials with neither."""
+    """Number of trials with neither result nor error."""
 
     @property
     def interrupted(self) -> bool:
@@ -113,7 +113,7 @@ class Report:
 
     @property
     def aborted(self) -> dict[tuple[str, int], Result]:
-        """The trials that a fault ended."""
+        """The results of trials that a fault ended."""
         return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
@@ -124,7 +124,7 @@ def run_batch(
     observer: RunObserver,
     fail_fast: bool = False,
 ) -> Report:
-    """Run trials and store what they leave.
+    """Run trials and store their logs and records.
 
     With `fail_fast` the first trial that is aborted or has no outcome ends the run, without it the
     others go on. Raises OtherCodeError of a worker.

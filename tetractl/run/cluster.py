@@ -19,12 +19,12 @@ from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
-LOOK_S = 0.1  # between two checks for an interruption
-COUNT_S = 1.0  # between two counts of the workers: some come, some are lost
+LOOK_S = 0.1  # interval between two checks for an interruption
+COUNT_S = 1.0  # interval between two counts of the workers, which may come and go
 AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
-FEWEST = 8  # the same while no worker has come yet
-CHUNK_S = 2.0  # of trials in one Dask task: a scheduler manages some hundred tasks per second
-MOST = 200  # trials in one Dask task, whose logs come back together
+FEWEST = 8  # number of Dask tasks while there is no worker yet
+CHUNK_S = 2.0  # duration of a Dask task's trials: a scheduler manages some hundred tasks per second
+MOST = 200  # most trials in one Dask task, whose logs are returned together
 
 
 class Cluster:
@@ -157,7 +157,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             if len(given) > 1:
                 return None
-            error = AbortError("it was lost with every worker that ran it")
+            error = AbortError("the trial was lost with every worker that ran it")
         if error is not None:
             return [error for _ in given]
         future.release()

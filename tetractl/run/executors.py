@@ -21,7 +21,7 @@ from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 SIGNAL_AGAIN_S = 1.0
-ORPHAN_S = 5.0  # a worker without a parent closes its log within that
+ORPHAN_S = 5.0  # time for a worker without a parent to close its log
 KILLED = "a trial's process was killed twice, perhaps for want of memory"
 
 Ended = tuple[Task, Finished | Exception]
@@ -72,7 +72,7 @@ class Here:
         self._ended = False
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield the tasks in their order."""
+        """Yield the tasks in order."""
         for task in tasks:
             if self._ended or self._interrupt.requested:
                 return
@@ -101,7 +101,7 @@ class Processes:
         self.workers, self._interrupt = workers, interrupt
         self._context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
         self._ending: Event | None = None
-        self._again = 0.0  # when SIGTERM may be sent to the workers once more
+        self._again = 0.0  # when SIGTERM may be sent to the workers again
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
@@ -214,7 +214,7 @@ def _start_worker(ending: Event) -> None:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
     sys.unraisablehook = interrupt.on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers what came before
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers the signals that were held back
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 

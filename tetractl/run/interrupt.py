@@ -34,7 +34,7 @@ class Interrupt:
 
     @property
     def requested(self) -> bool:
-        """Whether to stop after this step."""
+        """Whether a stop after the present step was requested."""
         return self.count > 0
 
     def request(self) -> None:

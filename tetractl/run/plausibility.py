@@ -23,7 +23,7 @@ from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 
 COARSE = 2.0
-"""a T beyond which the headings of (6) overshoot further at every step."""
+"""Value of a T above which the headings of (6) overshoot more with every step."""
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by (6)."""
 TURN = 2 * math.pi
@@ -50,10 +50,10 @@ class CheckContext:
 
     experiment: Experiment
     setup: Setup
-    signal_s: float  # for how long one signal of a plan is held
+    signal_s: float  # time for which a signal of a plan is held
     signals_max: int | None
     motion: str
-    margin: float  # kept from obstacles, with the radius of a robot
+    margin: float  # distance that plans keep to obstacles, including a robot's radius
     yields: bool  # whether the margin shrinks at starts and targets
     walls: bool
     tolerance: float
@@ -82,7 +82,7 @@ class CheckContext:
 
     @property
     def longest_s(self) -> float:
-        """How long robots move in a trial at most."""
+        """The longest time for which robots move in a trial [s]."""
         return (self.setup.steps_max + 1) * self.setup.period_s
 
     @cached_property
@@ -92,7 +92,7 @@ class CheckContext:
 
 
 def angles(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Angles beyond a whole turn, which look like degrees."""
+    """Warn of angles of more than a whole turn, which are probably degrees."""
     for loc, value in _radians(spec.experiment, ()):
         if abs(value) > TURN:
             yield SpecWarning(
@@ -115,7 +115,7 @@ def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
 
 
 def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Plans that are longer than a trial."""
+    """Warn of plans that are longer than a trial."""
     if spec.signals_max is None:
         return
     seconds = spec.signals_max * spec.signal_s
@@ -130,7 +130,9 @@ def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Signals held so long that robots have turned, or have overshot, before the next."""
+    """Warn of signals held so long that robots finish turning, or overshoot, before the next
+    one.
+    """
     turned = spec.setup.a * spec.signal_s
     quick = np.flatnonzero(turned > COARSE)
     if not quick.size:
@@ -154,8 +156,9 @@ def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
-    """A dead time that differs from the controller's by more than a control period, without
-    identification."""
+    """Warn of a dead time that differs from the controller's by more than a control period, if it
+    is not identified.
+    """
     true = getattr(spec.experiment.plant, "dead_time", None)
     assumed = getattr(spec.experiment.controller, "dead_time", 0.0)
     period, identified = (
@@ -172,7 +175,7 @@ def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets that a robot cannot reach in a trial, at full speed along a straight line."""
+    """Warn of targets that a robot cannot reach in a trial, even along a straight line."""
     for i, left in enumerate(reach(spec.setup, spec.longest_s)):
         if left > spec.tolerance:
             yield SpecWarning(
@@ -185,7 +188,9 @@ def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def beyond_the_plan(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets that no plan of the first step can end at, though a trial lasts long enough."""
+    """Warn of targets that no plan of the first step can reach, though a trial lasts long
+    enough.
+    """
     if spec.signals_max is None:
         return
     seconds = spec.signals_max * spec.signal_s
@@ -210,7 +215,7 @@ def _way(spec: CheckContext, i: int) -> str:
 
 
 def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Robots that one signal cannot separate, though their targets require it."""
+    """Warn of robots that one signal cannot separate, though their targets require it."""
     for group in _alike(spec.setup):
         some = spec.setup.only(group)
         least = bounds.least_total_error(some, spec.longest_s, alike=True)
@@ -233,7 +238,7 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
         yield SpecWarning(
             ("robots", group[1], "a"),
             f"{message} {least:.4g} {spec.unit}",
-            "give them different a, or targets that lie to each other as the starts do",
+            "give them different a, or targets placed relative to each other like the starts",
         )
 
 
@@ -258,7 +263,7 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
 
 
 def error_left(spec: CheckContext) -> Iterator[SpecWarning]:
-    """A total error that no plan can undercut, from all robots together."""
+    """Warn of a lower bound of the total error, from all robots together."""
     least = spec.least_total_error
     count = len(spec.setup.a)
     if least > max(count * spec.tolerance, 1e-6 * _size(spec.setup)):
@@ -274,7 +279,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Targets without a path past the obstacles, or without one that keeps the margin."""
+    """Warn of targets without a path past the obstacles, or without one that keeps the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)
@@ -299,7 +304,7 @@ def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def inside_margin(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Starts and targets nearer to an obstacle than the planner's margin."""
+    """Warn of starts and targets nearer to an obstacle than the planner's margin."""
     if spec.margin == 0 or spec.yields:
         return
     for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
@@ -318,7 +323,7 @@ def _clearances(spec: CheckContext, points: Floats) -> Floats:
 
 
 def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Starts or targets nearer to each other than the lab lets robots come."""
+    """Warn of starts or targets nearer to each other than the lab's least separation."""
     setup = spec.setup
     for section in ("plant", "lab"):
         limits = getattr(getattr(spec.experiment, section), "limits", None)

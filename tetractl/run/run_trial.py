@@ -41,9 +41,9 @@ class Trial:
     _solving_ns: int = 0
     _misses: int = 0
     _began_ns: int | None = None  # when the first direction was sent
-    _samples: list[Sample] = field(default_factory=list)  # not yet passed on to the observers
+    _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
     _tour: TourMeasure = field(init=False)
-    _between: list[Observation] = field(default_factory=list)  # frames since the last step's
+    _between: list[Observation] = field(default_factory=list)  # frames since that of the last step
 
     def __post_init__(self) -> None:
         setup = self.start.setup
@@ -201,7 +201,7 @@ class Trial:
                 raise KeyboardInterrupt
 
     def _pause(self, again: bool) -> Command:
-        """Stop the robots for a while, and note it if they do not stand already."""
+        """Stop the robots for a pause, and record it unless they stand already."""
         command = self.plant.pause()
         if not again:
             self._say(command, "all robots pause: a plan is made from standing, or the trial ends")

@@ -30,8 +30,8 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
-RELAY_SIZE = 2000  # calls that may wait: over two minutes of a trial
-RELAY_PATIENCE_S = 30.0  # for the last of them, after the robots were stopped
+RELAY_SIZE = 2000  # most calls in the queue: over two minutes of a trial
+RELAY_PATIENCE_S = 30.0  # time for the last calls, after the robots were stopped
 
 
 class Relay:
@@ -52,7 +52,7 @@ class Relay:
         )
 
     def close(self) -> None:
-        """Do the calls in the queue, and end the thread."""
+        """Make the calls in the queue, and end the thread."""
         self._worker.close()
 
     def on_start(self, start: Start) -> None:
@@ -101,7 +101,7 @@ class Task:
 
     @property
     def key(self) -> tuple[str, int]:
-        """Arm and number, which no other task of a run has."""
+        """Arm and trial number, which identify the task in a run."""
         return self.arm, self.trial
 
 
@@ -123,7 +123,7 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker with other code, whose trials would differ."""
+    """A worker has other code, with which trials would differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -193,7 +193,7 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded) != code:
         raise OtherCodeError(
-            "the worker has other code than the machine that runs the study",
+            "the worker's code differs from that of the machine that runs the study",
             "install the same tetractl, numpy, numba, llvmlite, scipy and packages there",
         )
     with suppress(TetractlError):  # the trial raises it again
@@ -227,7 +227,7 @@ def run_with(
     interrupt: Interrupt,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run one trial with these writers in place of a log's.
+    """Run one trial with the given writers in place of a log's.
 
     In real time a background thread calls the observers, so that none of them delays the loop.
     """

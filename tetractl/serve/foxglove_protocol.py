@@ -21,7 +21,7 @@ TOPICS = dict(enumerate(CHANNELS, 1))
 """Topics by the id of their channel, as in a log."""
 
 _MESSAGE, _TIME, _STATE = 1, 2, 5  # first byte of a binary message to a client
-_CONTROL = 3  # and of one from it
+_CONTROL = 3  # first byte of a binary message from a client
 _STATUS = {Playback.PLAYING: 0, Playback.PAUSED: 1, Playback.ENDED: 3}
 
 
@@ -76,7 +76,7 @@ def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
 
 
 def subscription(number: int) -> bytes:
-    """Return a client's number for a subscription, as messages hold it; OverflowError for none."""
+    """Pack a client's subscription number for messages; OverflowError if the number is invalid."""
     return number.to_bytes(4, "little")
 
 

@@ -63,7 +63,8 @@ class Viewers:
     ) -> None:
         self._asked = asked
         self._greeting = foxglove_protocol.greeting(name, span_ns)
-        self._lock = threading.Lock()  # of what is below; never held while a viewer is waited for
+        # lock of the fields below; never held while waiting for a viewer
+        self._lock = threading.Lock()
         self._clients: set[_Client] = set()
         self._newest: dict[str, Entry] = {}
         self._time_ns = 0  # until there is any
@@ -153,7 +154,7 @@ class Viewers:
                 for one in asked["subscriptions"]:
                     topic = foxglove_protocol.TOPICS[one["channelId"]]
                     client.subscriptions[topic] = foxglove_protocol.subscription(one["id"])
-                    if topic in self._newest and topic != LOG:  # a text would be shown twice
+                    if topic in self._newest and topic != LOG:  # viewers would show a text twice
                         client.message(self._newest[topic])
             elif asked["op"] == "unsubscribe":
                 ended = set(map(foxglove_protocol.subscription, asked["subscriptionIds"]))
@@ -299,8 +300,8 @@ class ServedReplay:
         self._times = [entry.log_ns for entry in self._entries]
         self._requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
         self.player = player
-        self._jumps: int | None = None  # of the player, when it was last followed
-        self._sent = 0  # entries before this one were passed
+        self._jumps: int | None = None  # number of the player's jumps at the last call of `follow`
+        self._sent = 0  # index of the next entry to send
         self._announced: tuple[Playback, float] | None = None
         span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
         name = contents.run.items["name"]
@@ -378,5 +379,5 @@ class ServedRun:
         self._viewers.publish([self._messages.note(note)])
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Send how the trial ended."""
+        """Send the message on how the trial ended."""
         self._viewers.publish(self._messages.stop(stop, result))

@@ -38,7 +38,7 @@ class LoopbackServer:
     `page` is HTML, `layout` JSON, `logs` are files by name, and `live` is what WebSockets read;
     pages of the viewer at the address `viewer` may read it too. Each is at an address of its own:
     `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be
-    used; port 0 is any that is free.
+    used; port 0 takes any free port.
     """
 
     def __init__(
@@ -142,7 +142,9 @@ class _Handler(BaseHTTPRequestHandler):
         converse(self.connection, f"{line}{head}\r\n".encode("latin-1"))
 
     def _let_in(self, token: str) -> bool:
-        """Whether a request has the right token, compared in constant time, and our `Host`."""
+        """Return whether a request has the right token, compared in constant time, and this
+        server's `Host`.
+        """
         ours = (f"{ADDRESS}:{self._site.port}", f"localhost:{self._site.port}")
         right = hmac.compare_digest(token.encode(), self._site.token.encode())
         return right and self.headers.get("Host") in ours
@@ -222,7 +224,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:
-        """Print nothing."""
+        """Do nothing, so that requests are not printed."""
 
 
 def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
@@ -241,7 +243,7 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
 def byte_range(asked: str, size: int) -> tuple[int, int] | None:
     """Return the first and last byte of a `Range` header, None if it cannot be satisfied.
 
-    Of several ranges none is given.
+    Several ranges are not supported and give None.
     """
     found = re.fullmatch(r"\s*bytes\s*=\s*(\d{0,18})\s*-\s*(\d{0,18})\s*", asked)
     if not found or not (found[1] or found[2]):

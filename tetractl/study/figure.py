@@ -19,7 +19,7 @@ from tetractl.view import style
 DECADES = 1.5  # that positive values must span to be drawn on a logarithmic axis
 TICKS = 8  # most values that are ticks themselves
 ASIDE_IN = 0.06  # between the same value of two controllers
-LABEL = 24  # characters of a value that is no number
+LABEL = 24  # characters of a value that is not a number
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:

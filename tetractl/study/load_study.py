@@ -94,12 +94,12 @@ class Study(Model):
     base: str = Field(min_length=1, max_length=1000)
     """File of the spec that every arm starts from, by its path from the study's file."""
     sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
-    """The fields that take several values, and which; without it the base's values are kept."""
+    """The swept fields with their values; without a sweep the base's values are kept."""
     controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
     """By name, the alternatives to compare: each a mapping of paths to values, set before those of
     the sweep."""
     trials: Trials = Trials()
-    """Trials of each arm, in place of the base's own."""
+    """Number and seed of the trials of each arm, in place of the base's."""
 
 
 MAX_ARMS = 100_000

@@ -144,7 +144,9 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     arm, row = _found(loaded, store, which)
     path = log_path(store.arm_folder(arm), row.trial)
     if row.logged and path.exists():
-        raise UsageError(f"{path}: has its log", f"check it with: tetractl verify {path}")
+        raise UsageError(
+            f"{path}: the trial has a log already", f"check it with: tetractl verify {path}"
+        )
     folder = store.place(arm.name, row.trial)
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())

@@ -17,14 +17,14 @@ from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
 
 DECIDING = ("code", "processor", "count")
-"""The key of rows whose digests must agree."""
+"""Fields of a row that, if equal in two rows of a trial, require equal digests."""
 
 
 class Store:
-    """The rows of a study by arm and trial, on disk as they come.
+    """The rows of a study by arm and trial, written to disk at once.
 
-    A row is one line; what a killed process left of a line is dropped when the folder is opened.
-    Of two lines of a trial the later counts.
+    A row is one line; an incomplete line, left by a killed process, is dropped when the folder is
+    opened. Of two lines of a trial the later counts.
     """
 
     def __init__(self, folder: Path, arms: Sequence[Arm]) -> None:

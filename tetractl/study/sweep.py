@@ -49,10 +49,10 @@ class Grid(Sweep):
 
     type: Literal["grid"]
     fields: dict[FieldPath, Values] = Field(min_length=1)
-    """By path, such as `plant.dead_time`, the values that the field takes."""
+    """Values of each swept field, by path, such as `plant.dead_time`."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return every combination."""
+        """Return every combination of the values."""
         axes = [
             [Setting(value, ("fields", path, i)) for i, value in enumerate(values)]
             for path, values in self.fields.items()
@@ -79,12 +79,12 @@ class Points(Sweep):
 
 
 class Range(Model):
-    """Where the values of a field are drawn from."""
+    """The range from which values of a field are drawn."""
 
     low: Finite
-    """Least value."""
+    """Lower end of the range."""
     high: Finite
-    """Greatest value."""
+    """Upper end of the range."""
     scale: Literal["linear", "log"] = "linear"
     """Whether values are spread evenly, or their logarithms are."""
     whole: bool = False
@@ -117,14 +117,14 @@ class SampledSweep(Sweep):
     count: int = Field(ge=1, le=100_000)
     """Number of points. More of them later leave those drawn before as they are."""
     fields: dict[FieldPath, Range] = Field(min_length=1, max_length=1000)
-    """By path, such as `plant.dead_time`, the range of the field."""
+    """Range of each swept field, by path, such as `plant.dead_time`."""
 
     @abstractmethod
     def shares(self, rng: np.random.Generator) -> Floats:
         """Return numbers from 0 to below 1, shape (count, number of fields)."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points drawn."""
+        """Return the drawn points."""
         return [
             {
                 path: Setting(range_.at(share), ("fields", path))

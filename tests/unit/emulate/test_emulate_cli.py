@@ -11,7 +11,7 @@ UNICAST = ("--set", "lab.camera.transport=unicast", "--command-port", "0", "--da
     ("options", "code", "message"),
     [
         (("--port-link", "/no/such/folder/radio"), 2, "cannot make the port"),
-        (("--port-link", "."), 2, "is there already"),
+        (("--port-link", "."), 2, "exists already"),
         (("--script", "none.yaml"), 2, "no such file"),
         (("--port-link", "radio", "--record", "/no/such/folder/r"), 1, "cannot write the record"),
         (("--port-link", "radio", "--address", "192.0.2.1"), 1, "cannot take UDP 192.0.2.1"),

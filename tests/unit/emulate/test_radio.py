@@ -95,7 +95,7 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
 
 def test_a_name_that_is_taken_is_refused_and_left(tmp_path):
     (tmp_path / "radio").write_text("something of somebody")
-    with pytest.raises(UsageError, match="is there already"), emulated(tmp_path):
+    with pytest.raises(UsageError, match="exists already"), emulated(tmp_path):
         pass
     assert (tmp_path / "radio").read_text() == "something of somebody"
 

@@ -55,7 +55,7 @@ def test_a_wrong_script_is_refused_with_its_place(text, message):
 
 
 def test_a_script_for_another_spec_is_refused(tmp_path):
-    with pytest.raises(SpecError, match="pink is no robot"):
+    with pytest.raises(SpecError, match="pink is not a robot"):
         emulated(tmp_path, script="faults: [{fault: off, robot: pink}]")
     with pytest.raises(SpecError, match=r"cannot emulate NatNet 2\.4"):
         emulated(tmp_path, script="emulation: {camera: {version: '2.4'}}")

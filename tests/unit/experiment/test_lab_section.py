@@ -62,9 +62,9 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     [
         ("41.5", "-1", r"m:6:\d+: plant.actuator.robots.1.radius_mm: -1: must be greater than 0"),
         ("swap", "swop", r"m:7:\d+: plant.actuator.robots.1.swop: .*did you mean 'swap'"),
-        ("name: blue", "name: pink", "m: pink is no robot of the lab"),
+        ("name: blue", "name: pink", "m: pink is not a robot of the lab"),
         ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
-        ("measured: 2026", "meshured: 2026", "m: is no calibration"),
+        ("measured: 2026", "meshured: 2026", "m: is not a calibration file"),
         (
             "camera:",
             "robots: []\ncamera:",
@@ -83,7 +83,7 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
     [
         (["wheels=null"], "lab.actuator.robots.0.radius_mm: is missing; add it, or 'wheels:"),
         (["lab.camera.robots.red.name=rod"], "lab.camera.robots: has no red"),
-        (["lab.camera.robots.red.name=rod"], "robots.2.name: rod: is no robot of the spec"),
+        (["lab.camera.robots.red.name=rod"], "robots.2.name: rod: is not a robot of the spec"),
         (["lab.actuator.robots.red.name=rod"], "lab.actuator.robots: has no red"),
         (["lab.camera.robots.2.body=green"], "robots.2.body: green: is that of green; must differ"),
         (["lab.actuator.robots.2.index=0"], "robots.2.index: 0: is that of green; must differ"),
@@ -144,12 +144,12 @@ def test_no_line_of_a_file_that_is_no_calibration_is_shown(text):
     """Regression: a spec could name any readable file, and its lines were printed."""
     with pytest.raises(SpecError) as error:
         calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "/etc/secret")
-    assert str(error.value) == "/etc/secret: is no calibration"
+    assert str(error.value) == "/etc/secret: is not a calibration file"
 
 
 def test_a_calibration_that_never_ends_is_not_read(tmp_path):
     os.mkfifo(tmp_path / "m.yaml")
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     loaded = load_spec(tmp_path / "spec.yaml", ["lab.calibration=m.yaml"])
-    with pytest.raises(SpecError, match=r"m.yaml: is no regular file"):
+    with pytest.raises(SpecError, match=r"m.yaml: is not a regular file"):
         on_plant(loaded, "lab")

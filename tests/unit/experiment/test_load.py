@@ -354,7 +354,7 @@ def test_files_are_attached_by_names_that_a_log_has_not_already():
         channels.LAYOUT,
     } == OWN_FILES
     for name in ("robots.yaml", *OWN_FILES):
-        with pytest.raises(SpecError, match=f"b/{name}: the log of a trial holds another {name}"):
+        with pytest.raises(SpecError, match=f"b/{name}: every log already has a file named {name}"):
             attach(one, Path("b") / name, "two")
 
 

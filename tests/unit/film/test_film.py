@@ -90,7 +90,7 @@ def test_films_are_read_by_their_own_rate(tmp_path, name):
 def test_what_is_no_film_is_one_clear_error(tmp_path, content):
     path = tmp_path / "film.avi"
     path.write_bytes(content)
-    with pytest.raises(UsageError, match="is no film that OpenCV can read"):
+    with pytest.raises(UsageError, match="OpenCV cannot read this film"):
         open_film(path)
 
 
@@ -116,7 +116,7 @@ def test_the_field_is_that_of_the_last_row_before(tmp_path):
     ("text", "says"),
     [
         ("a,b\n1,2\n", "has no columns time_s and direction_rad"),
-        ("time_s,direction_rad\n1,north\n", "line 2: is no number"),
+        ("time_s,direction_rad\n1,north\n", "line 2: is not a number"),
         ("time_s,direction_rad\n1,nan\n", "line 2: is not finite"),
         ("time_s,direction_rad\n2,0\n1,0\n", "line 3: time goes back"),
         ("time_s,direction_rad\n", "has no rows"),

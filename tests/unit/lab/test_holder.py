@@ -96,7 +96,7 @@ def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
 
 def test_another_program_is_named_and_left_alone(port, hold):
     process = hold("terminal")
-    with pytest.raises(AbortError, match=f"process {process.pid} .* is no tetractl") as raised:
+    with pytest.raises(AbortError, match=f"process {process.pid} .* is not a tetractl") as raised:
         stopping(port)
     assert "switch the robots off" in raised.value.hint
     assert process.poll() is None

@@ -120,13 +120,13 @@ def test_frames_that_did_not_see_a_robot_are_left_out():
 
 def test_too_little_and_other_robots_are_refused():
     _, track = drive(6, steps=3)
-    with pytest.raises(UsageError, match="intervals between frames only"):
+    with pytest.raises(UsageError, match="intervals between frames"):
         identify([track], EXPECTED)
     other = Track(
         **{name: getattr(track, name) for name in Track.__dataclass_fields__}
         | {"names": ("a", "b", "c")}
     )
-    with pytest.raises(UsageError, match="other robots"):
+    with pytest.raises(UsageError, match="robots or length unit differ"):
         drives_of([track, other])
 
 
@@ -196,9 +196,9 @@ def test_csv_files_are_read(tmp_path):
 @pytest.mark.parametrize(
     ("poses", "commands", "says"),
     [
-        (POSES.replace("x_mm", "x"), COMMANDS, "needs x_mm and y_mm"),
-        (POSES, COMMANDS.replace("direction_rad", "u"), "holds neither poses nor commands"),
-        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is no number"),
+        (POSES.replace("x_mm", "x"), COMMANDS, "needs columns x_mm and y_mm"),
+        (POSES, COMMANDS.replace("direction_rad", "u"), "contains neither poses nor commands"),
+        (POSES.replace("0.2,False", "x,True"), COMMANDS, "heading_rad: 'x' is not a number"),
         (POSES, "time_s,direction_rad,log\n0,0.5,a\n", "poses and commands are needed"),
     ],
 )

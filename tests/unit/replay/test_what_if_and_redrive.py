@@ -40,7 +40,7 @@ def test_where_the_other_controller_would_have_ended_the_trial_is_told():
     ("setting", "says"),
     [
         ("plant.dead_time=0.1", "only what is under 'controller'"),
-        ("controller.period=0.1", "is not the recorded one, 0.2"),
+        ("controller.period=0.1", "differs from the recorded 0.2"),
     ],
 )
 def test_what_cannot_be_replaced_in_a_log_is_refused(setting, says):

@@ -220,7 +220,7 @@ def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
 
 
 def test_nothing_but_attempts_is_no_batch():
-    with pytest.raises(UsageError, match="no trial to summarise but earlier attempts"):
+    with pytest.raises(UsageError, match="the only logs are of earlier attempts"):
         group([replace(one, path="trial-000.attempt-1.mcap") for one in batch([[1.0]])])
 
 

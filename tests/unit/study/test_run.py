@@ -188,7 +188,7 @@ def test_a_trial_is_repeated_to_its_log(done):
         assert row.logged
         assert logged(log_path(done / "out" / ARM, 1)) == row.trial_digest
         assert row.trial_digest in says
-        with pytest.raises(UsageError, match="has its log"):
+        with pytest.raises(UsageError, match="has a log already"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
             with pytest.raises(UsageError, match=f"--trial {wrong}"):

@@ -34,7 +34,8 @@ SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clea
 HOPS = 1000  # hops of a thorough search for three robots; grows with the square of their number
 HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search, some seconds
 POOL = 6  # number of sequences that are kept to hop from
-HOP_STEPS, HOP_PATIENCE = 60, 12  # Levenberg-Marquardt iterations of a hop, and its patience
+# Levenberg-Marquardt iterations of a hop, and its patience
+HOP_STEPS, HOP_PATIENCE = 60, 12
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
 # cost of a position in an obstacle among hops, as a fraction of the fastest robot's step
 HIT = 0.25

@@ -1,1 +1,1 @@
-"""An emulated camera above tags: a renderer of pictures and a network camera."""
+"""An emulated camera above robots with tags: a renderer of pictures behind a network camera."""

@@ -1,8 +1,8 @@
-"""The emulated camera of type `apriltag`: its settings and faults, and pictures of the bodies.
+"""The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
 
 The arena is drawn as a camera would see it: optics, floor, tags, blur, noise. Nothing here is a
-real picture: an emulated camera is a pinhole with known optics, so that what is found in its
-pictures can be compared with the truth.
+real picture: an emulated camera is a pinhole with known optics, so that results from its pictures
+can be compared with the truth.
 """
 
 import math
@@ -64,7 +64,9 @@ class Optics:
         and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
-        around = 0.75 * max(tag.size_mm for tag in floor) * MM  # centre to the card's corner
+        around = (
+            0.75 * max(tag.size_mm for tag in floor) * MM
+        )  # from the card's centre to its corner
         low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
         focal = width / 2 / math.tan(view / 2)
@@ -116,12 +118,12 @@ class Optics:
 
 
 FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
-MODULE_PX = 16  # of a tag's texture
-CARD = MODULES + 2  # modules of a printed tag's side, white margin included
-FINE = 4  # sub-pixels of a pixel's side: a pixel is the mean of its area
+MODULE_PX = 16  # side of a tag's module in its texture [px]
+CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
+FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
 SUB_EXPOSURES = 6
 STILL_PX = 0.05
-SPARE = 64  # pixels by which the field of noise is larger than a picture
+SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 
 Shades = NDArray[np.float32]
 
@@ -130,8 +132,8 @@ Shades = NDArray[np.float32]
 class Renderer:
     """Renders robots with tags, floor tags and optics; the same seed gives the same pictures.
 
-    `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn, those
-    in `strays` also lie on the floor.
+    `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn; tags
+    in `strays` are drawn on the floor as well.
     """
 
     robots: Sequence[RobotTag]
@@ -184,7 +186,9 @@ class Renderer:
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """The floor with its tags; drawn once, and again when other tags are hidden."""
+        """Return the picture of the floor with its tags, drawn again only if other tags are
+        hidden.
+        """
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # a window at one side
@@ -221,7 +225,7 @@ class Renderer:
         part += ink[..., 0]
 
     def _texture(self, number: int) -> Shades:
-        """A card's grey levels and its coverage, (side, side, 2)."""
+        """Return a card's grey levels and its coverage, (side, side, 2)."""
         if number not in self._textures:
             modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
             grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
@@ -230,7 +234,7 @@ class Renderer:
         return self._textures[number]
 
     def _finished(self, canvas: Shades) -> Grey:
-        """Distort, blur, add noise and amplify."""
+        """Return the picture distorted, blurred, amplified and with noise."""
         optics = self.optics
         if any(optics.distortion):
             columns, rows = self._undistorted()
@@ -243,7 +247,7 @@ class Renderer:
         return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Standard normal pixels: another window into one field for each picture."""
+        """Return standard normal noise for a picture: another window of one field for each."""
         if self._noise is None:
             draw = np.random.default_rng(self.seed).standard_normal
             self._noise = draw((height + SPARE, width + SPARE), np.float32)
@@ -252,7 +256,9 @@ class Renderer:
         return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
 
     def _undistorted(self) -> tuple[Shades, Shades]:
-        """Columns and rows of each pixel of the distorted picture in the undistorted one."""
+        """Return the column and row in the undistorted picture for each pixel of the
+        distorted one.
+        """
         if self._bent is None:
             optics = self.optics
             rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
@@ -265,7 +271,7 @@ class Renderer:
 
 
 class AprilTagSettings(StreamSettings):
-    """Properties of the emulated camera; `latency` is the spec's by default."""
+    """Properties of the emulated camera; `latency` [s] is the spec's by default."""
 
     blur_px: NonNegative = 0.7
     """Gaussian blur of the lens [px]."""
@@ -302,7 +308,7 @@ class EmulatedAprilTag(StreamedCamera):
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def hide(self, hidden: bool) -> None:
-        """Draw no robot, or all again."""
+        """Leave all robots out of the pictures, or draw them again."""
         self.renderer.hidden.clear()
         if hidden:
             self.renderer.hidden.update(robot.tag for robot in self.renderer.robots)

@@ -10,10 +10,10 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.lab.actuators.field.section import Coils, Pair
 from tetractl.model.swimmers import Swimmers
 
-FIELD_NS = 1_000_000  # between two looks at the driver's currents
-SWIM_NS = 2_000_000  # a step of the cells
+FIELD_NS = 1_000_000  # interval at which the driver's currents are read
+SWIM_NS = 2_000_000  # time step of the cells' motion
 UM_MM = 1000.0
-DROP = 0.25  # of the dish's width: cells of a drop are so far from its middle at most
+DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in widths of the dish
 
 
 class FieldDriver(Protocol):
@@ -26,11 +26,11 @@ class FieldDriver(Protocol):
 
     @property
     def running(self) -> bool:
-        """Whether it makes a field."""
+        """Whether the driver makes a field."""
         ...
 
     def advance(self, until_ns: int) -> None:
-        """Move on to a time [ns]."""
+        """Advance the driver to a time [ns]."""
         ...
 
 
@@ -38,9 +38,9 @@ class Dish:
     """Cells between the coils of a driver.
 
     `coils` are the coils as they truly are, `reference_mt` the field at which the cells have their
-    a. `walls` [um] are those that cells slide along, None for a dish that has no end. If cells
-    are `held`, one that is placed waits there until the driver makes a field: a helper with a
-    pipette is emulated, so that a trial begins with the cells on their starts.
+    a. `walls` [um] are the edges that cells slide along, None for a dish without edges. If cells
+    are `held`, a cell that is placed waits there until the driver makes a field: this emulates a
+    helper with a pipette, so that a trial begins with the cells on their starts.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class Dish:
         self.drop()
 
     def drop(self) -> None:
-        """Start again with cells scattered around the middle, as from a pipette."""
+        """Scatter the cells around the middle again, like a fresh drop from a pipette."""
         if (walls := self._walls) is None:
             return
         count, random = len(self.cells), self._random
@@ -73,7 +73,7 @@ class Dish:
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
-        """Let a cell become two; the daughter is the last one from then on."""
+        """Let a cell divide; the daughter becomes the last cell."""
         self.cells = self.cells.divide(row, self._random)
 
     @property
@@ -82,7 +82,9 @@ class Dish:
         return self.coils.field(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Move driver and cells on to `until_ns`; a shorter rest waits for the next."""
+        """Advance driver and cells to `until_ns` in whole steps; the next call continues from
+        there.
+        """
         while self._now_ns + FIELD_NS <= until_ns:
             self._now_ns += FIELD_NS
             self.driver.advance(self._now_ns)
@@ -105,7 +107,7 @@ class Dish:
 class CellBody:
     """One cell of a dish as it truly is: x, y [mm] and heading [rad] of its helix's axis.
 
-    It counts as standing while no field steers it, since it never stands.
+    A cell never stands still, so it counts as standing while no field steers it.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:
@@ -128,18 +130,20 @@ class CellBody:
 
     @property
     def standing(self) -> bool:
-        """Whether no field steers it."""
+        """Whether no field steers the cell."""
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell somewhere [mm, rad], to wait there if cells are held."""
+        """Put the cell at a pose [mm, rad], where it waits if cells are held."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return the cells of a spec: its a and speeds, the rest drawn from a culture."""
+    """Return the cells of a spec, with its a and speeds; their other properties are drawn at
+    random.
+    """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
     cells.bias[:], cells.walk[:] = 0.0, walk
@@ -147,8 +151,9 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return cells of a culture and names of them; the last ones,the strangers, have no
-    magnet."""
+    """Return cells drawn from a culture, and their names; the last ones, the strangers, have no
+    magnet.
+    """
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk
     kinds = ["cell"] * count + ["stranger"] * strangers

@@ -18,11 +18,11 @@ from tetractl.model.swimmers import Bodies, Swimmers
 
 Shades = NDArray[np.float32]
 
-TAPER = 0.2  # how much narrower the front is than the middle
+TAPER = 0.2  # fraction by which the front is narrower than the middle
 SUB_EXPOSURES = 4
-LENS_PX = 0.6  # blur in focus
+LENS_PX = 0.6  # blur of a cell in focus
 SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
-NOISE_SPARE = 64  # pixels by which the field of noise is larger than a picture
+NOISE_SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,10 @@ class PictureLook:
     """How a dish looks through an emulated microscope.
 
     `bright` cells are brighter than the medium. `light` is the grey level of the medium in the
-    middle, `contrast` how much a cell's differs; `vignetting` the share lost in the corners,
-    `light_drift` [1/s] and `flicker` (100 Hz) shares of the light, `noise` [grey levels] with shot
-    noise, `quality` that of a JPEG (None: no JPEG). `focus_um` is the height that is in focus,
-    `corner_um` where the picture's lower left corner is in the dish.
+    middle, `contrast` the difference of a cell's. `vignetting` is the fraction lost in the corners;
+    `light_drift` [1/s] and `flicker` (100 Hz) are fractions of the light. `noise` [grey levels]
+    includes shot noise; `quality` is the JPEG's (None: no JPEG). `focus_um` is the height in focus,
+    and `corner_um` the position in the dish of the picture's lower left corner.
     """
 
     width: int = 1024
@@ -68,7 +68,7 @@ class PictureLook:
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
-        """Return a look within the ranges of docs/explanation/cells.md."""
+        """Return a random look within the ranges of docs/explanation/cells.md."""
         scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
         bright = bool(random.random() < 0.5)
         span = side_px * scale
@@ -179,8 +179,9 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the part of a picture around a position, and x, y [px] from it, y up; None
-        outside."""
+        """Return the part of a picture around a position, and its pixels' x, y from there [px, y
+        up]; None outside the picture.
+        """
         column, row = self._pixels(x, y)
         left, right = (
             max(0, int(column - reach_px)),
@@ -202,7 +203,7 @@ class DishPainter:
         cos, sin = math.cos(speck.turn), math.sin(speck.turn)
         along, aside = across * cos + up * sin, up * cos - across * sin
         radius = np.hypot(along / speck.stretch, aside) - half
-        if speck.rim:  # bright, whatever the cells are
+        if speck.rim:  # bright, even if the cells are dark
             sign = 0.8 if self.look.bright else -0.8
             ink[where] += (sign * np.exp(-(radius**2) / 8)).astype(np.float32)
         ink[where] += (speck.shade / (1 + np.exp(np.clip(radius / 0.7, -30, 30)))).astype(
@@ -234,10 +235,10 @@ class DishPainter:
             inside = 1 - np.hypot(along, aside / wide)
             drawn += 1 / (1 + np.exp(-np.clip(1.7 * inside * half_wide / soft, -30, 30)))
         cover = (drawn / len(moments)).astype(np.float32)
-        ink[where] = ink[where] * (1 - 0.5 * cover) + cover  # what overlaps does not add up
+        ink[where] = ink[where] * (1 - 0.5 * cover) + cover  # overlapping bodies do not add up
 
 
 def recoded(picture: Grey, quality: int) -> Grey:
-    """Return a picture after a JPEG of that quality."""
+    """Return a picture after JPEG compression of the given quality."""
     coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)

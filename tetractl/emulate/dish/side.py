@@ -28,23 +28,25 @@ class MicroscopeSettings(StreamSettings):
     """Properties of the emulated microscope; scale and `latency` are the spec's."""
 
     width: int = Field(default=0, ge=0, le=8192)
-    """Columns of a picture [px]; 0 for those that show the arena."""
+    """Columns of a picture [px]; 0: as many as show the arena."""
     height: int = Field(default=0, ge=0, le=8192)
-    """Rows of a picture [px]; 0 for those that show the arena."""
+    """Rows of a picture [px]; 0: as many as show the arena."""
     noise: NonNegative = 3.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.01
-    """How long a picture is exposed [s]."""
+    """Exposure time of a picture [s]."""
     bright: bool = False
     """Whether cells are brighter than the medium."""
     contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
-    """By how much cells differ from the medium [grey levels]."""
+    """Difference between cells and medium [grey levels]."""
     specks: int = Field(default=SPECKS, ge=0, le=200)
-    """How much debris there is."""
+    """Number of debris particles."""
 
 
 def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return a function that starts a fault of the pictures' look, and returns its undo."""
+    """Return a function that starts a fault of the pictures' look and returns the function to undo
+    it.
+    """
 
     def begin(fault: Any, device: Any) -> Undo:
         painter: DishPainter = device.painter
@@ -69,7 +71,8 @@ def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
 class EmulatedMicroscope(StreamedCamera):
     """A microscope's network camera above cells; every picture is synthetic.
 
-    Whenever a client begins to watch, a helper has just put a fresh drop into the dish.
+    Each client that begins to watch finds a fresh drop in the dish, as if a helper had put it
+    there.
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
@@ -116,14 +119,14 @@ class EmulatedMicroscope(StreamedCamera):
         assert isinstance(section, CellsSection), "the table of kinds goes by the type"
         if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
             raise SpecError(
-                "the emulated microscope shows cells, along the spec's axes",
-                "the actuator's type is field, and lab.camera.rotation 0",
+                "the emulated microscope shows only cells, and only along the spec's axes",
+                "use lab.actuator.type field and lab.camera.rotation 0",
             )
         self._dish = bodies[0].dish  # type: ignore[attr-defined]
-        self._dish.held = False  # a cell that does not swim is not seen as one
+        self._dish.held = False  # the camera would not recognise a cell that does not swim
         um, arena = stage.setup.metres * 1e6, stage.setup.arena
         corner = section.corner[0] * um, section.corner[1] * um
-        sides = (  # as far beyond the arena as at the lower left
+        sides = (  # the same margin beyond the arena as at the lower left
             (arena.right + arena.left) * um - 2 * corner[0],
             (arena.top + arena.bottom) * um - 2 * corner[1],
         )
@@ -147,7 +150,7 @@ class EmulatedMicroscope(StreamedCamera):
         self._hidden = False
 
     def hide(self, hidden: bool) -> None:
-        """Draw no cell, or all again."""
+        """Leave all cells out of the pictures, or draw them again."""
         self._hidden = hidden
 
     def _joined(self) -> None:
@@ -161,7 +164,8 @@ class EmulatedMicroscope(StreamedCamera):
         span = self.painter.look.exposure_s * SECOND
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         moments = [Bodies(*self._scene_at(exposed_ns + round(part * span))) for part in spread]
-        there = min(len(moment.x) for moment in moments)  # a division in the exposure shows later
+        # a cell divided during the exposure appears in the next picture
+        there = min(len(moment.x) for moment in moments)
         moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
         cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
         shown = np.full(there, not self._hidden)

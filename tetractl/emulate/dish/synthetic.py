@@ -1,6 +1,6 @@
 """A synthetic film of swimming cells with its truth, for tests and benchmarks.
 
-Cells are set out so that pairs of them cross in view; the field's direction is known.
+Cells start so that pairs of them cross in view; the field's direction is known.
 """
 
 import math
@@ -14,17 +14,18 @@ from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, PictureLoo
 from tetractl.model.swimmers import DRIFT_UM_S, Bodies, Swimmers, bodies
 
 STEP_S = 1 / 240
-MARGIN_UM = 30.0  # nearer the edge of the picture a cell counts as not seen
-TRIES = 40  # to cross two cells in view
+MARGIN_UM = 30.0  # a cell nearer to the picture's edge than this counts as not seen
+TRIES = 40  # attempts to place two cells so that they cross in view
 
 
 @dataclass(frozen=True, slots=True)
 class FilmScript:
     """The script of a film of `seconds` at `rate` pictures per second.
 
-    `cells` are magnetised, `strangers` are not. The field's direction changes after `hold` seconds,
-    drawn evenly between the two. `events`: one cell rests for a while, one divides. Each pair of
-    cells is made to cross once, with the probability that its `crossings` per minute give.
+    `cells` are magnetised, `strangers` are not. The field's direction changes after a time drawn
+    uniformly between the two values of `hold` [s]. `events`: one cell rests for a while, one
+    divides. Each pair of cells is made to cross once, with the probability that its `crossings` per
+    minute give.
     """
 
     seconds: float = 10.0
@@ -40,9 +41,9 @@ class FilmScript:
 class SyntheticFilm:
     """A film: `len(film.times)` pictures from `pictures()`, and the truth behind each.
 
-    `turns` (T, 2) are times [s] and directions [rad] of the field. Truth is at the middle of each
-    exposure: `seen` (K, N) whether a cell is in view, `body` (K, N, 3) x, y [um] and axis [rad] of
-    each body, `heading` (K, N) [rad] that of the helix.
+    `turns` (T, 2) are times [s] and directions [rad] of the field. The truth is that at the middle
+    of each exposure: `seen` (K, N) is whether a cell is in view, `body` (K, N, 3) holds x, y [um]
+    and axis [rad] of each body, `heading` (K, N) the heading of its helix [rad].
     """
 
     script: FilmScript
@@ -81,7 +82,7 @@ class SyntheticFilm:
         return np.array([self.look.width, self.look.height]) * self.look.um_px
 
     def pictures(self) -> Iterator[Grey]:
-        """Yield the pictures in their order."""
+        """Yield the pictures in order of time."""
         painter = DishPainter(self.look, self.seed)
         assert self.cells is not None
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
@@ -111,11 +112,11 @@ class SyntheticFilm:
         )
 
     def _set_out(self, random: np.random.Generator, count: int) -> None:
-        """Shift each cell's path; every second one crosses that of the one before it in view."""
+        """Shift each cell's path so that, of each pair of cells, the paths cross in view."""
         middle, end = len(self._past) // 2, self.script.seconds
         for i in range(len(self.cells or ())):
             own = np.array([self._past[middle].x[i], self._past[middle].y[i]])
-            if i >= count:  # a daughter is where its mother is
+            if i >= count:  # a daughter starts where its mother is
                 self._shift[i] = self._shift[self._mother]
                 continue
             self._shift[i] = random.uniform(0.15, 0.85, 2) * self._span - own
@@ -136,7 +137,7 @@ class SyntheticFilm:
 
 
 def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
-    """Return times and directions of the field; each is drawn independently."""
+    """Return times and directions of the field, each drawn independently."""
     found, t = [], 0.0
     while t < script.seconds:
         found.append((t, random.uniform(-math.pi, math.pi)))
@@ -147,9 +148,9 @@ def _turns(random: np.random.Generator, script: FilmScript) -> Floats:
 def _swum(
     random: np.random.Generator, script: FilmScript, cells: Swimmers, turns: Floats
 ) -> list[Swimmers]:
-    """Return the cells every STEP_S, from the origin and without walls.
+    """Return the cells' poses every STEP_S, starting at the origin and without walls.
 
-    The cell before the last one magnetised divides at half time; its daughter is at NaN before.
+    The last but one magnetised cell divides halfway through; its daughter is at NaN before.
     """
     cells = cells.copy()
     angle = random.uniform(-math.pi, math.pi)

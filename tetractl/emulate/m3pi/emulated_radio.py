@@ -1,9 +1,9 @@
-"""The emulated radio: the XBee at the PC, the UARTs, the air, loss and acknowledgements; no I/O.
+"""The emulated radio: the XBee at the PC, UARTs, transmission, loss and acknowledgements; no I/O.
 
-A frame costs its bytes on the PC's UART, 32 us a byte on the air after a short random wait, and
-its bytes on the robot's UART. Broadcasts are not acknowledged; a unicast is tried four times. The
-module answers AT commands that ask for a parameter, and reports the result of each send. In
-transparent mode bytes go as they are.
+A frame takes time on the PC's UART, then 32 us per byte on the air after a short random wait, then
+time on the robot's UART. Broadcasts are not acknowledged; a unicast is tried four times. The module
+answers AT commands that ask for a parameter, and reports the result of each send. In transparent
+mode bytes go as they are.
 """
 
 import random
@@ -31,19 +31,21 @@ from tetractl.lab.actuators.xbee.frames import (
 from tetractl.lab.actuators.xbee.hardware import BAUDS
 
 RSSI = 40  # -dBm
-PAYLOAD = 100  # bytes of 802.15.4
-SERIAL = 0x0013A200_40000000  # of every module's 64-bit address, before adding the 16-bit one
+PAYLOAD = 100  # largest 802.15.4 payload [bytes]
+SERIAL = 0x0013A200_40000000  # a module's 64-bit address is this plus its 16-bit address
 
 
 class Delivery(IntEnum):
-    """The result of a send, as in frame 0x89."""
+    """The result of a transmission, as in frame 0x89."""
 
     SUCCESS = 0
     NO_ACK = 1
 
 
 Done = Callable[[Delivery], None]
-Send = Callable[[int, bytes, Done], None]  # 16-bit address, payload
+Send = Callable[
+    [int, bytes, Done], None
+]  # arguments: 16-bit address, payload, callback for the result
 Write = Callable[[bytes], None]
 
 
@@ -59,7 +61,9 @@ class ModuleSettings:
 
 
 class EmulatedModule:
-    """An XBee; `send` puts a payload on the air, `write` bytes on the UART towards the PC."""
+    """An XBee module; `send` transmits a payload by radio, `write` sends bytes by UART to
+    the PC.
+    """
 
     def __init__(self, settings: ModuleSettings, send: Send, write: Write) -> None:
         self.settings = settings
@@ -74,7 +78,7 @@ class EmulatedModule:
         }
 
     def hear(self, data: bytes) -> None:
-        """Take bytes from the PC, as its UART has received them."""
+        """Take bytes from the PC that the module's UART has received."""
         if self.settings.mode:
             for frame in self._decoder.feed(data):
                 self._obey(frame)
@@ -83,7 +87,7 @@ class EmulatedModule:
             self._send(BROADCAST_16, data[start : start + PAYLOAD], lambda delivery: None)
 
     def receive(self, source: int, payload: bytes) -> None:
-        """Take a payload from the air."""
+        """Take a payload received by radio."""
         if not self.settings.mode:
             self._write(payload)
         elif self.settings.explicit:  # both addresses, endpoints, cluster, profile, options
@@ -117,8 +121,8 @@ class EmulatedModule:
 
 AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
-BACKOFF_NS = 320_000  # the longest wait for a clear channel
-ACK_NS = 860_000  # how long a sender waits for an acknowledgement
+BACKOFF_NS = 320_000  # longest wait for a clear channel
+ACK_NS = 860_000  # time a sender waits for an acknowledgement
 TRIES = 4
 ROBOT_BAUD = 57600
 
@@ -126,10 +130,10 @@ Heard = Callable[[bytes], None]
 
 
 class EmulatedRadio:
-    """The PC's module on its port and one module a robot, at `addresses`.
+    """The PC's module on its port, and one module per robot at `addresses`.
 
-    `on_wire` is called with every chunk of bytes as it is read from the port. `loss` is the
-    probability that one robot does not hear one transmission.
+    `on_wire` is called with every chunk of bytes read from the port. `loss` is the probability that
+    a robot does not receive a transmission.
     """
 
     def __init__(
@@ -147,17 +151,19 @@ class EmulatedRadio:
         self.port = port
         self.loss = loss
         self.robots = dict(zip(addresses, robots, strict=True))
-        self.garbled = 0  # chunks that came at another speed than the module's
+        self.garbled = 0  # number of chunks at another baud rate than the module's
         self._timeline = timeline
         self._settings = settings
         self._random = random.Random(seed)
         self._on_wire = on_wire
         self._on_heard = on_heard
         self._module = EmulatedModule(settings, self._transmit, self._to_pc)
-        self._in_ns = self._out_ns = self._air_ns = 0  # when each of the three is free again
+        self._in_ns = self._out_ns = self._air_ns = (
+            0  # when UART in, UART out and air are free again
+        )
 
     def readable(self) -> None:
-        """Take what the PC wrote; it reaches the module after its time on the UART."""
+        """Read the bytes that the PC wrote; they reach the module after their time on the UART."""
         data = self.port.read()
         if not data:
             return
@@ -182,7 +188,7 @@ class EmulatedRadio:
         self._timeline.at(self._out_ns, lambda: self.port.write(data))
 
     def _take_air(self, size: int) -> int:
-        """Return when a transmission of that size ends, once the air is free."""
+        """Reserve the air for a transmission of `size` bytes; return when it ends [ns]."""
         start = max(self._timeline.now_ns, self._air_ns)
         wait = round(self._random.uniform(0, BACKOFF_NS))
         self._air_ns = start + wait + (size + AIR_OVERHEAD) * AIR_NS_A_BYTE

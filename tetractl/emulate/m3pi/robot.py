@@ -1,4 +1,4 @@
-"""An emulated robot: wheels, battery, and the program that hears the radio.
+"""An emulated robot: wheels, battery, and the program that reads the radio.
 
 Lengths are millimetres. The motion is (21)-(23) with wheels that follow their commanded speeds
 with a first-order lag.
@@ -21,7 +21,7 @@ SIGNATURE = b"3pi1.1"
 
 
 class Program(Protocol):
-    """The program of the robot."""
+    """The program that runs on the robot."""
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Take bytes from the radio."""
@@ -48,11 +48,11 @@ class FirmwareProgram:
         self.core.push(data, now_ms & 0xFFFFFFFF)
 
     def counts(self, now_ms: int) -> Counts:
-        """Return the core's wheels; its watchdog acts here."""
+        """Return the core's wheel counts, after its watchdog."""
         return self.core.wheels(now_ms & 0xFFFFFFFF)
 
     def answer(self, now_ms: int) -> bytes:
-        """Return the reply to a poll in its slot."""
+        """Return the reply to a poll when the robot's time slot has come."""
         return self.core.take_reply(now_ms & 0xFFFFFFFF)
 
 
@@ -72,25 +72,27 @@ class MotorCount:
 
 
 class Query(Enum):
-    """A request that wants an answer."""
+    """A request that the robot answers."""
 
     SIGNATURE = SIGNATURE_REQUEST[0]
     BATTERY = BATTERY_REQUEST[0]
 
 
 class SlaveDecoder:
-    """The robot's reading of the stream: the commands in bytes cut anywhere.
+    """Decodes commands from the serial stream, in chunks that may end anywhere.
 
-    `ignored` counts data bytes that no command was waiting for, commands that lost their data,
-    and commands not named here.
+    `ignored` counts data bytes without a command, commands that lost their data, and unknown
+    commands.
     """
 
     def __init__(self) -> None:
         self.ignored = 0
-        self._pending: tuple[Motor, int] | None = None  # motor and sign that wait for data
+        self._pending: tuple[Motor, int] | None = (
+            None  # motor and sign of a command that waits for its data byte
+        )
 
     def feed(self, data: bytes) -> list[MotorCount | Query]:
-        """Take bytes as they came; return the commands they complete."""
+        """Take a chunk of bytes; return the commands it completes."""
         commands: list[MotorCount | Query] = []
         for byte in data:
             if byte < 0x80:
@@ -115,7 +117,7 @@ _MOTORS = {motor.value + back: (motor, 1 - 2 * back) for motor in Motor for back
 
 
 class SlaveProgram:
-    """The 3pi's serial-slave program. No watchdog: it drives on when nothing is heard."""
+    """The 3pi's serial-slave program. It has no watchdog: without commands it drives on."""
 
     def __init__(self) -> None:
         self._decoder = SlaveDecoder()
@@ -123,7 +125,7 @@ class SlaveProgram:
         self._answer = b""
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
-        """Obey each command as it is completed."""
+        """Execute each command that the bytes complete."""
         for command in self._decoder.feed(data):
             match command:
                 case MotorCount(motor, count):
@@ -135,11 +137,11 @@ class SlaveProgram:
                     self._answer += battery_mv.to_bytes(2, "little")
 
     def counts(self, now_ms: int) -> Counts:
-        """Return the last commanded counts, however old."""
+        """Return the last commanded counts, which never expire."""
         return self._counts[0], self._counts[1]
 
     def answer(self, now_ms: int) -> bytes:
-        """Return the answers, without delay."""
+        """Return the answers to all requests so far, without delay."""
         answer, self._answer = self._answer, b""
         return answer
 
@@ -149,8 +151,8 @@ class EmulatedBattery:
     """Four NiMH cells: the voltage sags with the load and sinks as charge is drawn."""
 
     open_mv: float = 5100.0
-    sag_mv: float = 150.0  # with both wheels at 1 m/s
-    drain_mv_s: float = 0.2  # likewise; a tenth of it at rest
+    sag_mv: float = 150.0  # at full load, both wheels at 1 m/s
+    drain_mv_s: float = 0.2  # at full load; a tenth of this at rest
 
     def draw(self, load: float, seconds: float) -> None:
         """Draw charge at a load of 0 to 1."""
@@ -163,10 +165,10 @@ class EmulatedBattery:
 
 @dataclass(slots=True)
 class EmulatedRobot:
-    """One robot as it truly is.
+    """The true state of one robot.
 
-    `boot` starts its program, as switching it on does. `x`, `y` [mm] and `heading` [rad] are in the
-    spec's axes; `drivetrain` turns counts into speeds as its wheels really do; `radius` [mm] is r
+    `boot` starts the robot's program, as switching it on does. `x`, `y` [mm] and `heading` [rad]
+    are in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm] is r
     of (23), `lag_s` the wheels' time constant. Faults set `powered`, `stuck` and `veer`.
     """
 
@@ -183,7 +185,7 @@ class EmulatedRobot:
     right: float = 0.0
     powered: bool = True
     stuck: tuple[bool, bool] = (False, False)
-    veer: Counts | None = None  # what the motors get in place of any count but 0
+    veer: Counts | None = None  # counts that replace any counts other than 0
     now_ns: int = 0
     program: Program = field(init=False)
 
@@ -192,21 +194,21 @@ class EmulatedRobot:
 
     @property
     def load(self) -> float:
-        """How hard the motors work, 0 to 1."""
+        """The motors' load, from 0 to 1."""
         return min(1.0, (abs(self.left) + abs(self.right)) / 2000.0)
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, as far as can be seen."""
+        """Whether both wheels are at rest, within what a camera could see."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property
     def battery_mv(self) -> int:
-        """The battery's voltage now."""
+        """The battery's present voltage [mV]."""
         return self.battery.voltage_mv(self.load)
 
     def hear(self, data: bytes) -> None:
-        """Take bytes that the robot's radio module put out."""
+        """Take bytes from the robot's radio module."""
         if self.powered:
             self.program.hear(data, self.now_ns // 1_000_000, self.battery_mv)
 
@@ -215,27 +217,27 @@ class EmulatedRobot:
         return self.program.answer(self.now_ns // 1_000_000) if self.powered else b""
 
     def counts(self) -> Counts:
-        """Return the counts of the motors."""
+        """Return the present counts of both motors."""
         if not self.powered:
             return 0, 0
         counts = self.program.counts(self.now_ns // 1_000_000)
         return self.veer if self.veer is not None and any(counts) else counts
 
     def advance(self, until_ns: int) -> None:
-        """Move on to `until_ns`, in steps of at most a millisecond."""
+        """Advance to `until_ns`, in steps of at most a millisecond."""
         while self.now_ns < until_ns:
             step_ns = min(STEP_NS, until_ns - self.now_ns)
             self._step(step_ns / SECOND)
             self.now_ns += step_ns
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on, which restarts its program, or off."""
+        """Switch the robot on or off; switching it on restarts its program."""
         self.powered = on
         if on:
             self.program = self.boot()
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot somewhere, at rest."""
+        """Put the robot at a pose, at rest."""
         self.x, self.y, self.heading = x, y, heading
         self.left = self.right = 0.0
 

@@ -37,8 +37,9 @@ Note = Callable[..., None]
 class CommandLog:
     """Records each command as it is read from the port.
 
-    `mode` is AP. A broadcast is noted with `sequence`, `flags` and the `wheels` of all robots; a
-    slave's with its `address` and the resulting `wheels`.
+    `mode` is the XBee parameter AP. A broadcast is recorded with `sequence`, `flags` and the
+    `wheels` of all robots; a command to a slave robot with its `address` and the resulting
+    `wheels`.
     """
 
     def __init__(self, mode: int, slave: bool, note: Note) -> None:
@@ -49,7 +50,7 @@ class CommandLog:
         self._slaves: dict[int, tuple[SlaveDecoder, list[int]]] = {}
 
     def read(self, data: bytes) -> None:
-        """Note the commands that these bytes complete."""
+        """Record the commands that these bytes complete."""
         if self._api is None:
             self._payload(0xFFFF, data)
             return
@@ -89,41 +90,41 @@ SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zig
 
 
 class TrueRobot(Model):
-    """A robot as it truly is, if that differs from what the spec says of it."""
+    """A robot's true properties, where they differ from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
     left: WheelSection | None = None
-    """Its left wheel."""
+    """The robot's true left wheel."""
     right: WheelSection | None = None
-    """Its right wheel."""
+    """The robot's true right wheel."""
     swap: bool | None = None
-    """Whether its left wheel is connected to the right motor's output."""
+    """Whether the left wheel is connected to the right motor's output."""
     radius_mm: Positive | None = None
-    """Distance r from a wheel to its centre [mm]."""
+    """Distance r from a wheel to the robot's centre [mm]."""
     lag: Annotated[float, Field(gt=0, le=1)] = 0.04
-    """Time constant of its wheels [s]."""
+    """Time constant of the wheels [s]."""
     battery_mv: int = Field(default=5100, ge=0, le=9000)
-    """Its battery's voltage without load."""
+    """The battery's voltage without load [mV]."""
 
 
 class M3piSettings(Model):
-    """How radio and robots differ from what the spec says."""
+    """How radio and robots differ from the spec."""
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
     """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
     """The module's hardware version (HV); that of a Series 1 or 2 by default."""
     explicit: bool = False
-    """Whether the module reports what it hears in frames of type 0x91 (AO=1)."""
+    """Whether the module reports received data in frames of type 0x91 (AO=1)."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
-    """The module's speed; the spec's by default."""
+    """The module's baud rate; the spec's by default."""
     mode: Literal["api2", "api1", "transparent"] | None = None
     """The module's mode; the spec's by default."""
     loss: Share = 0.0
-    """Probability that a robot does not hear a transmission."""
+    """Probability that a robot does not receive a transmission."""
     robots: tuple[TrueRobot, ...] = ()
-    """The robots that are not as the spec says."""
+    """The robots whose true properties differ from the spec."""
 
 
 def _boots(fault: Any) -> Callable[[], Program]:
@@ -185,7 +186,7 @@ FAULTS = (
 
 
 class EmulatedM3pi(PluggedDevice):
-    """An XBee on a pseudo-terminal, and the robots that hear it."""
+    """An XBee on a pseudo-terminal, and the robots in its reach."""
 
     Settings: ClassVar[type[Model]] = M3piSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
@@ -246,12 +247,12 @@ class EmulatedM3pi(PluggedDevice):
             robot.switch(on)
 
     def advance(self, until_ns: int) -> None:
-        """Move the robots on."""
+        """Advance the robots to `until_ns`."""
         for robot in self.robots:
             robot.advance(until_ns)
 
     def tick(self) -> None:
-        """Send what robots have to answer."""
+        """Send the robots' pending answers."""
         self.radio.poll_answers()
 
     def robot(self, name: str) -> EmulatedRobot:

@@ -35,15 +35,15 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.wire import datagram
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
-GROWN = bytes(24)  # extra bytes of the descriptions of bodies above 4.3
+GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 DATAGRAMS_A_TURN = 100
 
 
 class Motive:
-    """The server. `expose` returns the bodies at the timeline's present moment.
+    """An emulated Motive server. `expose` returns the bodies at the timeline's present moment.
 
-    Exposures count from 1 and never back. `on_exposed(exposure, frame number)` is called at each,
-    `on_sent(exposure)` after its datagrams have left or, if none are sent, would have.
+    Exposures are numbered from 1 and never go back. `on_exposed(exposure, frame number)` is called
+    at each, `on_sent(exposure)` after its datagrams have left or, if none are sent, would have.
     """
 
     def __init__(
@@ -84,7 +84,7 @@ class Motive:
 
     @property
     def data_port(self) -> int:
-        """The port frames come from or, in multicast, go to."""
+        """The UDP port that frames come from or, in multicast, go to."""
         return self.server.data_port
 
     def open(self) -> int:
@@ -97,9 +97,8 @@ class Motive:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and s.data_port):
-            self.server.data_port = _port(
-                self.data
-            )  # in multicast too: no other server has that one
+            # in multicast too, as no other server has this port
+            self.server.data_port = _port(self.data)
         self._start_ns = self._timeline.now_ns
         self._plan()
         return self.command.fileno()
@@ -111,18 +110,20 @@ class Motive:
                 opened.close()
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
-        """Answer what came to the command port, each at the time to which `catch_up` brings it."""
+        """Answer the messages at the command port, each at the time to which `catch_up`
+        advances.
+        """
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
                 asked, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
                 return
-            except OSError:  # a client that has gone answers ours by a port-unreachable
+            except OSError:  # a client has gone: its host answered port unreachable
                 continue
             if self.trouble.silent:
                 continue
-            catch_up()  # else an echo could report a time before it was asked for
+            catch_up()  # otherwise an echo could report a time before its request
             try:
                 message = parse_request(asked)
             except WireError:
@@ -138,7 +139,7 @@ class Motive:
         self._timeline.at(due, self._take)
 
     def _take(self) -> None:
-        """Expose one frame; it leaves after the server's latency."""
+        """Expose one frame, and schedule its sending after the server's latency."""
         now = self._timeline.now_ns
         number = self._exposures - self.trouble.counter
         self._on_exposed(self._exposures, number)
@@ -187,13 +188,15 @@ class Motive:
 
     def _send(self, sender: socket.socket | None, data: bytes, to: Address) -> None:
         assert sender is not None, "it is open"
-        with suppress(OSError):  # a full buffer or a client that has gone loses a datagram
+        with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
             self.counts.datagrams += 1
 
 
 def mangle(datagram: bytes, chance: random.Random) -> bytes:
-    """Return a datagram cut short, grown, with another size in its header, or of noise."""
+    """Return a datagram damaged at random: cut short, extended, with a wrong size in its header, or
+    noise.
+    """
     match chance.randrange(5):
         case 0:
             return datagram[: chance.randrange(len(datagram))]
@@ -208,7 +211,9 @@ def mangle(datagram: bytes, chance: random.Random) -> bytes:
 
 
 def _packed(message: Message, version: Version) -> bytes:
-    """Pack as a server of this version does; of others than 2.6 to 4.3 only this much is known."""
+    """Return how a frame of this version is packed; versions outside 2.6 to 4.3 use the nearest
+    known one.
+    """
     if version > NEWEST and isinstance(message, ModelDef):
         return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
     return pack_answer(message, max(OLDEST, min(version, NEWEST)))

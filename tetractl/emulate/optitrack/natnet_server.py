@@ -47,13 +47,13 @@ EMULATED_VERSION = Version(4, 1)
 
 @dataclass(frozen=True, slots=True)
 class Streaming:
-    """Motive's streaming settings. Port 0 takes any that is free; times in seconds.
+    """Motive's streaming settings. Port 0 takes any free port; times are in seconds.
 
-    Exposure to transmit is `latency` on the mean with a deviation of `jitter`; one frame in 250
-    is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with longer
-    descriptions of rigid bodies. `keeps_version`: clients cannot have another; `answers_models`:
-    MODELDEF is answered; `models_changed`: every frame reports changed models; `unit_mm`: the
-    answer to `UnitsToMillimeters`, though frames are in metres.
+    The time from exposure to transmission has the mean `latency` and the deviation `jitter`; one
+    frame in 250 is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with
+    longer descriptions of rigid bodies. `keeps_version`: clients cannot choose another version;
+    `answers_models`: requests for MODELDEF are answered; `models_changed`: every frame reports
+    changed models; `unit_mm`: the answer to `UnitsToMillimeters`, though frames are in metres.
     """
 
     address: str = "127.0.0.1"
@@ -66,7 +66,7 @@ class Streaming:
     latency: float = 0.0054
     jitter: float = 0.00025
     client_timeout: float = 5.0
-    frames_from: str | None = None  # an address of its own, as of a second network card
+    frames_from: str | None = None  # a separate address, like that of a second network card
     keeps_version: bool = False
     answers_models: bool = True
     models_changed: bool = False
@@ -77,9 +77,10 @@ class Streaming:
 
 @dataclass(slots=True)
 class Trouble:
-    """What faults set: silent (answers nothing, sends nothing), no frames, the same frame repeated,
-    a counter set back, edit mode, a share of damaged datagrams, or a number of `outdated` frames,
-    stamped `outdated_s` too old."""
+    """State that faults set: silent (no answers, no frames), no frames, the same frame repeated, a
+    frame counter set back, edit mode, a share of damaged datagrams, or a number of `outdated`
+    frames whose time stamps are `outdated_s` too old.
+    """
 
     silent: bool = False
     no_frames: bool = False
@@ -94,7 +95,7 @@ class Trouble:
 
 @dataclass(slots=True)
 class Client:
-    """A unicast client: the version it asked for and when it was last heard."""
+    """A unicast client: the version it asked for, and the time of its last message."""
 
     version: Version
     heard_ns: int
@@ -112,7 +113,7 @@ class ServerCounts:
 
 
 CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # the server's clock starts at an arbitrary time
+CLOCK_OFFSET = 0x1234_5678_9ABC  # arbitrary start of the server's clock [ticks]
 Address = tuple[str, int]
 
 
@@ -125,13 +126,14 @@ class ServerClock:
     since_ns: int = 0
 
     def ticks(self, when_ns: int) -> int:
-        """Return the clock's ticks at a time of the host's."""
+        """Return the server clock's ticks at a time of the host [ns]."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
         return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
 
 class MotiveServer:
-    """Keeps the clients and answers them; `on_client` is called with each new one's address.
+    """Answers clients and keeps a list of them; `on_client` is called with each new client's
+    address.
 
     `data_port` is the port that frames come from or, in multicast, go to.
     """
@@ -153,12 +155,12 @@ class MotiveServer:
         self._greeted: set[Address] = set()
 
     def version(self, client: Address) -> Version:
-        """Return the protocol version that a client gets."""
+        """Return the protocol version in which a client is served."""
         known = self.clients.get(client)
         return known.version if known else self.streaming.version
 
     def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None if there is none."""
+        """Return the answer to a message, None if the server gives no answer."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:
@@ -179,7 +181,9 @@ class MotiveServer:
         return None
 
     def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return where frames go, and in which version; unicast clients time out."""
+        """Return the addresses that frames go to, each with its version; unicast clients
+        time out.
+        """
         s = self.streaming
         if s.transport == "multicast":
             return [((s.group, self.data_port), s.version)]
@@ -202,7 +206,9 @@ class MotiveServer:
         self.clients[sender] = Client(version, now_ns)
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Whether a unicast client can have this version: servers from 4.0 on can be asked."""
+        """Return whether a unicast client may choose this version, as it can with servers from 4.0
+        on.
+        """
         version = Version(*asked)
         if self.streaming.keeps_version:
             return False
@@ -243,14 +249,14 @@ class MotiveServer:
 
 
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
-MEAN_ERROR_M = 0.0002  # of the markers of a tracked body
+MEAN_ERROR_M = 0.0002  # mean marker error of a tracked body
 
 
 def parse_request(received: bytes) -> Message:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
-        case MessageKind.CONNECT if len(payload) < SENDER:  # small clients send only a word
+        case MessageKind.CONNECT if len(payload) < SENDER:  # minimal clients send only a word
             return Connect(read_text(payload))
         case MessageKind.CONNECT if len(payload) < CONNECT_4:
             return Connect(*read_sender(payload))
@@ -266,7 +272,7 @@ def parse_request(received: bytes) -> Message:
 
 
 def pack_answer(message: Message, version: Version | None = None) -> bytes:
-    """Pack one datagram of a server; frames and models need a version from 2.6 to 4.3."""
+    """Pack one datagram from the server; frames and models need a version from 2.6 to 4.3."""
     match message:
         case NatNetFrame() | ModelDef() if version is None:
             raise WireError("frames and models need a protocol version")
@@ -285,7 +291,7 @@ def pack_answer(message: Message, version: Version | None = None) -> bytes:
         case Bare(MessageKind.UNRECOGNIZED as kind):
             return datagram(kind, b"")
         case _:
-            raise WireError(f"no server sends this: {type(message).__name__}")
+            raise WireError(f"a server does not send {type(message).__name__}")
 
 
 def _server_info(info: ServerInfo) -> bytes:
@@ -299,7 +305,7 @@ def _server_info(info: ServerInfo) -> bytes:
 
 
 def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
-    """Pack a frame's payload: rigid bodies, and sections of nothing else."""
+    """Pack a frame's payload: rigid bodies, and all other sections empty."""
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")
     bodies = [packed_body(body, version) for body in frame.bodies]
@@ -352,7 +358,7 @@ def pack_modeldef(
 ) -> bytes:
     """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers.
 
-    `grown` closes each body's description: what a newer protocol has added to it.
+    `grown` is appended to each body's description, as by a newer protocol.
     """
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")

@@ -1,4 +1,6 @@
-"""The emulated camera of type `optitrack`: settings, faults, and a Motive that sees bodies."""
+"""The emulated camera of type `optitrack`: settings, faults, and a Motive server of the robots'
+bodies.
+"""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -22,48 +24,50 @@ from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, Versi
 
 
 class TrueBody(Model):
-    """How a robot's rigid body truly is, if that differs from the spec."""
+    """True properties of a robot's rigid body, where they differ from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
     heading_offset: Finite | None = None
-    """Heading of the robot less that of its rigid body [rad]."""
+    """Heading of the robot minus that of its rigid body [rad]."""
     body: str | None = Field(default=None, min_length=1, max_length=64)
     """Name of the body in Motive."""
     streamed: bool = True
-    """Whether the body is in the frames; it is in the list of names in any case."""
+    """Whether the body is in the frames; it is always in the list of names."""
 
 
 class OptitrackSettings(Model):
-    """How the cameras differ from what the spec says."""
+    """How the cameras differ from the spec."""
 
     version: VersionText = "4.1"
     """The camera server's protocol version, 2.5 or later; frames of 2.5 are laid out as in 2.6.
     Above 4.3 they are laid out as in 4.3, and descriptions of rigid bodies are longer."""
     keeps_version: bool = False
-    """Whether it streams in its own version to clients that ask for another."""
+    """Whether the server streams in its own version to clients that ask for another."""
     frames_from: Ipv4 | None = None
-    """Address that frames come from, as of a second network card; the server's by default."""
+    """Address that frames come from, like that of a second network card; the server's by
+    default.
+    """
     answers_models: bool = True
-    """Whether it reports the names of its rigid bodies."""
+    """Whether the server reports the names of its rigid bodies."""
     models_changed: bool = False
     """Whether every frame says that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames per second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
-    """From exposure to transmission [s]."""
+    """Mean time from exposure to transmission [s]."""
     unit_mm: Positive = 1000.0
-    """The unit of length that it reports [mm]; positions are in metres in any case."""
+    """Unit of length that the server reports [mm]; positions are always in metres."""
     noise_mm: NonNegative = 0.0
     """Standard deviation of a body's position along each axis of the floor [mm]."""
     noise_rad: NonNegative = 0.0
     """Standard deviation of a body's heading [rad]."""
     up: Literal["y", "z"] | None = None
-    """The cameras' vertical axis; the spec's, or y."""
+    """The cameras' vertical axis; by default the spec's, or y if the spec has none."""
     knows_up_axis: bool = True
     """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
-    """The robots whose bodies lie otherwise than the spec says."""
+    """The robots whose bodies differ from the spec."""
 
 
 def _trouble(device: Any, fault: Any) -> Trouble:
@@ -199,7 +203,9 @@ FAULTS = (
         frames=(Frames, 1),
     ),
     fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    fault("nan", "A body's position is no number.", settings(_body, nan=True), EXPOSED, robot=Name),
+    fault(
+        "nan", "A body's position is not a number.", settings(_body, nan=True), EXPOSED, robot=Name
+    ),
     fault(
         "bad_quaternion",
         "A body's quaternion is not of norm 1.",
@@ -257,7 +263,7 @@ class EmulatedOptitrack:
         return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
 
     def hide(self, hidden: bool) -> None:
-        """Lose every body, or track all again."""
+        """Track no body, or all again."""
         for body in self.tracked:
             body.tracked = not hidden
 
@@ -290,7 +296,7 @@ def _tracked(
 
 
 def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
-    """Return how the cameras' coordinates lie; Motive's own default is y up."""
+    """Return the cameras' coordinate system; Motive's own default is y up."""
     up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
     x, y = section.origin
     return View(up, (x * stage.mm, y * stage.mm), section.rotation)
@@ -322,5 +328,5 @@ def _streaming(
 def _version(text: str) -> Version:
     version = Version.of(text)
     if version < (2, 5):
-        raise SpecError(f"cannot emulate NatNet {version}", hint="take 2.5 or a later one")
+        raise SpecError(f"cannot emulate NatNet {version}", hint="use version 2.5 or later")
     return version

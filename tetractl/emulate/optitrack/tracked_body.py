@@ -1,4 +1,4 @@
-"""Robots as rigid bodies in the server's axes, and what is wrong with them while a fault is on."""
+"""Robots as rigid bodies in the server's axes, with the faults of each body."""
 
 import cmath
 import math
@@ -13,14 +13,14 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """How the cameras' coordinates lie in the spec's, see the camera's section; origin in mm."""
+    """The cameras' coordinate system within the spec's, see the camera's section; origin in mm."""
 
     up: UpAxis = UpAxis.Y
     origin: tuple[float, float] = (0.0, 0.0)
     rotation: float = 0.0
 
     def body(self, number: int, x: float, y: float, heading: float, height: float) -> RigidBody:
-        """Return a tracked body at x, y, height [mm] of the spec's axes, turned by heading."""
+        """Return a tracked body at x, y, height [mm] in the spec's axes, with a heading [rad]."""
         dx, dy = x - self.origin[0], y - self.origin[1]
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         along, across = (cos * dx + sin * dy) / 1000, (cos * dy - sin * dx) / 1000
@@ -38,11 +38,11 @@ class View:
 class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
-    `noise` are the standard deviations of a pose [mm, rad], drawn from `random`. The other fields
-    are what faults set: not tracked, as it was seen last (`repeats`), displaced by `shift` [mm],
-    which grows by `step` [mm] at each exposure, in the robot's own axes if it is `own`, turned
-    by `turned` [rad], which grows by `turn`, at another `height` [mm], rolled about its own x axis
-    by `roll` [rad], position NaN, quaternion of norm `norm`.
+    `noise` are the standard deviations of a pose [mm, rad], drawn from `random`. Faults set the
+    other fields: not tracked; frozen at the last pose (`repeats`); displaced by `shift` [mm], in
+    the robot's own axes if `own`, growing by `step` [mm] per exposure; turned by `turned` [rad],
+    growing by `turn` [rad] per exposure; at another `height` [mm]; rolled about its own x axis by
+    `roll` [rad]; with a position of NaN; or with a quaternion of norm `norm`.
     """
 
     robot: Body
@@ -62,10 +62,10 @@ class TrackedBody:
     roll: float = 0.0
     nan: bool = False
     norm: float = 1.0
-    seen: RigidBody | None = field(default=None)  # the last one tracked
+    seen: RigidBody | None = field(default=None)  # the body when last tracked
 
     def expose(self, view: View) -> RigidBody:
-        """Return the body as the cameras give it now; an untracked one keeps its last pose."""
+        """Return the body as the cameras report it now; an untracked body keeps its last pose."""
         if not self.tracked and self.seen is not None:
             return replace(self.seen, tracking_valid=False)
         if self.repeats and self.seen is not None:
@@ -103,9 +103,9 @@ def _rolled(
 def expose(
     tracked: Sequence[TrackedBody], view: View, swapped: set[int], hidden: set[int]
 ) -> tuple[RigidBody, ...]:
-    """Return the bodies as a frame has them.
+    """Return the bodies as reported in a frame.
 
-    The two whose indices are in `swapped` have each other's id; those whose ids are in `hidden`
+    The two bodies at the indices in `swapped` exchange their ids; bodies whose ids are in `hidden`
     are left out.
     """
     bodies = [each.expose(view) for each in tracked]

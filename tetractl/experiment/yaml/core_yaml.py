@@ -1,7 +1,8 @@
 """The core schema of YAML 1.2 on PyYAML, with limits.
 
 PyYAML resolves scalars as YAML 1.1 does (`on` is true, 12:30 is 750, 1e3 is text, 2020-01-01 a
-date). Here only the core schema holds, and only one document of bounded depth and size passes.
+date). Here only the core schema applies, and only one document of limited depth and size is
+accepted.
 """
 
 import re
@@ -36,7 +37,7 @@ SCALARS = {  # YAML 1.2.2, section 10.3.2; the first characters are PyYAML's ind
 
 
 class NotYamlError(Exception):
-    """Text that is no single YAML document within the limits; line and column count from 1."""
+    """Text that is not one YAML document within the limits; line and column count from 1."""
 
     def __init__(self, message: str, mark: Mark | None = None) -> None:
         super().__init__(message)
@@ -45,7 +46,7 @@ class NotYamlError(Exception):
 
 
 def within_limits(depth: int, nodes: int, mark: Mark) -> None:
-    """Raise NotYamlError at `mark` for too deep a nesting or too many values."""
+    """Raise NotYamlError at `mark` if nesting is too deep or there are too many values."""
     if depth > MAX_DEPTH:
         raise NotYamlError(f"nested deeper than {MAX_DEPTH} levels", mark)
     if nodes > MAX_NODES:
@@ -86,7 +87,7 @@ for _tag, (_pattern, _first) in SCALARS.items():
 
 
 def compose(text: str) -> Node | None:
-    """Return the node graph of a text, None for one without content; raise NotYamlError."""
+    """Return the node graph of a text, None if the text is empty; raises NotYamlError."""
     try:
         composer = _Composer(text)
         composer.get_event()  # the stream's start
@@ -111,7 +112,7 @@ def compose(text: str) -> Node | None:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar; ValueError says in words why the tag does not fit."""
+    """Return the value of a scalar; the message of ValueError is why the tag does not fit."""
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
@@ -127,17 +128,17 @@ def scalar(tag: str, text: str) -> str | bool | int | float | None:
             base = {"0o": 8, "0x": 16}.get(text[:2])
             return int(text[2:], base) if base else int(text)
     number = float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-    # 1e3 and 100.0 are whole numbers to JSON, to the schema and to people
+    # 1e3 and 100.0 are whole numbers in JSON, in the schema and for readers
     return int(number) if number.is_integer() and abs(number) < 2**53 else number
 
 
 def short_tag(tag: str) -> str:
-    """`!!map` for the long form of a tag."""
+    """Return the short form of a tag, such as `!!map`."""
     return tag.replace(CORE, "!!")
 
 
 def dump(data: Any) -> str:
-    """Return plain data as YAML in the order it has, one key a line, points in brackets."""
+    """Return plain data as YAML in its order, one key per line, points in brackets."""
     return yaml.dump(
         data,
         Dumper=_Dumper,

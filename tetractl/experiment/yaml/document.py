@@ -44,8 +44,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: data, the location of every value and key, and refused values. `refused`
-    has the error of a value, which is None in `data`. `notices` are lines on renamed keys.
+    """A parsed spec: data, the location of every value and key, and refused values. `refused` has
+    the errors of refused values, which are None in `data`. `notices` are lines about renamed keys.
     """
 
     origin: str
@@ -58,7 +58,7 @@ class Document:
 
     @property
     def found(self) -> list[SpecProblem]:
-        """All problems so far."""
+        """The document's problems and refused values so far."""
         return [*self.problems, *self.refused.values()]
 
     @property
@@ -67,29 +67,31 @@ class Document:
         return self.values, self.keys, self.refused
 
     def key(self, loc: Loc) -> Place:
-        """Return the location of a key, else of its value, else of the enclosing node."""
+        """Return the location of a key or, if unknown, that of its value or of the enclosing
+        node.
+        """
         return self.keys.get(loc) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the location of a value, else of the nearest enclosing node."""
+        """Return the location of a value or, if unknown, that of the nearest enclosing node."""
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
 
 
 def frozen(value: Any) -> Any:
-    """Return a document's data with tuples for lists, which is what strict validation wants."""
+    """Return a document's data with tuples for lists, as strict validation requires."""
     if isinstance(value, dict):
         return {key: frozen(item) for key, item in value.items()}
     return tuple(map(frozen, value)) if isinstance(value, list) else value
 
 
 def read_text(path: Path) -> str:
-    """Read a spec file; InvalidSpecError names what is wrong with the file itself."""
+    """Read a spec file; InvalidSpecError if the file itself is missing or cannot be read."""
     origin = printable(str(path))
     try:
-        if path.exists() and not (path.is_file() or path.is_dir()):  # a FIFO may never end
-            raise InvalidSpecError([SpecProblem(origin, "is no regular file")])
+        if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
+            raise InvalidSpecError([SpecProblem(origin, "is not a regular file")])
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
@@ -116,9 +118,9 @@ def read_text(path: Path) -> str:
 
 
 def parse_document(text: str, origin: str) -> Document:
-    """Parse a spec's text; raise InvalidSpecError if nothing can be made of it.
+    """Parse a spec's text; raise InvalidSpecError if it is not readable as YAML.
 
-    What is wrong but leaves the rest readable is in the document's `problems` and `refused`.
+    Errors that leave the rest readable are in the document's `problems` and `refused`.
     """
     text = text.removeprefix("\ufeff")
     document = Document(printable(origin))
@@ -136,9 +138,9 @@ def parse_document(text: str, origin: str) -> Document:
 
 
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
-    """Parse one value, as `--set` takes it, that will stand at `loc`.
+    """Parse one value, as given to `--set`, that will stand at `loc`.
 
-    Problems have `origin` as their location, and no line.
+    Problems have `origin` as their location, without a line.
     """
     document = Document(printable(origin))
     value, found = None, ()
@@ -209,7 +211,7 @@ class _Builder:
                 yield key.value, value
 
     def place(self, node: Node) -> Place:
-        """Return where a node was written, and its text if that is a single line."""
+        """Return the location of a node, with its text if that is on a single line."""
         start, end = node.start_mark, node.end_mark
         text = self.text[start.index : end.index].strip()
         one_line = "\n" not in text and not isinstance(node, MappingNode)

@@ -1,4 +1,4 @@
-"""Pydantic's errors of a spec as plain messages, with their location in the YAML."""
+"""Turns pydantic's errors in a spec into plain messages with their location in the YAML."""
 
 from collections.abc import Iterator
 from typing import Any, TypeVar
@@ -47,7 +47,7 @@ Section = TypeVar("Section", bound=BaseModel)
 
 
 def validated(model: type[Section], document: Document) -> Section:
-    """Return a document as what a file of its kind holds; InvalidSpecError lists its problems."""
+    """Validate a document as a given type; InvalidSpecError lists its problems."""
     try:
         found = model.model_validate(frozen(document.data), strict=True, context=STRICT)
     except ValidationError as error:
@@ -61,7 +61,7 @@ def validated(model: type[Section], document: Document) -> Section:
 def explain(
     error: ValidationError, document: Document, schema: Schema | None = None
 ) -> Iterator[SpecProblem]:
-    """Yield the errors as problems, without those that the document has already.
+    """Yield pydantic's errors as problems, except those that the document has already.
 
     `schema` is the JSON schema of the file, by default that of a spec.
     """
@@ -71,14 +71,14 @@ def explain(
         value = _at(document.data, loc)
         context = details.get("ctx", {})
         if details["type"] == "too_short" and len(value or ()) >= context["min_length"]:
-            continue  # pydantic counts only the valid entries; those that are not are reported
+            continue  # pydantic counts only valid entries; the invalid ones are reported already
         if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):
             continue
         yield _problem(details, loc, value, document, schema)
 
 
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
-    """Return where an error is in the data: pydantic's loc without the tags of unions.
+    """Return the location of an error in the data: pydantic's loc without the tags of unions.
 
     A validator may point at a field of its model by the context's `field`, see
     `base.inconsistent`.

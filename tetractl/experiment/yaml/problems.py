@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from tetractl.core.errors import SpecError, printable
 
 Loc = tuple[str | int, ...]
-"""Where something is in a spec, as keys and list indices: ("robots", 0, "start")."""
+"""A location in a spec, as keys and list indices: ("robots", 0, "start")."""
 
 SHOWN_PROBLEMS = 100
 SHOWN_LENGTH = 60
@@ -16,9 +16,10 @@ MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 
 @dataclass(frozen=True, slots=True)
 class SpecProblem:
-    """One problem to fix.
+    """One problem of a spec, to be fixed by its author.
+
     `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
-    `column` count from 1 and are None if there are none.
+    `column` count from 1 and are None if unknown.
     """
 
     origin: str
@@ -30,7 +31,7 @@ class SpecProblem:
 
     @property
     def where(self) -> str:
-        """`origin:line:column`, as editors and terminals follow it."""
+        """The location as `origin:line:column`, which editors and terminals can follow."""
         return self.origin if self.line is None else f"{self.origin}:{self.line}:{self.column}"
 
     def __str__(self) -> str:
@@ -45,7 +46,7 @@ class InvalidSpecError(SpecError):
         super().__init__("\n".join(self.lines()), hint)
 
     def lines(self) -> list[str]:
-        """One line per problem; very many are cut short."""
+        """One line per problem; a very long list is cut."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: and more; mend these first")
@@ -53,12 +54,12 @@ class InvalidSpecError(SpecError):
 
 
 def dotted(loc: Loc) -> str:
-    """`robots.0.start`, as `--set` takes it."""
+    """Return a location as a path for `--set`, such as `robots.0.start`."""
     return printable(".".join(map(str, loc)), 200)
 
 
 def did_you_mean(word: str, known: Sequence[str]) -> str:
-    """`; did you mean 'heading'?`, or nothing if no known word is close."""
+    """Return a suggestion, such as `; did you mean 'heading'?`, or "" if no known word is close."""
     lower = {k.lower(): k for k in known}
     plain = word[:SHOWN_LENGTH].lower().translate(MICRO)
     close = difflib.get_close_matches(plain, lower, n=1)

@@ -15,22 +15,22 @@ DRAFT = "https://json-schema.org/draft/2020-12/schema"
 
 @cache
 def experiment_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of an experiment; not to be changed."""
+    """Return the JSON schema (draft 2020-12) of an experiment; callers must not change it."""
     return schema_of(Experiment)
 
 
 def schema_of(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the JSON schema of what a YAML file holds."""
+    """Return the JSON schema of a type of YAML file."""
     return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
 def schema_json(schema: dict[str, Any]) -> str:
-    """Return a schema as text, as committed in `experiments/experiment.schema.json`."""
+    """Return a schema as JSON text, like `experiments/experiment.schema.json`."""
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
 def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the schema of the value at `loc` of a file's data, {} if there is none.
+    """Return the schema of the value at `loc` in a file's data, {} if there is none.
 
     `data` decides between the alternatives of a union, by its `type`; `root` is the schema of the
     file, by default that of a spec.
@@ -51,7 +51,7 @@ def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[st
 
 
 def child(data: Any, step: str | int) -> Any:
-    """Return the value of a key or at an index, None if there is none."""
+    """Return the value of a key or at an index, None if it does not exist."""
     if isinstance(data, dict):
         return data.get(step)
     if isinstance(data, list) and isinstance(step, int) and step < len(data):
@@ -60,18 +60,18 @@ def child(data: Any, step: str | int) -> Any:
 
 
 def alternatives(node: dict[str, Any], root: dict[str, Any] | None = None) -> list[dict[str, Any]]:
-    """Return the schemas a union chooses from, null left out; [] for anything else."""
+    """Return a union's alternative schemas, without null; [] for a schema that is not a union."""
     listed = node.get("anyOf") or node.get("oneOf") or []
     return [_resolved(option, None, root) for option in listed if option.get("type") != "null"]
 
 
 def tag(node: dict[str, Any]) -> str | None:
-    """Return the `type` that chooses this alternative."""
+    """Return the value of `type` that selects this alternative of a union."""
     return node.get("properties", {}).get("type", {}).get("const")
 
 
 def homes(key: str, root: dict[str, Any] | None = None) -> Iterator[str]:
-    """Yield the dotted paths of all fields called `key`, as `--set` takes them."""
+    """Yield the dotted paths, as for `--set`, of all fields called `key`."""
     root = root or experiment_schema()
 
     def walk(node: dict[str, Any], path: str) -> Iterator[str]:
@@ -107,7 +107,7 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
 
 
 def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the schema a `$ref` stands for, with what is written next to it."""
+    """Return the schema that a `$ref` names, merged with the entries next to it."""
     if "$ref" not in node:
         return node
     target = (root or experiment_schema())["$defs"][node["$ref"].rpartition("/")[2]]
@@ -115,7 +115,7 @@ def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> di
 
 
 def _unwrapped(value: Any) -> Any:
-    """Take the line breaks of docstrings out of the descriptions."""
+    """Replace the docstrings' line breaks in the descriptions by spaces."""
     if isinstance(value, dict):
         return {
             key: " ".join(item.split())

@@ -1,8 +1,8 @@
-"""Specs written for an earlier tetractl: keys and values that were renamed since.
+"""Converts specs of an earlier tetractl: keys and values that have been renamed since.
 
-A spec, a `--set` and the resolved spec in a log all go through here before they are checked. The
-locations of the values stay, so that errors point at the written text; each change leaves a notice
-in the document.
+A spec, a `--set` and the resolved spec in a log all go through here before they are checked. Values
+keep their locations, so that errors point at the original text; each change adds a notice to the
+document.
 """
 
 from typing import Any
@@ -33,7 +33,7 @@ REMOVED = {
 
 
 def upgrade(document: Document) -> None:
-    """Bring a document to today's names; what was changed joins its notices."""
+    """Convert a document to the current names; each change adds a notice."""
     for old, new in RENAMED.items():
         _rename(document, old, new)
     for at, old, new in REVALUED:
@@ -48,7 +48,7 @@ def upgrade(document: Document) -> None:
 
 
 def upgraded_path(steps: list[str]) -> list[str]:
-    """Return the path of a `--set` in today's names."""
+    """Return the path of a `--set` with the current names."""
     for old, new in RENAMED.items():
         length = old.count(".") + 1
         if steps[:length] == old.split("."):

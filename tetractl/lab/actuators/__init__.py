@@ -1,1 +1,1 @@
-"""Actuators: what turns a direction into the motion of robots, one package or file each."""
+"""Actuators, which turn a direction into the motion of robots: one package or file each."""

@@ -1,1 +1,1 @@
-"""Cameras: what tracks the robots, one package or file each."""
+"""Cameras, which track the robots: one package or file each."""

@@ -28,7 +28,7 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Characters of a Operator messages that are read back, control characters as escapes."""
+"""Largest number of characters read of an operator message, with control characters as escapes."""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
@@ -42,7 +42,7 @@ ESTIMATE = "/controller/estimate"
 CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
-"""Channels of a camera that follows cells."""
+"""The channels of a camera that follows cells."""
 
 MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
 
@@ -77,7 +77,7 @@ CHANNELS_1: dict[str, type[Message]] = {
     HOST_TIMING: StepTiming,
     ESTIMATE: Estimate,
 }
-"""The channels of format 1, which had a message a camera frame, in their order."""
+"""The channels of format 1 in their order; it had one message per camera frame."""
 
 RUN = "tetractl.run"
 HOST = "tetractl.host"

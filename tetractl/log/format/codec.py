@@ -1,4 +1,4 @@
-"""tetractl's own messages: from the records of a trial to protobuf and back, bit for bit."""
+"""Converts the records of a trial to tetractl's protobuf messages and back, bit for bit."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ class Frames:
 
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Return samples as columns; without truth unless each has it."""
+        """Return samples as columns; `truth` is None unless every sample has true poses."""
         seen = [sample.observation for sample in samples]
         times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
         truth = [sample.truth for sample in samples if sample.truth is not None]
@@ -49,7 +49,9 @@ class Frames:
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Return frames one after the other; true poses are NaN in a part that alone has none."""
+        """Return parts joined in order; true poses are NaN in a part without them if another part
+        has them.
+        """
         known = [one.truth for one in parts if one.truth is not None]
         if 0 < len(known) < len(parts):
             lost = [np.full_like(one.poses, np.nan) for one in parts]
@@ -65,7 +67,7 @@ class Frames:
         )
 
     def part(self, rows: slice | Integers) -> "Frames":
-        """Return the frames in some rows."""
+        """Return the frames in a slice of rows."""
         return Frames(
             self.numbers[rows],
             self.sampled_ns[rows],
@@ -77,7 +79,7 @@ class Frames:
 
 
 def _columns(poses: Sequence[Poses], robots: int) -> Floats:
-    """Return poses at M times as (M, N, 3)."""
+    """Return the poses of N robots at M times as an array (M, N, 3)."""
     rows = [(one.x, one.y, one.heading) for one in poses]
     return np.array(rows, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)
 
@@ -109,9 +111,7 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     times = {len(m.sampled_ns), len(m.received_ns)}
     known = {len(column) for column in true}
     if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
-        raise ValueError(
-            f"camera frames with columns of another size than {count} times {robots} robots"
-        )
+        raise ValueError(f"camera frames whose columns do not have {count} times {robots} entries")
     poses, truth = (
         np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
     )
@@ -142,7 +142,7 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     """Decode one camera frame; ValueError for another number of robots than `robots`."""
     if len(message.valid) != robots:
-        raise ValueError(f"a frame of {len(message.valid)} robots, not {robots}")
+        raise ValueError(f"a frame has {len(message.valid)} robots instead of {robots}")
     return Observation(
         frame=message.frame,
         sampled_ns=message.sampled_ns,
@@ -156,7 +156,7 @@ def decode_poses(message: pb.MocapSample | pb.Truth, robots: int) -> Poses:
     """Decode the poses of one frame; ValueError for another number of robots than `robots`."""
     found = {len(message.x), len(message.y), len(message.heading)}
     if found != {robots}:
-        raise ValueError(f"poses of {sorted(found)} robots, not {robots}")
+        raise ValueError(f"poses have {sorted(found)} robots instead of {robots}")
     return Poses(_floats(message.x), _floats(message.y), _floats(message.heading))
 
 
@@ -180,7 +180,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 
 
 def encode_step(step: Step) -> pb.ControllerStep:
-    """Encode one control step without its solve time, which has its own message."""
+    """Encode one control step; its solve time is in a separate message."""
     plan = step.plan
     x, y, heading = plan.path.reshape(-1, 3).T.tolist()
     return pb.ControllerStep(
@@ -208,7 +208,7 @@ def decode_step(
     """
     observation = decode_observation(message.observation, robots)
     if not 0 <= message.chosen < len(message.searches) or not message.signals:
-        raise ValueError(f"step {message.k} chooses a search that is not there")
+        raise ValueError(f"step {message.k} chooses a search that does not exist")
     flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]
     command = decode_command(message.command)
     plan = Plan(
@@ -255,7 +255,7 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
     perhaps = (message.heading_bias, message.heading_bias_std)
     counts = {len(values) for values in (*sure, *filter(None, perhaps))}
     if counts != {robots}:
-        raise ValueError(f"an estimate of {sorted(counts)} robots, not {robots}")
+        raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
     bias, bias_std = (_floats(values) if values else None for values in perhaps)
     return Estimate(
         *map(_floats, sure),

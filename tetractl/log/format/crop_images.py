@@ -1,8 +1,8 @@
-"""A microscope's film in a log: what was found, crops, and whole pictures.
+"""A microscope's film in a log: cells found, crops, and whole pictures.
 
-`/camera/cells` describes each crop and has the checksums of all messages of its picture. Crops
-are not compressed: chunks are, and nothing has to be decoded to search them again. Whole pictures
-are JPEG, for display.
+`/camera/cells` describes each crop and has the checksums of all messages of its picture. Crops are
+not compressed, as the chunks are; they can be searched again without decoding. Whole pictures are
+JPEG, for display.
 """
 
 import zlib
@@ -19,15 +19,15 @@ from tetractl.log.format import channels
 from tetractl.log.format.scene import stamp
 from tetractl.log.format.tetractl_pb2 import CellCrops
 
-QUALITY = 80  # of whole pictures, as JPEG counts
+QUALITY = 80  # JPEG quality of whole pictures
 LENS = "microscope"
-"""The coordinate frame of the images."""
+"""Name of the images' coordinate frame."""
 
 
 def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, Message]:
     """Return the messages of a picture by topic.
 
-    `seen` is the log's frame, of a trial that starts at a time [Unix ns].
+    `seen` is the picture's frame in the log; the trial starts at `start_ns` [Unix ns].
     """
     time, side = stamp(start_ns + seen.sampled_ns), film.crops.shape[2]
     crops = RawImage(
@@ -62,12 +62,12 @@ def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> li
 
 
 def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm:
-    """Decode the cells found and their crops; ValueError if they do not fit together."""
+    """Decode the cells found and their crops; ValueError if cells and crops do not match."""
     columns = (cells.x, cells.y, cells.axis, cells.long, cells.wide, cells.strength)
     others = (cells.robot, cells.merged, cells.column, cells.row)
     count, side = len(cells.robot), cells.side
     if {len(column) for column in (*columns, *others)} != {count}:
-        raise ValueError("columns of several lengths")
+        raise ValueError("columns have different lengths")
     if side < 1 or len(crops.data) != count * side * side:
         raise ValueError(f"{len(crops.data)} bytes are not {count} crops of {side} pixels per side")
     return CellFilm(
@@ -83,7 +83,7 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
 
 
 def _jpeg(picture: Grey) -> bytes:
-    import cv2  # only cameras of cells have such pictures; a log without them does not need OpenCV
+    import cv2  # imported here: logs without films do not need OpenCV
 
     done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
     return data.tobytes() if done else b""

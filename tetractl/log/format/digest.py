@@ -11,8 +11,8 @@ HOST_DIGEST = "host_digest"
 
 
 class ContentDigest:
-    """SHA-256 over the records of a log, in file order, host records left out;
-    with `host` over the host records alone, without the report of a recovery.
+    """SHA-256 over the records of a log, in file order, without host records; with `host`, only
+    over the host records, without the report of a recovery.
 
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
     different logs give the same bytes to hash. The fields of a message are topic, both times and
@@ -23,7 +23,7 @@ class ContentDigest:
     def __init__(self, host: bool = False) -> None:
         self._hash = hashlib.sha256()
         self._host = host
-        self._heads: dict[str, bytes] = {}  # by topic
+        self._heads: dict[str, bytes] = {}  # first bytes of a message, by topic
 
     def _covers(self, name: str) -> bool:
         return (name in HOST_RECORDS) == self._host and name != RECOVERED
@@ -34,7 +34,7 @@ class ContentDigest:
         head = self._heads.get(topic)
         if head is None:
             head = self._heads[topic] = self._head(topic)
-        if head:  # thousands per trial: one call of the hash each
+        if head:  # one call of the hash per message, as there are thousands
             times = b"%d %d" % (log_ns, publish_ns)
             self._hash.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 
@@ -61,7 +61,8 @@ class ContentDigest:
         self._hash.update(b"".join(parts))
 
     def _head(self, topic: str) -> bytes:
-        """Return the first bytes of a message of a topic, up to its times; nothing if it is left
-        out."""
+        """Return the first bytes to hash for a message of a topic, up to its times; empty if the
+        topic is left out.
+        """
         name = topic.encode()
         return b"4;7:message%d:%b" % (len(name), name) if self._covers(topic) else b""

@@ -16,7 +16,7 @@ from tetractl.log.format.scene import WORLD, frame_of
 
 MEDIA_TYPE = "application/json"
 ASPECT = 1.1
-"""Width of the 3D panel over its height, at least."""
+"""Least ratio of the 3D panel's width to its height."""
 MARGIN = 1.08
 ERROR = "/studio_script/error"
 MOST_CURVES = 20
@@ -25,7 +25,7 @@ _FILES = files("tetractl.log.format")
 
 
 def layout(setup: Setup) -> str:
-    """Return the layout of an experiment: the arena from above, and plots of four quantities."""
+    """Return the layout for an experiment: the arena from above, and plots of four quantities."""
     robots = range(min(len(setup.names), MOST_CURVES))
     curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
     step, timing, estimate = channels.STEP, channels.HOST_TIMING, channels.ESTIMATE
@@ -73,11 +73,11 @@ def layout(setup: Setup) -> str:
 
 
 def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
-    """Return the 3D panel: looking down, not in perspective, the arena as large as it fits.
+    """Return the 3D panel: an orthographic view from above, with the arena as large as possible.
 
-    A camera that is not in perspective is `far` / 2 above the plane, whatever its `distance`, which
-    is the height of what it shows [m]: so a field of 5 mm fills the panel too. `near` and `far` are
-    scaled alike, since a depth buffer has 24 bits.
+    An orthographic camera is always `far` / 2 above the plane, and its `distance` is the visible
+    height [m], so that a field of 5 mm fills the panel too. `near` and `far` are scaled alike,
+    since a depth buffer has 24 bits.
     """
     arena, metres = setup.arena, setup.metres
     height = MARGIN * max(arena.height, arena.width / ASPECT) * metres
@@ -91,7 +91,7 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(panels: list[str]) -> Any:
-    """Return panels below one another, all of the same height."""
+    """Return panels stacked vertically with the same height."""
     if len(panels) == 1:
         return panels[0]
     return {

@@ -23,7 +23,7 @@ from tetractl.log.read.trial_log import Damage
 FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
-_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # the name in format 1
+_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # outcome's name in format 1
 
 
 def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
@@ -45,7 +45,7 @@ def run_metadata(start: Start) -> dict[str, str]:
     """Return the metadata record at the start of a log, which identifies the trial."""
     setup, plant = start.setup, start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
-    if not plant.simulated:  # a trial repeated in the lab is another run
+    if not plant.simulated:  # repeating a trial in the lab gives another run
         run_id += f"-{start.start_unix_ns}"
     return {
         FORMAT: str(FORMAT_VERSION),
@@ -67,10 +67,10 @@ def run_metadata(start: Start) -> dict[str, str]:
 
 @dataclass(frozen=True, slots=True)
 class RunRecord:
-    """The metadata record of a run, decoded; `items` as written, its checksum left out."""
+    """The decoded metadata record of a run; `items` are as written, without the checksum."""
 
     items: dict[str, str]
-    version: int  # of the log format
+    version: int  # version of the log format
     robots: tuple[str, ...]  # names
     spec_name: str
     seed: int
@@ -105,7 +105,7 @@ def read_run(items: Mapping[str, str]) -> RunRecord:
 def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, str]:
     """Return the metadata record at the end of a log: the result without its solve times.
 
-    `warnings` are the operator messages that warn or tell of an error.
+    `warnings` is the number of operator messages that are warnings or errors.
     """
     final = result.verdict.final
     return {
@@ -134,7 +134,9 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
 
 
 def timing_metadata(result: Result) -> dict[str, str]:
-    """Return the metadata record before the result: the solve times, which vary by host."""
+    """Return the metadata record of the solve times, which depend on the host; it precedes the
+    result.
+    """
     return {
         "solve_ns": json.dumps([int(ns) for ns in result.solve_ns]),
         "deadline_misses": str(result.deadline_misses),
@@ -166,8 +168,8 @@ def read_damage(items: Mapping[str, str]) -> Damage | None:
 def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int) -> Result:
     """Decode what `result_metadata` and `timing_metadata` encode, for `robots` robots.
 
-    Without `timing` the result has no solve times. Raises KeyError, TypeError or ValueError
-    for items that those do not write, and for another number of robots.
+    Without `timing` the result has no solve times. Raises KeyError, TypeError or ValueError for
+    items that these do not write, and for another number of robots.
     """
     final = [_floats(items[key]) for key in ("final_x", "final_y", "final_heading")]
     entered = tuple(bool(entered) for entered in json.loads(items["entered"]))
@@ -175,9 +177,11 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
     edge, apart = (_floats(items.get(key, "[]")) for key in ("edge", "apart"))
     inside = _floats(items.get("inside", "[]"))
     lost = tuple(int(times) for times in json.loads(items.get("lost", "[]")))
-    kept = [column for column in (edge, apart, inside, lost) if column]  # older logs have neither
+    kept = [
+        column for column in (edge, apart, inside, lost) if column
+    ]  # older logs lack some columns
     if any(len(column) != robots for column in (*final, entered, errors, clearance, *kept)):
-        raise ValueError("the result is not of as many robots as the run")
+        raise ValueError("the result and the run have different numbers of robots")
     return Result(
         outcome=Outcome(items["outcome"]),
         reason=items["reason"],

@@ -1,7 +1,7 @@
-"""The messages that viewers draw: Foxglove's, in metres.
+"""The messages that viewers draw, in Foxglove's formats and in metres.
 
-Positions go from the spec's unit to metres here and nowhere else. Nothing that is not finite is
-drawn: viewers drop a whole message for one NaN.
+Positions are converted from the spec's unit to metres only here. Non-finite values are not drawn,
+since viewers drop a whole message for one NaN.
 """
 
 from typing import Any
@@ -34,7 +34,7 @@ GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
-_UPRIGHT = Quaternion(w=1.0)  # must be given: without it viewers see a zero quaternion
+_UPRIGHT = Quaternion(w=1.0)  # must be given: the default is a zero quaternion
 
 
 def frame_of(name: str) -> str:
@@ -48,7 +48,7 @@ def stamp(unix_ns: int) -> Timestamp:
 
 
 def encode_note(note: Note, start_ns: int) -> Log:
-    """Encode one line of the /log channel, of a trial that starts at `start_ns` [Unix ns]."""
+    """Encode one line for the /log channel; the trial starts at `start_ns` [Unix ns]."""
     unix = stamp(start_ns + note.t_ns)
     return Log(timestamp=unix, level=_LEVELS[note.level], message=note.text, name="tetractl")
 
@@ -61,7 +61,7 @@ def decode_note(message: Log, start_ns: int) -> Note:
 
 
 class Scene:
-    """Draws one experiment; lengths that come in are in its unit."""
+    """Draws one experiment; arguments are in the experiment's length unit."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
@@ -72,9 +72,9 @@ class Scene:
         self._body = body * self._metres
 
     def transforms(self, frames: Frames, start_ns: int) -> FrameTransforms:
-        """Return the poses in camera frames of a trial that starts at a time [Unix ns].
+        """Return the poses in camera frames as transforms; the trial starts at a time [Unix ns].
 
-        Robot by robot; frames in which a robot is not tracked are left out.
+        They are ordered by robot; frames in which a robot is not tracked are left out.
         """
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         made = FrameTransforms()
@@ -94,9 +94,8 @@ class Scene:
         return made
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line per robot along its predicted path (length + 1, N, 3).
-
-        The next message replaces it.
+        """Return one line per robot along its predicted path (length + 1, N, 3), until the next
+        message.
         """
         return SceneUpdate(
             entities=[
@@ -127,7 +126,7 @@ class Scene:
         return SceneUpdate(entities=entities)
 
     def _obstacle(self, entity_id: str, unix_ns: int, obstacle: Shape) -> SceneEntity:
-        """An upright block over the outline, as high as a robot."""
+        """Return an upright block over the outline, as high as a robot."""
         corners, triangles = prism(obstacle.outline() * self._metres, self._body)
         block = TriangleListPrimitive(
             pose=Pose(orientation=_UPRIGHT),
@@ -140,7 +139,9 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Rings: the robot's size around its target, half of it around way-points; the hold."""
+        """Return rings: of the robot's size around its target, of half that around way-points, and
+        the hold's.
+        """
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
         ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
         wanted = [(body, target), *((body / 2, point) for point in way_points)]
@@ -152,7 +153,7 @@ class Scene:
         return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
-        """A wedge that points along the heading, and the robot's name above it."""
+        """Return a wedge that points along the heading, with the robot's name above it."""
         half = self._body / 2
         nose = [Point3(x=half), Point3(x=-half, y=half), Point3(x=-half, y=-half)]
         wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=nose, color=color)
@@ -169,7 +170,7 @@ class Scene:
         return entity
 
     def _entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
-        """An entity that stays until it is replaced and follows its frame."""
+        """Return an entity that stays until it is replaced and moves with its frame."""
         return SceneEntity(
             timestamp=stamp(unix_ns),
             frame_id=WORLD,
@@ -181,7 +182,7 @@ class Scene:
     def _line(
         self, xy: Floats, color: Color, kind: LinePrimitive.Type.ValueType = _STRIP
     ) -> LinePrimitive:
-        """A line 2 pixels wide through xy (M, 2)."""
+        """Return a line, 2 pixels wide, through xy (M, 2)."""
         known = xy[np.isfinite(xy).all(axis=1)] * self._metres
         points = [Point3(x=x, y=y) for x, y in known.tolist()]
         return LinePrimitive(
@@ -226,8 +227,7 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        # no ear is found only if rounding affects nearly collinear corners: any corner
-        # will do
+        # only rounding at nearly collinear corners leaves no ear: any corner may be cut
         i = next(ears, 0)
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]

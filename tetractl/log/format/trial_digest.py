@@ -1,8 +1,8 @@
-"""The digest of a trial: a hash of its records, however and wherever a log stores them.
+"""The digest of a trial: a hash of its records, independent of how a log stores them.
 
-The content digest is over the bytes of a log, including messages for viewers. This digest is over
-the records alone: a running trial (`Recorder`) and its log give the same one, so a study's row
-states it even without a log.
+The content digest is over the bytes of a log, including messages for viewers. This digest is only
+over the records: a running trial (`Recorder`) and its log give the same digest, so that a study's
+row can state it even without a log.
 """
 
 import hashlib
@@ -21,12 +21,12 @@ BLOCK = 10_000  # frames encoded at a time
 
 
 def trial_digest(trial: TrialRecords) -> str:
-    """Return SHA-256 over the records of a trial but the solve times.
+    """Return SHA-256 over the records of a trial except the solve times.
 
     Frames, commands, control steps with their estimates, and operator messages each have a hash of
     their own over their encoded messages in order; the digest is over those and over start and
-    result. Operator messages are hashed as a log gives them back: with unprintable characters
-    escaped, and cut. A damaged log has another digest than its trial.
+    result. Operator messages are hashed as they are read from a log: with unprintable characters
+    escaped, and cut. The digest of a damaged log differs from the trial's.
     """
     start, result = trial.start, trial.result
     ended = {}

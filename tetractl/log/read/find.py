@@ -26,7 +26,9 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file's name is that of a log set aside, by an earlier tetractl too."""
+    """Return whether a file's name is that of a log set aside, including earlier forms of
+    the name.
+    """
     return _SET_ASIDE.search(name) is not None
 
 
@@ -36,11 +38,11 @@ def find_logs(
     """Return the logs of some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
-    in it and in its sub-folders, sorted by name with numbers in their order. A .part counts as a
-    log, since a trial that crashed is part of its batch, unless the finished log is there too. A
-    recovered log is left out if its source is among the paths. Logs that `--resume` set aside
-    are found in folders and by patterns only if `attempts` are asked for. Raises UsageError for
-    a path that does not exist, and for a folder or a pattern without logs that is not in `bare`.
+    in it and in its sub-folders, sorted by name with numbers in their order. A .part file counts as
+    a log, since a crashed trial belongs to its batch, unless the finished log exists too. A
+    recovered log is left out if its source is among the paths. Logs that `--resume` set aside are
+    found in folders and by patterns only if `attempts` are asked for. Raises UsageError for a path
+    that does not exist, and for a folder or a pattern without logs that is not in `bare`.
     """
     found: dict[Path, Path] = {}
     for path in without_others(paths):
@@ -50,7 +52,7 @@ def find_logs(
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
-    """Return paths without the files that are plainly no logs, by their ending.
+    """Return the paths without files whose ending shows that they are not logs.
 
     A shell's pattern such as `logs/slip/*` catches the tables and figures of a study next to the
     folders of its arms. Raises UsageError if nothing else is named.
@@ -61,14 +63,14 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
         first = places[0]
         spec = first.suffix.lower() in (".yaml", ".yml")
         hint = f"run it with: tetractl run {first}" if spec else f"name the folder: {first.parent}"
-        raise UsageError(f"{first}: is no log (*{SUFFIX})", hint)
+        raise UsageError(f"{first}: is not a log (*{SUFFIX})", hint)
     return kept
 
 
 def find_rows(path: Path) -> list[Path]:
-    """Return the files of a study's rows in a folder, or in the folders that a pattern matches.
+    """Return a study's files of rows in a folder, or in the folders that a pattern matches.
 
-    Those of sub-folders are found too, sorted by name with numbers in their order.
+    Sub-folders are searched too; files are sorted by name, with numbers in numerical order.
     """
     folders = [path] if path.is_dir() or not glob.has_magic(str(path)) else _matches(path)
     rows = {file for folder in folders if folder.is_dir() for file in folder.rglob(ROWS)}
@@ -76,7 +78,7 @@ def find_rows(path: Path) -> list[Path]:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the one log of a path, which is as in `find_logs`; UsageError if it has several."""
+    """Return the only log of a path, as found by `find_logs`; UsageError if there are several."""
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")
@@ -84,7 +86,7 @@ def find_log(path: Path | str) -> Path:
 
 
 def _sources(log: Path) -> set[Path]:
-    """Return the possible sources of a recovered log, none for another log."""
+    """Return the possible sources of a recovered log; empty for any other log."""
     if not log.name.endswith(RECOVERED_SUFFIX):
         return set()
     stem = log.name.removesuffix(RECOVERED_SUFFIX)
@@ -98,8 +100,8 @@ def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:
         raise UsageError(f"{path}: no logs (*{SUFFIX}) in this folder")
     if path.is_file():
         return [path]
-    if path.exists():  # a FIFO or a device may never end
-        raise UsageError(f"{path}: is no regular file")
+    if path.exists():  # reading a FIFO or a device may never end
+        raise UsageError(f"{path}: is not a regular file")
     if not glob.has_magic(str(path)):
         raise UsageError(f"{path}: no such file or folder")
     logs = [
@@ -131,7 +133,7 @@ def _logs(paths: Iterable[Path], attempts: bool) -> list[Path]:
 
 
 def _natural(path: Path) -> list[list[tuple[int, int, str]]]:
-    """Return a sorting key that puts trial-2 before trial-10, and x=0/t before x=0.1/t."""
+    """Return a sorting key by which trial-2 precedes trial-10, and x=0/t precedes x=0.1/t."""
     return [
         [
             (int(piece), 1, "") if piece.isdecimal() else (0, 0, piece)

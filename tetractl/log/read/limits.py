@@ -1,4 +1,4 @@
-"""Bounds on the memory and the work of reading a log, all of them.
+"""All limits on memory and computing time for reading a log.
 
 A few bytes of a file can expand enormously: compressed zeros, empty messages, a spec with a million
 particles. Each log therefore has a `Budget`, which is charged in bytes of memory before anything is
@@ -13,34 +13,34 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 FACTOR = "TETRACTL_LOG_FACTOR"
-"""The variable of the environment by which the bounds on a whole log are multiplied."""
+"""Environment variable whose value multiplies the limits for a whole log."""
 
 CHUNK = 1 << 24
-"""Most bytes a chunk may unpack to; tetractl's have about a million."""
+"""Largest unpacked size of a chunk [bytes]; tetractl's chunks have about a million."""
 MESSAGE = 1 << 22
-"""Most bytes of a message that is decoded: a step of 1000 robots has about a million."""
+"""Largest size of a message that is decoded [bytes]; a step of 1000 robots has about a million."""
 METADATA = 1 << 18
-"""Most bytes of a metadata record: the result of 1000 robots has half as many."""
+"""Largest size of a metadata record [bytes], twice the result of 1000 robots."""
 TIMING = 1 << 22
-"""Most bytes of the record with the solve times: those of 400,000 steps."""
+"""Largest size of the record with the solve times [bytes], enough for 400,000 steps."""
 KEYS = 10_000
-"""Most items of a metadata record."""
+"""Largest number of items in a metadata record."""
 KEY = 200
-"""Most characters of a key of a metadata record."""
+"""Largest number of characters in a key of a metadata record."""
 ATTACHMENT = 1 << 22
-"""Most bytes of an attachment; a spec may have a quarter of that."""
+"""Largest size of an attachment [bytes], four times the largest spec."""
 PROBLEMS = 50
 """Largest number of damaged records of a log that are listed."""
 OVERLAP = 8
-"""Bytes that overlapping records may read, as a multiple of the file's size."""
+"""Largest number of bytes that overlapping records may claim, as a multiple of the file's size."""
 
 RECORD_COST = 1000
 """Bytes charged for a record outside a chunk, and for a schema or channel."""
 MESSAGE_COST = 400
-"""Bytes charged for a message before it is decoded; an empty one takes as long as others."""
+"""Bytes charged for each message before it is decoded, as even an empty one takes time."""
 STEP_COST = 4000
 SEARCH_COST = 1200
-"""Bytes charged for a control step and for each of its searches, without their numbers."""
+"""Bytes charged for a control step and for each of its searches, in addition to their numbers."""
 NUMBER_COST = 16
 """Bytes charged for a decoded number."""
 
@@ -55,36 +55,38 @@ def factor() -> float:
 
 
 def file_limit() -> int:
-    """Return the most bytes that are read of a file."""
+    """Return the largest number of bytes that are read from a file."""
     return int((1 << 28) * factor())
 
 
 def seconds_limit() -> float:
-    """Return the most processor time that deciding the steps of a log again may take [s]."""
+    """Return the largest processor time for deciding the steps of a log again [s]."""
     return 15.0 * factor()
 
 
 def swarm_limit() -> float:
-    """Return the most that one round of an optimiser may take.
+    """Return the largest size of one round of an optimiser, which cannot be interrupted.
 
-    Its unit is one robot moved by one signal past one obstacle, a few nanoseconds, in a round that
-    nothing interrupts. As many coordinates are kept in memory.
+    The unit is moving one robot by one signal past one obstacle, a few nanoseconds. The round keeps
+    the same number of coordinates in memory.
     """
     return 2e8 * factor()
 
 
 def simulation_limit() -> float:
-    """Return the most positions times obstacles that a trial is simulated again with."""
+    """Return the largest number of positions times obstacles for simulating a trial again."""
     return 5e7 * factor()
 
 
 def path_limit() -> float:
-    """Return the most positions times obstacles that may be checked, some 20 ns each."""
+    """Return the largest number of positions times obstacles that may be checked, about 20
+    ns each.
+    """
     return 5e8 * factor()
 
 
 class TooMuchError(ValueError):
-    """A log would need more memory or work than its bounds allow."""
+    """A log would need more memory or computing time than the limits allow."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"{what}, more than tetractl reads; {FACTOR}=2 allows twice as much")
@@ -100,7 +102,7 @@ class Budget:
         self.left = 8e8 * factor()
 
     def spend(self, amount: float, what: str) -> None:
-        """Charge the memory of `what`; TooMuchError if it exceeds the rest."""
+        """Charge memory for `what`; TooMuchError if that exceeds what is left."""
         self.left -= amount
         if self.left < 0:
             raise TooMuchError(f"it holds {what}")

@@ -22,20 +22,19 @@ class ChannelCount:
     topic: str
     schema: str
     messages: int
-    hz: float | None  # None for messages of one time only
+    hz: float | None  # None if all messages have the same time
     bytes: int  # before compression
 
 
 @dataclass(frozen=True, slots=True)
 class Overview:
-    """What is in a log.
+    """The contents of a log.
 
-    `digest` is the content digest computed from the file, `stated_digest` the one that the result
-    record states, and `trial_digest` that of the trial, as a study's row states it, None for a
-    damaged log. `run`, `host`
-    and `provenance` are the metadata of the run, `attachments` their sizes [byte]. `estimate` is
-    the controller's last estimate of the robots, at control step `estimate_step`; None if it
-    estimated nothing.
+    `digest` is the content digest computed from the file, `stated_digest` the one in the result
+    record, and `trial_digest` the trial's, as in a study's row, None for a damaged log. `run`,
+    `host` and `provenance` are the metadata of the run, `attachments` the sizes of attachments
+    [bytes]. `estimate` is the controller's last estimate of the robots, at control step
+    `estimate_step`; None if it estimated nothing.
     """
 
     path: str
@@ -61,7 +60,7 @@ class Overview:
 
 
 def overview(path: Path) -> Overview:
-    """Read a log as a whole; raises LogError as `read_trial` does."""
+    """Read a whole log and return its overview; raises LogError as `read_trial` does."""
     contents = scan(path)
     trial = trial_of(contents)
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())

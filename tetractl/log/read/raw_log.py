@@ -26,8 +26,9 @@ from tetractl.log.read.limits import FACTOR, Budget, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
-_NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)  # not everywhere
-_END = 4096  # zeros kept of those at the end: a record may end with some
+# absent on some systems
+_NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
+_END = 4096  # number of zeros kept at the end, as a record may end with some
 
 
 @dataclass
@@ -58,7 +59,7 @@ class RawLog:
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
-        """The attachments by name; of two with one name, the first."""
+        """The attachments by name; of two with one name, the first counts."""
         found: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
@@ -67,8 +68,9 @@ class RawLog:
 
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The items of each metadata record by its name, as written; of two with one name, the
-        first."""
+        """The items of each metadata record by its name, as written; of two records with one name,
+        the first counts.
+        """
         found: dict[str, dict[str, str]] = {}
         for record in self.records:
             if isinstance(record, Metadata):
@@ -82,7 +84,7 @@ class RawLog:
         if items is None:
             if self.problems:
                 raise LogError(f"{self.path}: damaged: the record of the run is lost")
-            raise LogError(f"{self.path}: an MCAP file, but no log of tetractl's")
+            raise LogError(f"{self.path}: an MCAP file, but not a log of tetractl")
         try:
             version = int(items[FORMAT])
             if version <= FORMAT_VERSION:
@@ -98,7 +100,7 @@ class RawLog:
 
     @property
     def result(self) -> Result | None:
-        """The result the log states, None if none can be read."""
+        """The result stated in the log, None if it cannot be read."""
         return self._result[0]
 
     @property
@@ -120,7 +122,7 @@ class RawLog:
 
     @property
     def warnings(self) -> int:
-        """How many operator warnings and errors the log states; 0 if it states none."""
+        """The number of operator warnings and errors stated in the log; 0 if not stated."""
         stated = self.metadata.get(channels.RESULT, {}).get(WARNINGS, "")
         return int(stated) if stated.isdecimal() and len(stated) < 12 else 0
 
@@ -131,7 +133,7 @@ class RawLog:
 
     @cached_property
     def recovered(self) -> Damage | None:
-        """The damage of the log that this one was recovered from, None for none."""
+        """The damage of the log from which this one was recovered, None if it was not recovered."""
         items = self.metadata.get(channels.RECOVERED)
         if items is None:
             return None
@@ -167,9 +169,9 @@ class RawLog:
 
     @property
     def host_altered(self) -> bool:
-        """Whether the host records differ from the digest of them that the last one states.
+        """Whether the host records differ from their digest, which the last of them states.
 
-        Logs of earlier versions state none.
+        Logs of earlier versions have no such digest.
         """
         stated = self.metadata.get(channels.TIMING, {}).get(HOST_DIGEST)
         return stated is not None and stated != self._digest(ContentDigest(host=True))
@@ -186,22 +188,22 @@ class RawLog:
 
 
 def _reason(error: Exception) -> str:
-    """Return the error of a record in one line."""
+    """Return the message of a record's error in one line."""
     text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
     return printable(text or type(error).__name__, 200)
 
 
 def read_file(path: Path) -> tuple[bytes, int, str | None]:
-    """Return the first bytes of a file, its size, and what is wrong if not all were read.
+    """Return a file's bytes, its size, and a problem if not all bytes were read.
 
-    The file is not mapped: somebody may shorten it meanwhile, and reading a mapped page that is
-    gone kills the process.
+    The file is not memory-mapped: if another program shortens it meanwhile, reading a missing page
+    kills the process.
 
-    Of zeros at the end, which a power cut leaves, few are returned. Raises LogError for what is no
-    file, is empty, or cannot be read.
+    Of zeros at the end, left by a power cut, only some are returned. Raises LogError if the path is
+    not a file, or the file is empty or cannot be read.
     """
     try:
-        # A pipe without a writer would wait for ever, were it not for O_NONBLOCK.
+        # O_NONBLOCK, since opening a pipe without a writer would wait for ever
         handle = os.open(path, os.O_RDONLY | _NO_WAIT | _BYTES)
         with os.fdopen(handle, "rb") as file:
             found, limit = os.fstat(handle), file_limit()

@@ -1,4 +1,4 @@
-"""Trials read from their logs: whole, or as much as a damaged file still holds."""
+"""Reads trials from their logs: completely, or the intact part of a damaged log."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -41,9 +41,9 @@ from tetractl.model.path_check import check_path
 def read_trial(path: Path) -> TrialLog:
     """Read a whole trial, bit for bit as it was written.
 
-    Of a damaged or unfinished log, a .part too, the intact records are read, and `damage` tells
-    what is missing. Raises LogError if the file is no tetractl log, is of a newer format, or has
-    lost its spec.
+    Of a damaged or unfinished log, including a .part file, the intact records are read, and
+    `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
+    newer format, or has lost its spec.
     """
     return trial_of(scan(Path(path)))
 
@@ -56,8 +56,10 @@ def trial_of(contents: RawLog) -> TrialLog:
     except TooMuchError as error:
         raise LogError(f"{contents.path}: {error}") from None
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
-        # intact, but not as tetractl writes it
-        raise LogError(f"{contents.path}: holds what tetractl does not write: {error}") from None
+        # intact records with values that tetractl does not write
+        raise LogError(
+            f"{contents.path}: holds a value that tetractl does not write: {error}"
+        ) from None
 
 
 def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
@@ -98,7 +100,9 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
 
 
 def _damage(contents: RawLog, until_s: float) -> Damage | None:
-    """Return the damage of a log whose last frame was received `until_s` into it, or None."""
+    """Return the damage of a log whose last frame was received at `until_s` [s], None if
+    undamaged.
+    """
     before = contents.recovered
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]
@@ -109,10 +113,10 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read the result of a trial without its course: by the file's index, in about a millisecond.
+    """Read only the result of a trial, by the file's index, in about a millisecond.
 
-    If index or result are lost the whole file is read, and the result is computed from the last
-    poses if need be. Raises LogError as `read_trial` does, and for a log without poses.
+    If index or result is lost, the whole file is read, and the result is computed from the last
+    poses if necessary. Raises LogError as `read_trial` does, and for a log without poses.
     """
     contents = peek(Path(path))
     if contents and (result := contents.result):
@@ -140,8 +144,8 @@ def read_result(path: Path) -> ResultSummary:
 def recompute(trial: TrialLog) -> Result:
     """Compute a result from the poses of a log: the path of each robot ends at its last pose.
 
-    The path is the true one in a simulation, else the measured one. Raises LogError if a robot
-    was never seen.
+    The true path is used for a simulation, otherwise the measured one. Raises LogError if a robot
+    was never tracked.
     """
     path, known = trial_path(trial)
     if not known.any(axis=0).all():
@@ -161,7 +165,7 @@ def recompute(trial: TrialLog) -> Result:
 
 
 def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> Verdict:
-    """Return the verdict of `check_path` on a path; LogError for too long a one."""
+    """Return the verdict of `check_path` on a path; LogError if the path is too long."""
     setup = trial.start.setup
     samples, robots = path.shape[:2]
     if samples * robots * (len(setup.obstacles) + robots) > limits.path_limit():
@@ -170,9 +174,9 @@ def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> V
 
 
 def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
-    """Return the poses (M, N, 3) that decide a trial, and which of them are known (M, N).
+    """Return the poses (M, N, 3) used to evaluate a trial, and which of them are known (M, N).
 
-    They are the true poses in a simulation and the measured ones in the lab.
+    These are the true poses of a simulation and the measured poses in a lab.
     """
     if trial.truth is None:
         return trial.mocap, trial.valid & np.isfinite(trial.mocap).all(axis=2)
@@ -180,10 +184,10 @@ def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
 
 
 def content_digest(path: Path) -> str:
-    """Return the SHA-256 over all records of a log but its host records.
+    """Return the SHA-256 over all records of a log except its host records.
 
-    It is the same whenever a simulated trial is run again; the result record of a whole log states
-    it.
+    It is the same when a simulated trial is run again, and is stated in the result record of a
+    complete log.
     """
     return scan(Path(path)).digest
 
@@ -229,9 +233,9 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str | None]:
-    """Return the experiment and its hash, None if its spec has names of an earlier tetractl.
+    """Return the experiment and its hash, None if the spec has names of an earlier tetractl.
 
-    The hash of such a spec cannot be computed again: it was taken over the names of that time.
+    The hash of such a spec was computed over the old names and cannot be computed again.
     """
     spec = parse_spec(text, channels.RESOLVED_SPEC)
     return spec.experiment, None if spec.notices else spec_hash(spec.experiment)
@@ -254,7 +258,7 @@ def _frames(contents: RawLog, robots: int) -> Frames:
 
 
 def _frames_1(contents: RawLog, robots: int) -> Frames:
-    """Decode the camera frames of format 1, which has a message a frame."""
+    """Decode the camera frames of format 1, which has one message per frame."""
     truth = {
         message.frame: codec.decode_poses(message, robots)
         for message in map(pb.Truth.FromString, _messages(contents, channels.TRUTH))
@@ -308,5 +312,5 @@ def _messages(contents: RawLog, topic: str) -> list[bytes]:
     found = [entry.data for entry in contents.by_topic[topic]]
     longest = max(map(len, found), default=0)
     if longest > limits.MESSAGE:
-        raise TooMuchError(f"a message on {topic} has {longest} bytes")
+        raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
     return found

@@ -21,7 +21,7 @@ from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink, protobuf_schema
 
 PART_SUFFIX = ".recovering"
-"""Ending of an unfinished copy: no log, so the next run replaces it.
+"""Suffix of an unfinished copy, which does not count as a log: the next recovery replaces it.
 """
 
 
@@ -39,7 +39,7 @@ class Recovery:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing is lost."""
+        """Whether no record was lost."""
         return not self.damage.lost
 
 
@@ -54,13 +54,13 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk, metadata record and attachment of a log to a complete file.
 
-    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. What
-    an earlier call left unfinished is replaced. Raises LogError if nothing can be read, if
-    the file exists already, or if another process is writing it.
+    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. An
+    unfinished copy of an earlier call is replaced. Raises LogError if nothing can be read, if the
+    file exists already, or if another process is writing it.
     """
     contents = scan(log)
     if not contents.records:
-        raise LogError(f"{log}: nothing in it can be recovered")
+        raise LogError(f"{log}: nothing in the log can be recovered")
     problems, lost = _examine(contents)
     damage = Damage(tuple(problems), tuple(lost))
     path = out or (recovered_path(log) if damage.problems or damage.lost else None)
@@ -101,14 +101,14 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
     try:
         _fill(contents, damage, sink)
-    except BaseException:  # a full disk: the source still has everything
+    except BaseException:  # such as a full disk: the source still has everything
         sink.discard()
         raise
     sink.close(complete=True)
 
 
 def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
-    for topic, message in CHANNELS_1.items():  # the channels of a log that lost those records
+    for topic, message in CHANNELS_1.items():  # the channels, in case their records are lost
         if topic not in contents.channels and contents.by_topic[topic]:
             name, encoding, data = protobuf_schema(message)
             channel = Channel(0, topic, MessageEncoding.Protobuf, {}, 0)
@@ -129,7 +129,9 @@ def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
 
 
 def _sha256(path: Path) -> str:
-    """Return the SHA-256 of the bytes that are read of a file: all, unless it is too large."""
+    """Return the SHA-256 of a file's bytes, as far as they are read: all, unless the file is too
+    large.
+    """
     found, left = hashlib.sha256(), file_limit()
     with path.open("rb") as file:
         while left > 0 and (piece := file.read(min(left, 1 << 20))):

@@ -1,7 +1,7 @@
-"""The rows of a study: its record of each trial, with or without a log.
+"""The rows of a study: one record per trial, with or without a log.
 
-The folder of an arm has its spec in one file and in another a line of JSON for each trial, in which
-`result` and `timing` are the records of those names in a log.
+The folder of an arm holds its spec and a file with one line of JSON per trial, in which `result`
+and `timing` are the records of these names in a log.
 """
 
 import json
@@ -21,8 +21,8 @@ from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
-"""The plant of every study is a simulation; a result needs no more of it."""
-TEXT_MAX = 200  # characters of a text in a row that is no reason
+"""The plant of every study, a simulation, with the facts that a result needs."""
+TEXT_MAX = 200  # most characters of a text in a row, other than a reason
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +30,9 @@ class Row:
     """One trial of an arm.
 
     `arm_hash` names the experiment, `code` and `processor` the code and the type of processor that
-    ran it. `trial_digest` is that of `log.format.trial_digest`, `count` the number of trials that
-    its log states, and `logged` whether the log was kept. `wall_s` and `cpu_s` are the trial's time
-    on the clock and of the processor. `place`, the file and line, is not part of the line.
+    ran it. `trial_digest` is that of `log.format.trial_digest`, `count` the number of trials stated
+    in its log, and `logged` whether the log was kept. `wall_s` and `cpu_s` are the trial's time on
+    the clock and of the processor. `place`, the file and line, is not part of the line.
     """
 
     trial: int
@@ -71,7 +71,7 @@ class Row:
         texts = {name: _text(stated[name]) for name in ("arm_hash", "code", "processor")}
         result, timing = _texts(stated["result"]), _texts(stated["timing"])
         if type(stated["logged"]) is not bool or not timing:
-            raise TypeError("no row")
+            raise TypeError("not a row")
         return cls(
             **texts,
             trial=_count(stated["trial"]),
@@ -86,7 +86,7 @@ class Row:
         )
 
     def summary(self, experiment: Experiment) -> ResultSummary:
-        """Return the trial's result as a log of it would give it."""
+        """Return the trial's result as its log would give it."""
         return ResultSummary(
             path=self.place,
             experiment=experiment,
@@ -107,37 +107,36 @@ UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeEr
 
 def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value <= COUNT_MAX:
-        raise ValueError("no count")
+        raise ValueError("not a count")
     return value
 
 
 def _seconds(value: Any) -> float:
     if type(value) not in (int, float) or not 0 <= value <= TIME_MAX_NS / 1e9:
-        raise ValueError("no time")
+        raise ValueError("not a time")
     return float(value)
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str):
-        raise TypeError("no text")
+        raise TypeError("not text")
     if len(value) > TEXT_MAX or not value.isprintable():
-        raise ValueError("no name")
+        raise ValueError("not a name")
     return value
 
 
 def _texts(record: Any) -> dict[str, str]:
     """Return the items of a record, all of them texts as in a log."""
     if not all(isinstance(value, str) for value in record.values()):
-        raise TypeError("an item is no text")
+        raise TypeError("an item is not text")
     return record
 
 
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """Return the rows in a file by trial, None for a trial whose row tetractl did not write.
 
-    Of two lines of a trial the later counts. Lines that do not even name a trial are passed over,
-    as is a last line without its end, which a killed process left. Raises LogError if the file
-    cannot be read.
+    Of two lines of a trial the later counts. Lines that do not name a trial are skipped, and so is
+    an incomplete last line, left by a killed process. Raises LogError if the file cannot be read.
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
@@ -168,9 +167,10 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
         spec = parse_spec(read_text(beside), str(beside))
     except SpecError as error:
         raise LogError(str(error)) from None
-    known_by = None if spec.notices else arm_hash(spec.experiment)  # with older names it differs
+    # with older names the hash differs
+    known_by = None if spec.notices else arm_hash(spec.experiment)
     found = read_rows(path, spec.experiment)
     for row in found.values():
         if row is not None and row.arm_hash != (known_by or row.arm_hash):
-            raise LogError(f"{row.place}: is not of the spec in {beside}")
+            raise LogError(f"{row.place}: belongs to another spec than the one in {beside}")
     return {trial: row and row.summary(spec.experiment) for trial, row in found.items()}

@@ -46,7 +46,7 @@ _KIND = b"\x10\0\0\0application/"
 """Length and start of the media type of tetractl's attachments."""
 _NAME_MAX = 200
 
-Verified = int | Attachment | Metadata  # of a chunk, its number of messages
+Verified = int | Attachment | Metadata  # for a chunk, its number of messages
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
 Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
@@ -56,7 +56,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 def scan(path: Path) -> RawLog:
     """Return every intact record of a file.
 
-    Raises LogError if it is no MCAP file, or would become more than `bounds` allows.
+    Raises LogError if it is not an MCAP file, or would become more than `bounds` allows.
     """
     with _named(path):
         return _Scan(path).contents()
@@ -179,7 +179,7 @@ class _Scan:
         offset = len(MAGIC)
         while offset + _HEAD <= len(self._data):
             opcode, end = self._head(offset)
-            if end > len(self._data) or opcode == 0:  # zeros are what a power cut leaves
+            if end > len(self._data) or opcode == 0:  # a power cut leaves zeros
                 break
             if opcode == Opcode.DATA_END:
                 stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc

@@ -15,7 +15,7 @@ from tetractl.experiment.experiment import Experiment
 ALTERED = "the content does not match the digest that the log states"
 
 
-_OLD_SERVER = "EMULATED"  # in the camera server's name, if a log has no fact of its own
+_OLD_SERVER = "EMULATED"  # part of the camera server's name, for logs without the fact EMULATED
 
 
 class Origin(StrEnum):
@@ -28,9 +28,9 @@ class Origin(StrEnum):
 
     @classmethod
     def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
-        """Return the origin of a trial, from its spec and what its plant said of itself.
+        """Return the origin of a trial, from its spec and its plant's facts.
 
-        A lab is emulated if a device announced it; the addresses do not matter.
+        A lab is emulated if a device stated that; addresses do not matter.
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
@@ -44,7 +44,7 @@ class Origin(StrEnum):
 
     @property
     def comparable(self) -> bool:
-        """Whether comparison with a published result of real robots makes sense."""
+        """Whether results may be compared with a published result of real robots."""
         return self in (Origin.DISTURBED, Origin.LAB)
 
 
@@ -58,7 +58,7 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for the operator, `time_s` after the first direction was sent; before it, negative.
+    """A message for the operator at `time_s` after the first direction was sent, negative before.
 
     `level` is "info", "warning" or "error".
     """
@@ -111,13 +111,13 @@ class TrialLog(TrialRecords):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The notes at the times shown to users, in the order of their times."""
+        """The notes with the times shown to users, in order of time."""
         found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
         return tuple(sorted(found, key=lambda event: event.time_s))
 
     @property
     def origin(self) -> Origin:
-        """What the robots were."""
+        """The origin of the trial: simulation, emulated lab or lab."""
         return Origin.of(self.experiment, self.start.plant)
 
     @property
@@ -128,7 +128,7 @@ class TrialLog(TrialRecords):
 
 @dataclass(frozen=True, slots=True)
 class ResultSummary:
-    """The result of a trial without its course.
+    """Only the result of a trial, without its frames and steps.
 
     `recovered` is True for a log that is damaged or ends early. If its result is lost, `result`
     is computed from the last poses of the log, with the outcome `aborted`.
@@ -142,8 +142,8 @@ class ResultSummary:
     result: Result
     recovered: bool
     digest: str | None  # content digest that the log states
-    warnings: int = 0  # and errors, among the operator messages
-    processor: str = ""  # its type, as `provenance.processor` names it; "" if not stated
+    warnings: int = 0  # number of warnings and errors among the operator messages
+    processor: str = ""  # type of processor, as by `provenance.processor`; "" if not stated
 
     @property
     def simulated(self) -> bool:
@@ -174,7 +174,7 @@ class Gap:
 
 
 def frame_gaps(log: TrialLog) -> list[Gap]:
-    """Return the camera frames missing between those of a log, by their numbers."""
+    """Return the gaps in the numbers of a log's camera frames."""
     numbers, times = log.frames, (log.mocap_ns - log.began_ns) / SECOND
     return [
         Gap(
@@ -189,7 +189,9 @@ def frame_gaps(log: TrialLog) -> list[Gap]:
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
-    """Return the control steps missing before, between and after those of a log."""
+    """Return the gaps in the numbers of a log's control steps, including those at its start and
+    end.
+    """
     ks = [step.k for step in log.steps]
     sent = [log.elapsed_s(step.command.sent_ns) for step in log.steps]
     if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):

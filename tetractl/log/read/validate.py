@@ -21,12 +21,12 @@ from tetractl.log.format.codec import Frames
 from tetractl.log.format.metadata import RunRecord, read_result
 
 LENGTH_MAX = 1e9
-"""Of a coordinate, a distance or a speed [length unit]: a thousand kilometres in mm."""
+"""Limit of coordinates, distances and speeds [length unit]: a thousand kilometres in mm."""
 ANGLE_MAX = 1e9
-"""Of a heading or direction, which are not wrapped [rad]."""
+"""Limit of headings and directions, which are not wrapped [rad]."""
 COST_MAX = 1e100
 TIME_MAX_NS = 10**18
-"""Of a time since the trial began: thirty years."""
+"""Limit of times since the trial began: thirty years."""
 COUNT_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
@@ -39,14 +39,16 @@ def check_run(run: RunRecord, robots: int) -> None:
         raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
     _counts("trial", [abs(run.trial)])
     if not 0 <= run.seed < 2**128:
-        raise ValueError(f"the seed is {_shown(run.seed)}")
+        raise ValueError(f"the seed {_shown(run.seed)} is out of range")
     _within("camera_rate_hz", [run.plant.camera_rate_hz], 0, RATE_MAX_HZ)
     if not 0 <= run.start_unix_ns <= UNIX_MAX_NS:
-        raise ValueError(f"the trial starts at {_shown(run.start_unix_ns)} ns of Unix time")
+        raise ValueError(
+            f"the start of the trial, {_shown(run.start_unix_ns)} ns of Unix time, is out of range"
+        )
 
 
 def check_frames(frames: Frames) -> None:
-    """Check camera frames, whose poses are known where `valid`, and true ones where not NaN."""
+    """Check camera frames; poses count where `valid`, and true poses where they are not NaN."""
     _poses("a pose", frames.poses[frames.valid])
     if np.isinf(frames.poses).any():
         raise ValueError("a pose is infinite")
@@ -62,11 +64,13 @@ def check_command(command: Command, robots: int) -> None:
         _within("a direction", [command.direction], -ANGLE_MAX, ANGLE_MAX)
     _times([command.sent_ns])
     if len(command.delivered) != robots:
-        raise ValueError(f"a command to {len(command.delivered)} robots, not {robots}")
+        raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
     for wheel in (command.left, command.right):
         if wheel is not None:
             if len(wheel) != robots:
-                raise ValueError(f"a command to {len(wheel)} wheels of {robots} robots")
+                raise ValueError(
+                    f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
+                )
             _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
 
 
@@ -79,11 +83,13 @@ def check_step(step: Step) -> None:
     _counts("k", [step.k])
     _counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
-        raise ValueError(f"a path of {len(plan.path)} poses for {len(plan.signals)} signals")
+        raise ValueError(f"a path has {len(plan.path)} poses for {len(plan.signals)} signals")
     _poses("a predicted pose", plan.path)
     for search in plan.searches:
         if not search.length == len(search.signals) > 0:
-            raise ValueError(f"a search for {_shown(search.length)} signals has another number")
+            raise ValueError(
+                f"a search of length {_shown(search.length)} has a different number of signals"
+            )
         if not len(search.history):
             raise ValueError("a search has no history")
     signals = [plan.signals, *(search.signals for search in plan.searches)]
@@ -115,20 +121,20 @@ def check_note(note: Note) -> None:
 def stated_result(
     items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int, unit: str
 ) -> Result:
-    """Return the result that the records of a log or row state, of `robots` robots and in `unit`.
+    """Return the result stated in the records of a log or row, for `robots` robots and in `unit`.
 
-    Its reason is put into characters that a terminal can show. Raises KeyError, OverflowError,
+    Its reason is made printable. Raises KeyError, OverflowError,
     RecursionError, TypeError or ValueError for values that tetractl does not write.
     """
     result = read_result(items, timing, robots)
     check_result(result)
     if items["unit"] != unit:
-        raise ValueError(f"its unit is {items['unit']!r}, that of the run another")
+        raise ValueError(f"the result's unit is {items['unit']!r}, which is not the run's")
     return replace(result, reason=printable(result.reason, TEXT))
 
 
 def check_result(result: Result) -> None:
-    """Check a result; of a trial that is not complete, final poses and errors may be NaN."""
+    """Check a result; final poses and errors may be NaN if the trial is not complete."""
     verdict = result.verdict
     known = result.outcome.complete
     lengths = [result.total_error, *result.robot_errors, *verdict.final.xy.ravel().tolist()]
@@ -139,7 +145,9 @@ def check_result(result: Result) -> None:
     _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
     _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
     distances = (*verdict.clearance, *verdict.edge, *verdict.apart)
-    near = [value for value in distances if value != math.inf]  # without obstacles or others
+    near = [
+        value for value in distances if value != math.inf
+    ]  # inf: without obstacles or other robots
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
     _counts("steps", [result.steps, result.deadline_misses])
@@ -154,7 +162,7 @@ def _poses(what: str, poses: Floats) -> None:
 def _times(values: Iterable[int]) -> None:
     found = np.asarray(values)
     if ((found < -TIME_MAX_NS) | (found > TIME_MAX_NS)).any():
-        raise ValueError(f"a time or number is beyond {TIME_MAX_NS}")
+        raise ValueError(f"a time or number exceeds {TIME_MAX_NS}")
 
 
 def _counts(what: str, values: Iterable[int]) -> None:
@@ -165,7 +173,7 @@ def _counts(what: str, values: Iterable[int]) -> None:
 
 def _within(what: str, values: Iterable[float], least: float, most: float) -> None:
     found = np.asarray(values, dtype=np.float64)
-    good = (found >= least) & (found <= most)  # NaN is not
+    good = (found >= least) & (found <= most)  # false for NaN
     if not good.all():
         raise ValueError(f"{what} is {float(found[~good].flat[0])!r}")
 

@@ -1,4 +1,4 @@
-"""The messages of a trial: its records, encoded, with topics and times."""
+"""Encodes the records of a trial as messages with topics and times."""
 
 from collections.abc import Sequence
 
@@ -17,19 +17,22 @@ from tetractl.log.format.scene import Scene, encode_note
 POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 30
-"""Simulated camera frames per second of which viewers are given transforms, and interpolate."""
+"""Rate of simulated frames for which viewers get transforms [Hz]; they interpolate between
+these.
+"""
 
 
 class Notes:
     """Makes the operator messages of one trial, in the order of its records.
 
-    `warnings` counts the warnings and errors; the end of the trial, which its
-    outcome states, does not count.
+    `warnings` counts the warnings and errors, except the message on the end of the trial, which
+    repeats its outcome.
     """
 
     def __init__(self, start: Start) -> None:
         self._start, self._names = start, start.setup.names
-        self._tracked = np.ones(len(self._names), dtype=np.bool_)  # in the last frame
+        # which robots were tracked in the last frame
+        self._tracked = np.ones(len(self._names), dtype=np.bool_)
         self.warnings = 0
 
     def started(self) -> Note:
@@ -37,7 +40,7 @@ class Notes:
         return Note(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts")
 
     def told(self, note: Note) -> Note:
-        """Return a message of the plant, counted."""
+        """Return the message for a plant's note, and count it if it is a warning or error."""
         self.warnings += note.level in ("warning", "error")
         return note
 
@@ -56,7 +59,7 @@ class Notes:
         return made
 
     def undelivered(self, step: Step) -> Sequence[Note]:
-        """Return a message for each robot that did not get the command of a control step."""
+        """Return a message for each robot that did not receive the command of a control step."""
         if all(step.command.delivered):
             return ()
         return [
@@ -72,7 +75,7 @@ class Notes:
         ]
 
     def ended(self, stop: Command, result: Result) -> Note:
-        """Return how the trial ended."""
+        """Return the message on how the trial ended."""
         level = "error" if result.outcome is Outcome.ABORTED else "info"
         return Note(stop.sent_ns, level, result.summary)
 
@@ -98,27 +101,27 @@ class Messages:
         return self._notes.warnings
 
     def start(self) -> list[Entry]:
-        """Return the scene that stays, and that the trial starts."""
+        """Return the messages for the static scene and the start of the trial."""
         return [
             self._entry(channels.SCENE, self._scene.static(self._start_ns), 0),
             self._said(self._notes.started()),
         ]
 
     def samples(self, samples: Sequence[Sample]) -> list[Entry]:
-        """Return camera frames, and the operator messages on them."""
+        """Return the messages for camera frames, including operator messages about tracking."""
         frames = Frames.of(samples, self._robots)
         films = (entry for sample in samples for entry in self.film(sample))
         return [*self.tracking(frames), *self.frames(frames), *films]
 
     def tracking(self, frames: Frames) -> list[Entry]:
-        """Return which robots were lost and found again in camera frames."""
+        """Return messages on robots that were lost or found again in camera frames."""
         return [*map(self._said, self._notes.tracking(frames))]
 
     def frames(self, frames: Frames) -> list[Entry]:
-        """Return camera frames: of a simulation as few messages, of a lab two for each frame.
+        """Return the messages for camera frames: few for a simulation, two per frame for a lab.
 
-        Frames of a lab cannot be repeated. So each is stored twice, with its times, and a change of
-        one is noticed.
+        A lab's frames cannot be repeated, so each is stored twice, with its times, so that a change
+        of one copy is noticed.
         """
         made = list[Entry]()
         for begin in range(0, len(frames.numbers), self._most):
@@ -126,7 +129,7 @@ class Messages:
         return made
 
     def film(self, sample: Sample) -> list[Entry]:
-        """Return the film's messages of a picture, if any."""
+        """Return the film's messages for a picture, if it has any."""
         if sample.film is None:
             return []
         seen = sample.observation
@@ -135,10 +138,10 @@ class Messages:
         return [self._entry(topic, message, *times) for topic, message in made.items()]
 
     def block(self, frames: Frames) -> list[Entry]:
-        """Return camera frames, at least one, as one message, and what a viewer shows of them.
+        """Return one message for at least one camera frame, and the transforms for viewers.
 
-        The transforms have the times of their first frame, so that a viewer that comes to a time
-        has those before and after it.
+        The transforms have the time of their first frame, so that a viewer that jumps to a time has
+        the transforms before and after it.
         """
         shown = frames.part(slice((len(frames.numbers) - 1) % self._every, None, self._every))
         last, first = (
@@ -151,15 +154,17 @@ class Messages:
         ]
 
     def command(self, command: Command) -> Entry:
-        """Return a command."""
+        """Return the messages for a command."""
         return self._entry(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def note(self, note: Note) -> Entry:
-        """Return an operator message."""
+        """Return the message for an operator note."""
         return self._said(self._notes.told(note))
 
     def step(self, step: Step) -> list[Entry]:
-        """Return a control step: decision, command, planned path, solve time and estimate."""
+        """Return the messages for a control step: decision, command, planned path, solve time and
+        estimate.
+        """
         path, sent_ns = step.plan.path, step.command.sent_ns
         sampled_ns, unix_ns = step.observation.sampled_ns, self._start_ns + sent_ns
         plan = self._scene.plan(path, unix_ns)
@@ -176,7 +181,7 @@ class Messages:
         return made
 
     def stop(self, stop: Command, result: Result) -> list[Entry]:
-        """Return the stop and how the trial ended."""
+        """Return the messages for the stop and the end of the trial."""
         return [self.command(stop), self._said(self._notes.ended(stop, result))]
 
     def _said(self, note: Note) -> Entry:

@@ -14,7 +14,7 @@ from tetractl.log.write.messages import Notes
 
 
 class Recorder:
-    """Keeps the records of one trial as its log gives them back."""
+    """Keeps the records of one trial as they would be read from its log."""
 
     result: Result | None = None
 

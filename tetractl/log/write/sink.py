@@ -1,4 +1,4 @@
-"""An MCAP file while it is written: messages go in, chunks go to the disk."""
+"""Writes an MCAP file: collects messages in chunks, and writes these to the disk."""
 
 import errno
 import fcntl
@@ -24,20 +24,23 @@ from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum
 
 CHUNK_S = 0.7
-"""The longest time a message waits in memory [s of wall time]. With a control period of 0.2 s, in
-which the loop collects camera frames, a killed process then loses less than 1.2 s of its trial."""
+"""Longest time a message waits in memory [s of wall time]. As the loop collects camera frames over
+a control period of 0.2 s, a killed process then loses less than 1.2 s of its trial.
+"""
 SYNC_S = 1.0
-"""The longest time written bytes may be lost by a power cut [s of wall time]."""
+"""Longest time for which a power cut can lose written bytes [s of wall time]."""
 
 TRIAL_PART = ".part"
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
-_sync_data = getattr(os, "fdatasync", os.fsync)  # not everywhere
+_sync_data = getattr(os, "fdatasync", os.fsync)  # Windows has no such module
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Make a method do nothing on a closed sink, and close it with LogError for an OSError."""
+    """Decorate a method: it does nothing on a closed sink, and an OSError closes the sink with
+    LogError.
+    """
 
     @wraps(method)
     def guarded(self: "Sink", *args: P.args, **kwargs: P.kwargs) -> None:
@@ -56,10 +59,10 @@ class Sink:
 
     If the file system refuses a write, the call raises LogError and the file is closed: it stays
     readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
-    gives no second error.
+    raises no second error.
 
-    With another `part` than ".part" the file is a copy and not a trial: an unfinished earlier one
-    is replaced, unless a process is still writing it.
+    With another `part` than ".part" the file is a copy, not a trial: an unfinished earlier copy is
+    replaced, unless a process is still writing it.
     """
 
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
@@ -67,8 +70,10 @@ class Sink:
         self._part = path.with_name(path.name + part)
         self._digest, self._host_digest = ContentDigest(), ContentDigest(host=True)
         self._file: BinaryIO | None = None
-        self._chunk_since: float | None = None  # when the oldest message of the open chunk came
-        self._dirty_since: float | None = None  # when something was written that is not synced
+        self._chunk_since: float | None = (
+            None  # when the oldest message of the open chunk was added
+        )
+        self._dirty_since: float | None = None  # time of the oldest write that is not yet synced
         copied = part != TRIAL_PART
         for name in (path,) if copied else (path, self._part):  # never overwrite a trial
             if os.path.lexists(name):
@@ -90,7 +95,7 @@ class Sink:
         }
 
     def channel(self, channel: Channel, schema: Schema | None) -> None:
-        """Add a channel of another log, unless there is one of that topic."""
+        """Add a channel of another log, unless its topic exists already."""
         if channel.topic not in self._channels:
             known = schema and self._mcap.register_schema(schema.name, schema.encoding, schema.data)
             self._channels[channel.topic] = self._mcap.register_channel(
@@ -173,8 +178,7 @@ class Sink:
         if min(times) > now:
             return min(times) - now
         if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
-            # A simulation runs faster than the clock: its chunks end with the clock of the
-            # trial, so that they are the same in every run.
+            # chunks of a simulation end by the trial's clock, so that every run has the same ones
             self._sync_written()
             return self._chunk_since + CHUNK_S - now
         self.sync()
@@ -211,7 +215,7 @@ class Sink:
         with suppress(FileNotFoundError, NotADirectoryError):
             if os.path.samestat(mine, self._part.stat()):
                 return
-        if mine.st_nlink == 0:  # no other name is left
+        if mine.st_nlink == 0:  # the file has no name any more
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._file.seek(0)
             with self._part.open("xb") as copy:
@@ -243,9 +247,9 @@ def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
 
 
 def _owned(path: Path) -> BinaryIO:
-    """Open an empty file that no other process has opened so; OSError if one has.
+    """Open and lock an empty file; OSError if another process has locked it.
 
-    The lock ends with its process, however that ends.
+    The lock ends with its process in every case.
     """
     file = path.open("a+b")
     try:
@@ -258,7 +262,7 @@ def _owned(path: Path) -> BinaryIO:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Sync a folder, so that new names in it survive a power cut, if the file system can."""
+    """Sync a folder, if the file system can, so that new names in it survive a power cut."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)

@@ -36,7 +36,7 @@ def step(
 def hold(
     x: Floats, y: Floats, heading: Floats, held: Held, a: Floats, v: Floats, t: Floats
 ) -> XYHeading:
-    """Drive on along the arc, at the turning rate that the command set."""
+    """Continue along the arc at the turning rate set by the command."""
     half = 0.5 * held.turning * t
     chord, course = v * t * np.sinc(half / np.pi), heading + half
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
@@ -62,7 +62,7 @@ class ArcLanes(NamedTuple):
         sw, cw = sincos(wrap(half))
         flat = abs(half) < 1e-9
         chord = step * ((1.0 if flat else sw) / (1.0 if flat else half))
-        c, s = c * cw - s * sw, s * cw + c * sw  # along the chord
+        c, s = c * cw - s * sw, s * cw + c * sw  # direction of the chord
         return x + chord * c, y + chord * s, c * cw - s * sw, s * cw + c * sw
 
     @staticmethod
@@ -86,7 +86,7 @@ class ArcLanes(NamedTuple):
 
 
 def lanes(a: Floats, longest: float) -> type[ArcLanes]:
-    """Return the class of constants, one for all robots."""
+    """Return the class of constants, the same for all robots."""
     return ArcLanes
 
 

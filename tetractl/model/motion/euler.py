@@ -75,7 +75,7 @@ class EulerLanes(NamedTuple):
 
 
 class EulerSmallTurnLanes(EulerLanes):
-    """The same for robots that turn by T a <= pi/2 in a step."""
+    """Constants of (4)-(6) for robots that turn by T a <= pi/2 in a step."""
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:

@@ -23,12 +23,13 @@ from tetractl.model.motion.motion import Derivatives, Held, Motion, Strides, Tim
 from tetractl.model.motion.polynomials import alternating, arctan, log_from_ratio, mantissa
 
 LARGEST_TURN = 1.25
-"""Largest a t of one piece of a step: r^2 is at most 0.092 then."""
+"""Largest a t of one piece of a step, for which r^2 is at most 0.092."""
 LARGEST_PLAIN = 6.5
-"""Largest a t of a step whose derivatives are taken from 1 + cos phi: near phi = pi the error of
-such a step is up to 1e-9 of its path, less for smaller a t."""
+"""Largest a t of a step whose derivatives are computed from 1 + cos phi: near phi = pi the error is
+then at most 1e-9 of the step's path.
+"""
 SMALLEST_DECAY = 1e-100
-"""Least E by whose cube is divided."""
+"""Least E whose cube is used as a divisor."""
 TERMS = 10
 """Number of terms of the series in r: the rest is at most 2.2e-12 of a piece's path."""
 ODD = 2 * np.arange(TERMS) + 1
@@ -91,7 +92,7 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
     Both are (count, count), a row for each n, lowest coefficient first.
     """
     sines, cosines = np.zeros((2, count, count))
-    for rows, before in ((sines, -1.0), (cosines, 1.0)):  # of n = -1
+    for rows, before in ((sines, -1.0), (cosines, 1.0)):  # the row for n = -1
         rows[0, 0] = 1.0
         for k in range(1, count):  # sin(n t) = 2 cos(2 t) sin((n - 2) t) - sin((n - 4) t)
             rows[k, 1:] = 4 * rows[k - 1, :-1]
@@ -121,7 +122,7 @@ def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
     heading after t is (1 - r^2) G/|G|^2 + r U; so is M, that after t/2, with tanh(a t/4). |G|
     is taken from H as it is: rounding off the circle then grows no faster than a turn does.
     The displacement is A(q) M - B(q) (M.U) U with polynomials of q = (M.U)^2, where A sin phi_m
-    is the way to the right and (A - B) cos phi_m that along u.
+    is the displacement to the right and (A - B) cos phi_m that along u.
     """
     middle, still, end, rest = k[0], k[1], k[2], k[3]
     near = c * cu + s * su
@@ -144,7 +145,7 @@ def differentiate(
 ) -> Derivatives:
     """Return a step and its derivatives, for a t up to LARGEST_PLAIN."""
     e = math.exp(-a * t)
-    c, s = cu * c + su * s, su * c - cu * s  # of phi
+    c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
     return _derive(max(0.0, 1 + c), (1 - c) * e, s, e, cu, su, a, v, t)
 
 
@@ -181,10 +182,10 @@ def _derive(
 
 
 class ExactLanes(NamedTuple):
-    """Constants of one piece of a step: see `advance`."""
+    """Constants for one piece of a step, as used by `advance`."""
 
     rows: Floats  # (N, size)
-    pieces: int  # each with a t <= LARGEST_TURN
+    pieces: int  # number of pieces, each with a t <= LARGEST_TURN
     size = 4 + 2 * TERMS - 1
 
     @classmethod
@@ -198,7 +199,7 @@ class ExactLanes(NamedTuple):
 
 
 class ExactFastLanes(ExactLanes):
-    """As `ExactLanes`, for robots that turn by a t > LARGEST_PLAIN in a step."""
+    """Constants as in `ExactLanes`, for robots that turn by a t > LARGEST_PLAIN in a step."""
 
     differentiate = staticmethod(differentiate_fast)
 

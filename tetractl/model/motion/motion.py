@@ -30,7 +30,7 @@ class Held:
     direction: Floats  # u [rad]
     turning: Floats  # a sin(u - heading) when the command came [rad/s], (3)
     course: Floats  # heading when the command came [rad]
-    moving: Floats  # 1 if the robot moves, else 0
+    moving: Floats  # 1 if the robot moves, 0 if it stands
 
 
 class StepFunction(Protocol):
@@ -49,7 +49,9 @@ class StepFunction(Protocol):
 
 
 class TurnFunction(Protocol):
-    """Headings [rad] after a time t [s] under a held direction, as those of a `StepFunction`."""
+    """Headings [rad] after a time t [s] under a held direction, the same as those of a
+    `StepFunction`.
+    """
 
     def __call__(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
         """Return the headings after the step."""
@@ -57,17 +59,18 @@ class TurnFunction(Protocol):
 
 
 class StridesFunction(Protocol):
-    """How far a `StepFunction` moves and turns, wherever it starts."""
+    """The displacement and turn of a `StepFunction`, without its start."""
 
     def __call__(self, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-        """Return the step without its start."""
+        """Return the terms that the step adds to x, to y and to the heading."""
         ...
 
 
 class Hold(Protocol):
-    """Poses of simulated robots a time t [s] later, in closed form, while nothing new arrives.
+    """Poses of simulated robots a time t [s] later, in closed form, while no new command arrives.
 
-    As `StepFunction`, with what the robots hold in place of u; t (M, N) gives poses (M, N).
+    Arguments are as for `StepFunction`, with the held command in place of u; t (M, N) gives poses
+    (M, N).
     """
 
     def __call__(
@@ -84,25 +87,25 @@ class Lanes(Protocol):
     compiler, which makes one kernel for each. The functions are compiled where a kernel calls them,
     with the plain functions they call; they may use arithmetic, `math` and
     `tetractl.model.motion.polynomials`. `advance` runs in a loop over particles and `differentiate`
-    in one over signals, which are to become vector code: conditional values rather than branches,
-    polynomials rather than calls to `math`.
+    in one over signals. So that these become vector code, use conditional values rather than
+    branches, and polynomials rather than calls to `math`.
 
-    A class of one piece whose last signal cannot move the last position may add
-    `finish(x, y, c, s, k)`, which returns x, y after that. A class may add `turn(heading, u, a, t)`
-    too, a `TurnFunction` of scalars, which may use `np` as well: without it robots are identified
-    by `differentiate`, which is slower.
+    A class of one piece whose last signal cannot move the last position may add `finish(x, y, c, s,
+    k)`, which returns x, y after the last step. A class may also add `turn(heading, u, a, t)`, a
+    `TurnFunction` of scalars, which may use `np`: without it, robots are identified by
+    `differentiate`, which is slower.
     """
 
     size: int
 
     @property
     def rows(self) -> Floats:
-        """The constants of each robot, `k` of the functions, (N, size)."""
+        """The constants of each robot (N, size); `k` of the functions is one row."""
         ...
 
     @property
     def pieces(self) -> int:
-        """Equal pieces that a step is divided into."""
+        """Number of equal pieces that a step is divided into."""
         ...
 
     @classmethod
@@ -119,18 +122,18 @@ class Lanes(Protocol):
     def differentiate(
         c: float, s: float, cu: float, su: float, a: float, v: float, t: float
     ) -> Derivatives:
-        """Return a step of t [s], whatever its pieces, and its derivatives."""
+        """Return a whole step of t [s] and its derivatives."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion: the NumPy step, the plant's, and the compiled one.
+    """A motion, defined by its NumPy step, the plant's and the compiled one.
 
     `lanes(a, longest)` returns the class of constants for robots that turn at a (N,) [rad/s] in
     steps of at most `longest` [s]: a motion may have a faster one for robots that turn slowly.
-    `turn` returns the headings of `step`, and `strides` what it adds to the start, both bit for
-    bit; a motion without them is slower to predict.
+    `turn` returns the headings of `step`, and `strides` its increments, both bit for bit;
+    prediction is slower without them.
     """
 
     name: str
@@ -141,7 +144,7 @@ class Motion:
     strides: StridesFunction | None = None
 
     def headings(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-        """Return the headings [rad] after a time t [s], those of `step`."""
+        """Return the headings of `step` after a time t [s] [rad]."""
         if self.turn is not None:
             return self.turn(heading, u, a, t)
         return self.step(_NOWHERE, _NOWHERE, heading, u, a, _NOWHERE, t)[2]

@@ -1,10 +1,10 @@
 """Elementary functions as polynomials, for compiled loops over the particles of a robot.
 
-They are plain functions of scalars, which kernels compile and which work without a compiler too.
+They are plain functions of scalars, which kernels compile but which also work without a compiler.
 
-Coefficients are fitted when the module is imported: interpolation at Chebyshev points of the
-degree that brings the error below 1e-13 on the range named, in the squared argument: errors of a
-step only add up, and a path is to agree with the readable model to 1e-9.
+Coefficients are computed at import, by interpolation at Chebyshev points in the squared argument.
+The degree gives an error below 1e-13 on the named range, since the errors of steps add up and a
+path must agree with the readable model to 1e-9.
 """
 
 import math
@@ -45,7 +45,7 @@ ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
 
 def horner(coefficients, q):
-    """Value of a polynomial, lowest coefficient first."""
+    """Return the value of a polynomial, given the lowest coefficient first."""
     value = coefficients[-1]
     for i in range(len(coefficients) - 2, -1, -1):
         value = value * q + coefficients[i]
@@ -53,9 +53,10 @@ def horner(coefficients, q):
 
 
 def alternating(k, first, end, q):
-    """Value of the polynomial of two terms or more with coefficients k[first:end], lowest first.
+    """Return the value of a polynomial with the two or more coefficients k[first:end], lowest
+    first.
 
-    Even and odd powers are summed apart: half as long a chain of operations that wait for another.
+    Even and odd powers are summed separately, which halves the chain of dependent operations.
     """
     q2 = q * q
     odd, even = k[end - 1], k[end - 2]
@@ -65,7 +66,7 @@ def alternating(k, first, end, q):
 
 
 def sincos(x):
-    """(sin x, cos x) for |x| <= pi, by two halvings."""
+    """Return (sin x, cos x) for |x| <= pi, by halving the angle twice."""
     t = 0.25 * x
     q = t * t
     s, c = t * horner(SINE, q), horner(COSINE, q)
@@ -74,19 +75,19 @@ def sincos(x):
 
 
 def sincos_quarter(x):
-    """(sin x, cos x) for |x| <= pi/2, by one halving."""
+    """Return (sin x, cos x) for |x| <= pi/2, by halving the angle once."""
     q = x * x
     s, c = x * horner(HALF_SINE, q), horner(HALF_COSINE, q)
     return s * c, 1.0 - 0.5 * s * s
 
 
 def wrap(x):
-    """The angle x within [-pi, pi]."""
+    """Return the angle x wrapped into [-pi, pi]."""
     return x - TURN * np.rint(x / TURN)
 
 
 def mantissa(y):
-    """(m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
+    """Return (m, k) with y = m 2^k and sqrt(1/2) <= m < sqrt(2), for finite y > 0."""
     bits = np.float64(y).view(np.int64)
     k = (bits - np.int64(0x3FE6A09E667F3BCD)) >> 52  # the bits of sqrt(1/2)
     return np.int64(bits - (k << 52)).view(np.float64), np.float64(k)

@@ -1,4 +1,4 @@
-"""Discs."""
+"""Circular obstacles."""
 
 import math
 from typing import Any, ClassVar, Literal, NamedTuple
@@ -9,11 +9,11 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Point, Positive
 from tetractl.experiment.shape_section import ShapeSection
 
-CORNERS = 64  # of the polygon that draws a disc
+CORNERS = 64  # number of corners of the polygon that draws a disc
 
 
 class PackedCircles(NamedTuple):
-    """Discs as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
+    """Discs in the form used by kernels; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 3): centre x, y, radius
     size = 3
@@ -27,7 +27,7 @@ class PackedCircles(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the gap of the segment's point nearest to the centre."""
+        """Return the gap at the segment's point nearest to the centre."""
         cx, cy, radius = p
         dx, dy = x1 - x0, y1 - y0
         length2 = dx * dx + dy * dy
@@ -38,14 +38,14 @@ class PackedCircles(NamedTuple):
 
     @staticmethod
     def depth(x: float, y: float, p: Any) -> float:
-        """Return the radius less the distance to the centre."""
+        """Return the radius minus the distance to the centre."""
         cx, cy, radius = p
         dx, dy = x - cx, y - cy
         return radius - math.sqrt(dx * dx + dy * dy)
 
     @staticmethod
     def outward(x: float, y: float, p: Any) -> tuple[float, float]:
-        """Return the direction away from the centre; east, at the centre itself."""
+        """Return the direction away from the centre, or east at the centre itself."""
         dx, dy = x - p[0], y - p[1]
         away = math.sqrt(dx * dx + dy * dy)
         if away < 1e-300:
@@ -84,7 +84,7 @@ class Circle(ShapeSection):
         return gap2 <= radius**2
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance to the centre less the radius."""
+        """Return the distance to the centre minus the radius."""
         cx, cy, radius = self.row()
         return np.hypot(x - cx, y - cy) - radius
 

@@ -9,7 +9,7 @@ from tetractl.core.poses import Bools, Floats
 
 
 class PackedHalfPlanes(NamedTuple):
-    """Half-planes as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
+    """Half-planes in the form used by kernels; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 3): the normal's x and y, and the edge's offset along it
     size = 3
@@ -40,7 +40,7 @@ class PackedHalfPlanes(NamedTuple):
 
 @dataclass(frozen=True)
 class HalfPlane:
-    """The points (x, y) with n . (x, y) <= offset, n being the unit normal that leads out of it."""
+    """The points (x, y) with n . (x, y) <= offset, where n is the outward unit normal."""
 
     normal: tuple[float, float]
     offset: float

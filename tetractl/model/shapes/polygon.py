@@ -1,7 +1,7 @@
-"""Simple polygons, concave ones too: the walls and channels of micro-arenas.
+"""Simple polygons, also concave ones, such as walls and channels of micro-arenas.
 
-A polygon is grown by a margin on its signed distance, which rounds its corners, as for a round
-body.
+Growing a polygon subtracts the margin from its signed distance, which rounds its corners, as for a
+round body.
 """
 
 import math
@@ -14,7 +14,7 @@ from tetractl.core.poses import Bools, Floats
 from tetractl.experiment.base import Point, inconsistent
 from tetractl.experiment.shape_section import ShapeSection
 
-HEAD = 6  # numbers of a row before the vertices
+HEAD = 6  # number of values in a row before the vertices
 
 
 def nearest_on_edge(
@@ -77,7 +77,7 @@ def nearest_edge(x: float, y: float, p: Any) -> tuple[float, float, float, int]:
 
 
 class PackedPolygons(NamedTuple):
-    """Polygons as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
+    """Polygons in the form used by kernels; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats
     """(M, 6 + 2 V): margin, number of vertices, the box around the grown polygon (left, bottom,
@@ -86,7 +86,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def gap(x: float, y: float, p: Any) -> float:
-        """Return the gap to the box if there is one, else the signed distance."""
+        """Return the gap to the bounding box if positive, otherwise the gap to the polygon."""
         box = max(max(p[2] - x, x - p[4]), max(p[3] - y, y - p[5]))
         if box > 0.0:
             return box
@@ -94,7 +94,9 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the gap to the box if there is one, else the distance less the margin."""
+        """Return the gap to the bounding box if positive, otherwise the distance minus the
+        margin.
+        """
         beside = max(p[2] - max(x0, x1), min(x0, x1) - p[4])
         box = max(beside, max(p[3] - max(y0, y1), min(y0, y1) - p[5]))
         if box > 0.0:
@@ -115,7 +117,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def depth(x: float, y: float, p: Any) -> float:
-        """Return the margin less the signed distance."""
+        """Return the margin minus the signed distance."""
         return p[0] - nearest_edge(x, y, p)[0]
 
     @staticmethod
@@ -136,7 +138,9 @@ class Polygon(ShapeSection):
 
     type: Literal["polygon"]
     vertices: tuple[Point, ...] = Field(min_length=3, max_length=200)
-    """Corners [x, y] in order round the polygon, either way; the last is joined to the first."""
+    """Corners [x, y] in order round the polygon, in either sense [length unit]; the last is joined
+    to the first.
+    """
 
     packed: ClassVar[Any] = PackedPolygons
 
@@ -176,7 +180,7 @@ class Polygon(ShapeSection):
         return *head, *vertices.ravel().tolist()
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point is inside, on the edge, or within the margin of it."""
+        """Return whether each point is inside, on the edge, or within the margin of the edge."""
         return self.distance(x, y) <= 0
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
@@ -188,7 +192,8 @@ class Polygon(ShapeSection):
             c, d = turn(ax, ay, bx, by, x0, y0), turn(ax, ay, bx, by, x1, y1)
             apart = (np.maximum(x0, x1) < min(ax, bx)) | (max(ax, bx) < np.minimum(x0, x1))
             apart |= (np.maximum(y0, y1) < min(ay, by)) | (max(ay, by) < np.minimum(y0, y1))
-            apart |= ((a > 0) & (b > 0)) | ((a < 0) & (b < 0))  # both ends on one side of the other
+            # both ends on the same side of the other segment
+            apart |= ((a > 0) & (b > 0)) | ((a < 0) & (b < 0))
             apart |= ((c > 0) & (d > 0)) | ((c < 0) & (d < 0))
             met |= ~apart
             inside ^= _passes_right(x0, y0, ax, ay, bx, by)
@@ -201,7 +206,7 @@ class Polygon(ShapeSection):
         return inside | met | (least <= self.margin)
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance to the nearest edge, negative inside, less the margin.
+        """Return the distance to the nearest edge, negative inside, minus the margin.
 
         A point is inside if a ray from it crosses an odd number of edges.
         """

@@ -10,7 +10,7 @@ from tetractl.experiment.shape_section import ShapeSection
 
 
 class PackedRectangles(NamedTuple):
-    """Rectangles as the kernels take them; see `tetractl.model.shapes.shape.PackedShapes`."""
+    """Rectangles in the form used by kernels; see `tetractl.model.shapes.shape.PackedShapes`."""
 
     rows: Floats  # (M, 4): left, bottom, right, top
     size = 4
@@ -23,7 +23,9 @@ class PackedRectangles(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the largest gap along a separating axis: two of the box and the normal."""
+        """Return the largest gap along a separating axis: the box's two axes and the segment's
+        normal.
+        """
         left, bottom, right, top = p
         hx, hy, dx, dy = (right - left) / 2.0, (top - bottom) / 2.0, x1 - x0, y1 - y0
         mx, my = x0 + dx / 2.0 - (left + right) / 2.0, y0 + dy / 2.0 - (bottom + top) / 2.0
@@ -32,13 +34,13 @@ class PackedRectangles(NamedTuple):
 
     @staticmethod
     def depth(x: float, y: float, p: Any) -> float:
-        """Return the least distance inside a side."""
+        """Return the distance inside to the nearest side."""
         left, bottom, right, top = p
         return -max(max(left - x, x - right), max(bottom - y, y - top))
 
     @staticmethod
     def outward(x: float, y: float, p: Any) -> tuple[float, float]:
-        """Return the normal of the nearest side, or of the one furthest beyond."""
+        """Return the normal of the nearest side."""
         left, bottom, right, top = p
         if max(left - x, x - right) > max(bottom - y, y - top):
             return (-1.0 if left - x > x - right else 1.0), 0.0
@@ -61,7 +63,7 @@ class Rectangle(ShapeSection):
     packed: ClassVar[Any] = PackedRectangles
 
     def row(self) -> tuple[float, float, float, float]:
-        """Return left, bottom, right and top: grown, with sharp corners."""
+        """Return left, bottom, right and top after growth, which keeps corners sharp."""
         left, bottom, margin = self.left, self.bottom, self.margin  # attribute access is slow
         right, top = left + self.width, bottom + self.height
         return left - margin, bottom - margin, right + margin, top + margin
@@ -72,7 +74,9 @@ class Rectangle(ShapeSection):
         return (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether no axis separates segment and rectangle: two of the box, the normal."""
+        """Return whether no axis, of the box's two and the segment's normal, separates segment and
+        rectangle.
+        """
         left, bottom, right, top = self.row()
         dx, dy = x1 - x0, y1 - y0
         center_x, center_y = (left + right) / 2, (bottom + top) / 2

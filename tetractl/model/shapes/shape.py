@@ -20,10 +20,11 @@ class PackedShapes(Protocol):
     """
 
     rows: Floats
-    """(M, K): what `row` of the section returns."""
+    """The numbers of the obstacles (M, K), each row from the section's `row`."""
     size: int | None
-    """K, if it is the same for every obstacle: then `p` is a tuple. None if rows differ in
-    length: then `p` is an array, padded with zeros."""
+    """K if it is the same for every obstacle, in which case `p` is a tuple. None if rows differ in
+    length;     `p` is then an array, padded with zeros.
+    """
 
     @staticmethod
     def gap(x: float, y: float, p: Any) -> float:
@@ -37,10 +38,10 @@ class PackedShapes(Protocol):
 
     @staticmethod
     def depth(x: float, y: float, p: Any) -> float:
-        """Return how deep (x, y) lies inside the obstacle [length unit], at most 0 outside."""
+        """Return the depth of (x, y) inside the obstacle [length unit], at most 0 outside."""
         ...
 
     @staticmethod
     def outward(x: float, y: float, p: Any) -> tuple[float, float]:
-        """Return the unit vector along which the depth falls by 1 a length unit."""
+        """Return the unit vector along which the depth falls by 1 per length unit."""
         ...

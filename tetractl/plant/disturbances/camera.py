@@ -19,17 +19,17 @@ class TrackingLossSection(DisturbanceSection):
 
     type: Literal["tracking-loss"]
     every: Positive
-    """Mean time a robot is tracked between two losses [s], exponentially distributed."""
+    """Mean time between two losses for which a robot is tracked [s], exponentially distributed."""
     duration: Positive = 0.2
-    """Mean time it then stays lost [s], exponentially distributed."""
+    """Mean time for which a robot stays lost [s], exponentially distributed."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "TrackingLoss":
-        """Return the losses of one trial."""
+        """Return this disturbance for one trial."""
         return TrackingLoss(self, len(setup.names), rng)
 
 
 class TrackingLoss(Disturbance):
-    """Each robot is tracked and lost by turns; it is tracked initially."""
+    """Makes each robot alternately tracked, at first, and lost."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(
@@ -39,7 +39,7 @@ class TrackingLoss(Disturbance):
         )
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses as they are, the robots lost at this time as not tracked."""
+        """Return the poses unchanged, with the robots lost at this time as not tracked."""
         return poses, valid & self._tracked.well(time_s)
 
 
@@ -55,10 +55,10 @@ class CameraLatencySection(DisturbanceSection):
     late_share: Fraction = 0.0
     """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Late frames are late by up to this, uniformly distributed [s]."""
+    """Largest additional latency of a late frame, uniformly distributed [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
-        """Return the latencies of one trial."""
+        """Return this disturbance for one trial."""
         return CameraLatency(self, rng)
 
 
@@ -88,16 +88,16 @@ class FrameLossSection(DisturbanceSection):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether there is anything to lose."""
+        """Whether any frames are lost."""
         return self.share > 0
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrameLoss":
-        """Return the losses of one trial."""
+        """Return this disturbance for one trial."""
         return FrameLoss(self, rng)
 
 
 class FrameLoss(Disturbance):
-    """A Markov chain of two states, frame by frame; the first frame is not lost."""
+    """Loses frames by a Markov chain with two states; the first frame is not lost."""
 
     def __init__(self, section: FrameLossSection, rng: np.random.Generator) -> None:
         self._begin = section.share / (1 - section.share) / section.burst
@@ -113,11 +113,13 @@ class FrameLoss(Disturbance):
 
 
 class FrozenCameraSection(SpellsSection):
-    """Intervals in which every frame repeats the last one before, or none comes."""
+    """Intervals in which every frame repeats the last one before the interval, or frames are
+    lost.
+    """
 
     type: Literal["frozen-camera"]
     repeats: bool = True
-    """Whether frames repeat the last picture as a new one; else no frame reaches the host."""
+    """Whether frames repeat the last picture as a new one; otherwise no frame reaches the host."""
 
     @property
     def loses_frames(self) -> bool:
@@ -125,7 +127,7 @@ class FrozenCameraSection(SpellsSection):
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
-        """Return the intervals of one trial."""
+        """Return this disturbance for one trial."""
         return FrozenCamera(self.repeats, self.draw(rng))
 
 
@@ -137,38 +139,37 @@ class FrozenCamera(Disturbance):
         self._last: tuple[Poses, Bools] | None = None
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the last picture before the interval while one is on."""
+        """Return the measurement; during an interval, the last one before it."""
         if self._last is None or not (self._repeats and self._spells.at(time_s)):
             self._last = poses, valid
         return self._last
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return the time of arrival unchanged, None for a frame that does not come."""
+        """Return the time of arrival unchanged, None for a frame that is lost."""
         lost = not self._repeats and self._spells.at(exposed_ns / SECOND)
         return None if lost else received_ns
 
 
 class MarkerOffSection(DisturbanceSection):
-    """Each robot's measured heading is off by this, to one side or the other, drawn once a
-    trial."""
+    """Each robot's measured heading has an offset, to a side drawn once per trial."""
 
     type: Literal["marker-off"]
     heading: NonNegative
     """Offset of the measured heading, in either direction [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":
-        """Return the sides of one trial."""
+        """Return this disturbance for one trial."""
         return MarkerOff(self.heading * rng.choice([-1.0, 1.0], len(setup.names)))
 
 
 class MarkerOff(Disturbance):
-    """Turns what the camera shows by an offset for each robot (N,) [rad]."""
+    """Adds an offset (N,) [rad] to each robot's measured heading."""
 
     def __init__(self, off: Floats) -> None:
         self._off = off
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses with their headings off."""
+        """Return the poses with the offsets added to the headings."""
         return Poses(poses.x, poses.y, poses.heading + self._off), valid
 
 
@@ -180,7 +181,7 @@ class StaleCameraSection(SpellsSection):
     """Age of the poses [s]; early in the trial, that of the oldest ones."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
-        """Return the intervals of one trial."""
+        """Return this disturbance for one trial."""
         return StaleCamera(self.age, self.draw(rng))
 
 

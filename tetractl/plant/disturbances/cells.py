@@ -11,7 +11,7 @@ from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 
 class FlowSection(DisturbanceSection):
-    """One flow for all cells, the same everywhere and all the time of a trial."""
+    """One flow that carries all cells, constant in space and during a trial."""
 
     type: Literal["flow"]
     speed: NonNegative
@@ -20,7 +20,7 @@ class FlowSection(DisturbanceSection):
     """Direction of the flow, anticlockwise from +x [rad]; by default drawn in every trial."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Flow":
-        """Return the flow of one trial."""
+        """Return this disturbance for one trial."""
         drawn = rng.uniform(-np.pi, np.pi)
         angle = drawn if self.direction is None else self.direction
         return Flow(self.speed * np.array([np.cos(angle), np.sin(angle)]))
@@ -40,9 +40,9 @@ class Flow(Disturbance):
 
 
 class WobbleSection(DisturbanceSection):
-    """A cell circles about the axis of its helix, which is what the field turns.
+    """A cell circles about the axis of its helix, and the field turns this axis.
 
-    Seen from above it weaves across the axis, and its body points along its path.
+    Seen from above, the cell swings across the axis, and its body points along its path.
     """
 
     type: Literal["wobble"]
@@ -52,14 +52,15 @@ class WobbleSection(DisturbanceSection):
     """Frequency of the helix [Hz]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wobble":
-        """Return the wobble of one trial; each cell starts at a phase of its own."""
+        """Return this disturbance for one trial, with a random phase for each cell."""
         return Wobble(self, setup.speed, rng.uniform(-np.pi, np.pi, len(setup.names)))
 
 
 class Wobble(Disturbance):
-    """Moves cells of given speeds (N,) [length unit/s] across their headings; phases (N,) [rad].
+    """Moves cells with speeds (N,) [length unit/s] across their headings, starting at phases (N,)
+    [rad].
 
-    The true heading stays that of the axis; the camera measures that of the body.
+    The true heading is that of the axis; the camera measures the body's.
     """
 
     def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:
@@ -68,7 +69,7 @@ class Wobble(Disturbance):
         self._moving = np.zeros_like(phase)
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses after the helices of the cells that swim turned on."""
+        """Return the poses after the helices of the swimming cells have turned further."""
         before, self._moving = self._phase, moving
         self._phase = before + self._rate * seconds * moving
         across = self._radius * (np.sin(self._phase) - np.sin(before))

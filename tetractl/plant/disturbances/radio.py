@@ -14,26 +14,26 @@ from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class RadioSection(DisturbanceSection):
-    """A broadcast to all robots; each hears it or not, independently of the others."""
+    """A delayed broadcast, which each robot receives or not, independently of the others."""
 
     type: Literal["radio"]
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """From sending until the robots have received it [s]."""
+    """Time from sending a transmission until the robots receive it [s]."""
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """A transmission takes up to this much longer, uniformly distributed [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Each robot acts up to this much later than the first could, uniformly distributed, drawn once
     a trial [s]."""
     loss: Fraction = 0.0
-    """Probability that a robot does not hear a transmission."""
+    """Probability that a robot does not receive a transmission."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Radio":
-        """Return the radio of one trial."""
+        """Return this disturbance for one trial."""
         return Radio(self, len(setup.names), rng)
 
 
 class Radio(Disturbance):
-    """Delays each transmission, and takes robots out of those that it reaches."""
+    """Delays each transmission, and draws which robots receive it."""
 
     def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
@@ -59,7 +59,7 @@ class SilentRadioSection(SpellsSection):
     type: Literal["silent-radio"]
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "SilentRadio":
-        """Return the silences of one trial."""
+        """Return this disturbance for one trial."""
         return SilentRadio(self.draw(rng))
 
 
@@ -77,7 +77,7 @@ class SilentRadio(Disturbance):
 
 
 class PlanningTimeSection(DisturbanceSection):
-    """Every command is sent some time after the frame that it answers was read."""
+    """Every command is sent some time after the frame used for it was read."""
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)
@@ -91,7 +91,7 @@ class PlanningTimeSection(DisturbanceSection):
         return self.least + self.spread
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
-        """Return the times of one trial."""
+        """Return this disturbance for one trial."""
         return PlanningTime(self, rng)
 
 

@@ -12,23 +12,23 @@ from tetractl.plant.disturbances.spells import ByTurns
 
 
 class BatterySection(DisturbanceSection):
-    """All robots slow down steadily, and then stay as slow as they are."""
+    """All robots slow down steadily for a time, and then keep the reduced speed."""
 
     type: Literal["battery"]
     speed: Fraction
-    """Share of its speed that each robot loses."""
+    """Fraction of its speed that each robot loses."""
     a: Fraction = 0.0
-    """Share of its a that each robot loses."""
+    """Fraction of its a that each robot loses."""
     over: Positive = 30.0
-    """Time of the trial until these fractions are lost [s]."""
+    """Time of the trial over which the fractions are lost [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
-        """Return the batteries of one trial."""
+        """Return this disturbance for one trial."""
         return Battery(self)
 
 
 class Battery(Disturbance):
-    """Takes a share of a and speed that grows with time."""
+    """Reduces a and speed by a fraction that grows with time."""
 
     def __init__(self, section: BatterySection) -> None:
         self._section = section
@@ -44,15 +44,17 @@ class HeadingDriftSection(DisturbanceSection):
 
     type: Literal["heading-drift"]
     rate: NonNegative
-    """Greatest rate; each robot's is uniform in [-rate, rate], drawn once per trial [rad/s]."""
+    """Greatest turning rate; each robot's is uniform in [-rate, rate], drawn once per trial
+    [rad/s].
+    """
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "HeadingDrift":
-        """Return the drift of one trial."""
+        """Return this disturbance for one trial."""
         return HeadingDrift(self.rate * rng.uniform(-1, 1, len(setup.names)))
 
 
 class HeadingDrift(Disturbance):
-    """Turns each robot that moves at its own rate (N,) [rad/s]."""
+    """Turns each moving robot at its own rate (N,) [rad/s]."""
 
     def __init__(self, rates: Floats) -> None:
         self._rates = rates
@@ -63,35 +65,35 @@ class HeadingDrift(Disturbance):
 
 
 class StickingSection(DisturbanceSection):
-    """Each robot sticks occasionally, as at a cable or on dust, independently of the others."""
+    """Each robot occasionally sticks, as at a cable or on dust, independently of the others."""
 
     type: Literal["sticking"]
     every: Positive
-    """Mean time between two times that a robot sticks [s], exponentially distributed."""
+    """Mean time between two stops of a robot [s], exponentially distributed."""
     duration: NonNegative = 0.5
-    """Time for which it then neither moves nor turns [s]."""
+    """Time for which a stuck robot neither moves nor turns [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Sticking":
-        """Return the sticking of one trial."""
+        """Return this disturbance for one trial."""
         return Sticking(self, len(setup.names), rng)
 
 
 class Sticking(Disturbance):
-    """Holds each robot independently."""
+    """Makes each robot stick, independently of the others."""
 
     def __init__(self, section: StickingSection, robots: int, rng: np.random.Generator) -> None:
         free_s, stuck_s = section.every, section.duration
         self._free = ByTurns(robots, lambda: rng.exponential(free_s), lambda: stuck_s)
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return no turning and no speed for the robots that stick."""
+        """Return a and speed, 0 for the robots that stick."""
         free = self._free.well(time_s)
         return a * free, speed * free
 
 
 class WanderSection(DisturbanceSection):
-    """Relative errors of a and speed that change slowly, independently for each robot and quantity.
-    Their logarithms are stationary Ornstein-Uhlenbeck processes.
+    """Relative errors of a and speed that change slowly, independently for each robot and quantity:
+    their logarithms are stationary Ornstein-Uhlenbeck processes.
     """
 
     type: Literal["wander"]
@@ -103,12 +105,12 @@ class WanderSection(DisturbanceSection):
     """Correlation time of the errors [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Wander":
-        """Return the errors of one trial."""
+        """Return this disturbance for one trial."""
         return Wander(self, len(setup.names), rng)
 
 
 class Wander(Disturbance):
-    """Draws the errors at each requested time; their statistics do not depend on the frame rate."""
+    """Draws the errors at each requested time, with statistics independent of the frame rate."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._size = np.array([[section.a], [section.speed]])
@@ -117,7 +119,7 @@ class Wander(Disturbance):
         self._last_s = 0.0
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed with the errors of this time."""
+        """Return a and speed with the errors at this time."""
         kept = np.exp(-(time_s - self._last_s) / self._time_s)
         self._last_s = time_s
         drawn = self._rng.standard_normal(self._state.shape)
@@ -127,16 +129,16 @@ class Wander(Disturbance):
 
 
 class StartErrorSection(DisturbanceSection):
-    """Each robot is put down near its start, uniformly distributed, again in every trial."""
+    """Each robot starts near its start of the spec, uniformly distributed, drawn in every trial."""
 
     type: Literal["start-error"]
     position: NonNegative = 0.0
-    """x and y are off by up to this [length unit]."""
+    """Largest error of x and of y [length unit]."""
     heading: NonNegative = 0.0
-    """The heading is off by up to this [rad]."""
+    """Largest error of the heading [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":
-        """Return the error of one trial."""
+        """Return this disturbance for one trial."""
         return StartError(self, rng)
 
 

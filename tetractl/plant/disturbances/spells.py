@@ -1,4 +1,4 @@
-"""Intervals in which something goes wrong, shared by the disturbances that come and go."""
+"""Random intervals, shared by disturbances that act only at times."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -17,12 +17,12 @@ class SpellsSection(DisturbanceSection):
     times: Annotated[int, Field(ge=0, le=1000)] = 1
     """Number of intervals in a trial; they may overlap."""
     duration: Positive
-    """Duration of each [s]."""
+    """Duration of each interval [s]."""
     between: tuple[NonNegative, NonNegative] = (1.0, 14.0)
-    """Each begins between these two times of the trial, uniformly distributed [s]."""
+    """Earliest and latest start of an interval in the trial, uniformly distributed [s]."""
 
     def draw(self, rng: np.random.Generator) -> "Spells":
-        """Return the intervals of one trial."""
+        """Draw the intervals of one trial."""
         return Spells(self, rng)
 
 
@@ -34,20 +34,20 @@ class Spells:
         self._end_s = self._begin_s + section.duration
 
     def at(self, time_s: float) -> bool:
-        """Return whether an interval is on."""
+        """Return whether a time is within an interval."""
         return bool(((self._begin_s <= time_s) & (time_s < self._end_s)).any())
 
 
 class ByTurns:
-    """N robots that alternate between well and unwell, independently, well initially.
+    """The state of N robots that alternate independently between well and unwell, and start well.
 
-    `well_s` and `unwell_s` draw how long [s].
+    `well_s` and `unwell_s` draw the durations of both states [s].
     """
 
     def __init__(
         self, robots: int, well_s: Callable[[], float], unwell_s: Callable[[], float]
     ) -> None:
-        self._durations_s = (unwell_s, well_s)  # by whether it is well
+        self._durations_s = (unwell_s, well_s)  # for unwell and well robots
         self._well = np.ones(robots, dtype=np.bool_)
         self._until_s = np.array([well_s() for _ in range(robots)])
 

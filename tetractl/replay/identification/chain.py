@@ -32,9 +32,10 @@ from tetractl.core.poses import Bools, Floats
 
 LIMIT = 3.841
 """95 % quantile of chi-squared with one degree of freedom."""
-_CHOLESKY, _SOLVE = get_lapack_funcs(("pbtrf", "tbtrs"), dtype=np.float64)  # of band matrices
+# factorise and solve band matrices
+_CHOLESKY, _SOLVE = get_lapack_funcs(("pbtrf", "tbtrs"), dtype=np.float64)
 TINY = 1e-12  # relative to the trace: a parameter without effect leaves X^T A^-1 X regular
-LEAST = 1e-7  # of a deviation, relative to the residuals' own
+LEAST = 1e-7  # least deviation, relative to that of the residuals
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +59,8 @@ class ChainNoise:
 class Chain:
     """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
 
-    `linked` (K,) tells which begin with the frame that the one before ended with. `coupling` G (K,)
-    is F if it is None.
+    `linked` (K,) is True for intervals that begin with the last frame of the interval before.
+    `coupling` is G (K,), by default F.
     """
 
     t: Floats

@@ -26,13 +26,13 @@ from tetractl.replay.identification.chain import ChainNoise
 from tetractl.replay.identification.tracks import SHORTEST_S, Track, drives_of
 from tetractl.replay.identification.turning import Turning, Turns
 
-HOLD_S = 0.4  # for which a direction is held at least
+HOLD_S = 0.4  # least time for which a direction is held
 NOISE = ChainNoise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
-TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions a knot, and when to go back how far
-TURN = 2.0  # rad at most between two directions: a robot commanded to turn back may turn either way
-WEAK = np.array([0.5, 2.0, 1.0])  # deviations of dead time, ln a and bias before the motion
-AWAY = 0.15  # margin, relative to the arena's shorter side, except for robots that start nearer
+TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions per knot; when to go back, and how far
+TURN = 2.0  # largest change of direction [rad]: a robot that must turn back may turn either way
+WEAK = np.array([0.5, 2.0, 1.0])  # prior standard deviations of dead time, ln a and bias
+AWAY = 0.15  # margin relative to the arena's shorter side; smaller for robots that start nearer
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,12 +53,12 @@ class Design:
 
     @property
     def seconds(self) -> float:
-        """How long it takes [s]."""
+        """Duration of the motion [s]."""
         return len(self.directions) * self.period_s
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of some seconds; UsageError if the robots have no room for one."""
+    """Return a design of a given duration; UsageError if the robots have no room for it."""
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))

@@ -24,12 +24,13 @@ from tetractl.replay.identification.turning import Turning, Turns
 
 OUTLYING = 4.0  # deviations
 ROUNDS = 5
-RATES = (1.0, 0.4, 2.5)  # times the a expected, from which the filters start
-WEAK = (0.5, 2.0, 1.0)  # deviations of tau [s], ln a and beta [rad]
-FAR = (1.0, 3.0, 1.5)  # from the estimate: no end of an interval is looked for beyond
+RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the filters start
+WEAK = (0.5, 2.0, 1.0)  # prior standard deviations of tau [s], ln a and beta [rad]
+# largest distance from the estimate in which the end of an interval is searched
+FAR = 1.0, 3.0, 1.5
 STEP = (0.03, 0.3, 0.3)  # the longest Gauss-Newton step
-NEWTON = 3  # steps at each point of a profile
-POINTS = 6  # of each side of a profile
+NEWTON = 3  # Gauss-Newton steps at each point of a profile
+POINTS = 6  # number of points on each side of a profile
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ def _filtered(track: Track, prior: Prior) -> Turning:
 
 
 class _Fit:
-    """A fit under way."""
+    """The state of a fit."""
 
     def __init__(self, drives: Drives, start: Turning) -> None:
         self.turns, self.p = Turns(drives), start
@@ -90,7 +91,9 @@ class _Fit:
         self._factors: list[Floats] = []
 
     def misfit(self) -> float:
-        """Return a robust measure of how far the start misses the turns."""
+        """Return a robust measure of the difference between predicted and measured turns at the
+        start.
+        """
         r = np.abs(self.turns.missed(self.p))
         return float(np.minimum(r, 0.2)[self.used].mean()) if self.used.any() else np.inf
 

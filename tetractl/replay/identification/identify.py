@@ -17,12 +17,13 @@ from tetractl.replay.identification.fit import Fitted, fit
 from tetractl.replay.identification.tracks import Drives, Track, drives_of
 from tetractl.replay.identification.turning import Turning
 
-LEAST = 20  # intervals of a robot, below which nothing is fitted
+LEAST = 20  # least number of intervals of a robot for a fit
 OUTLYING = 4.0  # deviations
 SPEED_ROUNDS = 3
-DEAD_TIME_STD = 0.1  # range in which the dead time is searched [s]
-A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2  # likewise, the first two relative
-UNKNOWN_A = 3.0  # rad/s, if nothing is expected
+DEAD_TIME_STD = 0.1  # prior standard deviation of the dead time [s]
+# prior standard deviations, the first two relative
+A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2
+UNKNOWN_A = 3.0  # rad/s, if no value is expected
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +75,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     for name, count in zip(tracks[0].names, counts, strict=True):
         if count < LEAST:
             raise UsageError(
-                f"robot {name}: it is seen to drive in {count} intervals between frames only",
+                f"robot {name} drives in only {count} intervals between frames",
                 f"{LEAST} are needed; `tetractl design` proposes a motion",
             )
     fitted = fit(tracks, drives, _prior(drives, a, dead_time))
@@ -134,7 +135,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
     camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)  # by which a path predicted from a measured heading is shorter
+    length = np.hypot(x, y)  # factor by which noise of the heading shortens the predicted path
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]

@@ -17,10 +17,10 @@ from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 
-SHORTEST_S = 0.035  # of an interval: frames that come faster are left out
-DRIVING = 0.5  # share of the robot's usual travel from which on a robot drives
+SHORTEST_S = 0.035  # shortest interval: frames that follow faster are left out
+DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
 SETTLED_S = 0.5  # from the first direction after a pause until all robots drive again
-APART_S = 1000.0  # between two tracks that are put one behind the other
+APART_S = 1000.0  # time between two tracks that are joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,8 +151,8 @@ def drives_of(tracks: list[Track]) -> Drives:
     for other in tracks[1:]:
         if (other.names, other.unit) != (first.names, first.unit):
             raise UsageError(
-                f"{other.source}: other robots or another length unit than {first.source}",
-                "identify them one by one",
+                f"{other.source}: robots or length unit differ from those of {first.source}",
+                "identify them separately",
             )
     parts = [_drive(track, APART_S * (i + 1)) for i, track in enumerate(tracks)]
     intervals = Intervals(
@@ -172,7 +172,7 @@ def drives_of(tracks: list[Track]) -> Drives:
 def _drive(track: Track, begin: float) -> Drives:
     """Return one track that begins at `begin` [s], counted from its first command."""
     if not len(track.sent):
-        raise UsageError(f"{track.source}: no direction was sent in it")
+        raise UsageError(f"{track.source}: contains no sent direction")
     origin = float(track.sent[0])
     kept = _thinned(track.time)
     time, poses, valid = track.time[kept], track.poses[kept], track.valid[kept]
@@ -191,7 +191,7 @@ def _drive(track: Track, begin: float) -> Drives:
     usable = seen & began & told[:, None]
     some = usable.any(axis=1)
     index = np.flatnonzero(some)
-    changes = np.append(True, np.diff(track.u) != 0)  # what repeats a direction changes nothing
+    changes = np.append(True, np.diff(track.u) != 0)  # a repeated direction changes nothing
     return Drives(
         Intervals(
             since=time[:-1][some] - origin + begin,
@@ -208,7 +208,7 @@ def _drive(track: Track, begin: float) -> Drives:
 
 
 def _thinned(time: Floats) -> list[int]:
-    """Return the frames of a track, SHORTEST_S apart at least."""
+    """Return the frames of a track at intervals of at least SHORTEST_S."""
     kept: list[int] = []
     for i, t in enumerate(time):
         if not kept or t - time[kept[-1]] >= SHORTEST_S - 1e-9:
@@ -225,7 +225,7 @@ def substeps(
     [s] after they were sent, 0 if there are fewer. Before the first acts, it is taken as acting.
     """
     acts = when + tau
-    ends = np.append(acts[1:], np.inf)  # the last acts for ever
+    ends = np.append(acts[1:], np.inf)  # the last direction acts for ever
     first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
     last = acts.searchsorted(intervals.until, "left") - 1
     found, begin = [], intervals.since
@@ -265,11 +265,11 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
             into = poses
             found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
             if found is None or (unit and unit != found):
-                raise UsageError(f"{path}: needs x_mm and y_mm, or another unit throughout")
+                raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
             unit = found
         else:
             raise UsageError(
-                f"{path}: holds neither poses nor commands",
+                f"{path}: contains neither poses nor commands",
                 f"poses have the columns {', '.join(POSES)}, x_mm, y_mm; commands "
                 f"{' and '.join(COMMANDS)}",
             )
@@ -321,11 +321,11 @@ def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: 
 
 
 def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
-    """Return a number; NaN for one that is `optional` and not there."""
+    """Return the number of a row in a column; NaN if it is `optional` and missing."""
     text = row.get(column, "").strip()
     if not text and optional:
         return math.nan
     try:
         return float(text)
     except ValueError:
-        raise UsageError(f"{path}: {column}: {text!r} is no number") from None
+        raise UsageError(f"{path}: {column}: {text!r} is not a number") from None

@@ -15,15 +15,17 @@ from tetractl.model.motion.exact import step
 from tetractl.replay.identification.chain import Chain, ChainNoise
 from tetractl.replay.identification.tracks import Drives, substeps
 
-NUDGE_S, NUDGE = 0.001, 1e-4  # of tau [s], and of ln a, beta and headings, for derivatives
-SURE = 0.01  # probability that counts as none
-FEW = 0.5  # lost commands, added to those found, in the share of commands that get lost
-LARGE = 100.0  # cap of a squared deviation: an interval that neither explains decides nothing
+NUDGE_S, NUDGE = 0.001, 1e-4  # steps of tau [s], and of ln a, beta and headings, for derivatives
+SURE = 0.01  # probability below which a loss counts as impossible
+FEW = 0.5  # number of lost commands added to those found when the loss rate is estimated
+LARGE = 100.0  # cap of a squared deviation, so that an interval that fits neither decides nothing
 
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """The parameters: dead time `tau` [s], `ln_a` (N,) of rad/s and `beta` (N,) [rad]."""
+    """The parameters: dead time `tau` [s], `ln_a` (N,), the logarithm of a [rad/s], and `beta` (N,)
+    [rad].
+    """
 
     tau: float
     ln_a: Floats
@@ -125,7 +127,7 @@ class Turns:
         self._followed = (arrived, arrived if (arrived == lost).all() else lost)
 
     def _main(self, p: Turning) -> NDArray[np.int64]:
-        """Return the number of the direction that acts at the end of each interval, (K,)."""
+        """Return the index of the direction that acts at the end of each interval, (K,)."""
         when = self.drives.directions.when
         acts = np.searchsorted(when + p.tau, self.drives.intervals.until, "left") - 1
         return np.clip(acts, 0, len(when) - 1)

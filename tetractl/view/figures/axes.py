@@ -21,7 +21,7 @@ NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
-    """Return the only log; UsageError for several."""
+    """Return the only log; UsageError if there are several."""
     if len(logs) > 1:
         raise UsageError(
             f"this figure shows one trial, not {len(logs)}",
@@ -95,7 +95,7 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
 
 def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result, else the last measured ones."""
+    """Return the final poses (N, 3) of the result or, without one, the last measured poses."""
     if log.result is not None:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()

@@ -157,7 +157,7 @@ def timing_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _distribution(axes: Axes, solve_ms: Floats, period_ms: float) -> None:
-    """Draw how many steps took how long, and mark two percentiles."""
+    """Draw a histogram of the solve times, and mark two percentiles."""
     low, high = axes.get_ylim()
     edges = np.geomspace(low, high, BINS + 1)
     late = solve_ms > period_ms

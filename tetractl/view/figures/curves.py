@@ -29,7 +29,7 @@ from tetractl.view.figures.axes import (
 )
 from tetractl.view.figures.labels import end_labels
 
-POINTS = 400  # of the time axis of several trials
+POINTS = 400  # points of the time axis for several trials
 QUARTILES = (25, 50, 75)
 LINE_IN = 0.1  # height of a robot's label
 SINCE = "time since the first command [s]"
@@ -100,7 +100,8 @@ def robot_curves(
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     """Return the robots' distances (M, N) at times (M,) since the first command [s].
 
-    Each is the last measured before its time; after the trial's end it is that of the result.
+    Each distance is the last one measured before its time, or the result's after the end of the
+    trial.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)

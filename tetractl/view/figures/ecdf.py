@@ -71,7 +71,7 @@ def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure
 
 
 def _curve(axes: Axes, label: str, values: Floats, color: str, end: float, shaded: bool) -> None:
-    """Draw one curve; its band is shaded, or only lined if there would be too many."""
+    """Draw one curve; its band is shaded, or only outlined if there are many curves."""
     x = np.concatenate([[0.0], values, [1.02 * end]])
     share = np.concatenate([np.arange(len(values) + 1), [len(values)]]) / len(values)
     half = band(len(values))

@@ -18,7 +18,7 @@ from tetractl.view.figures.axes import need_steps, one_trial
 
 PURPLE = "#7A3E9D"
 SHARES = (0.0, 0.25, 1.0)
-"""The iterations shown, as shares of those that the search did."""
+"""Iterations that are shown, as fractions of the search's iterations."""
 
 
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -50,7 +50,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _shades(axes: Axes, history: SwarmHistory):
-    """Shade J over the two dimensions, lighter if it is less; return the shades."""
+    """Shade J over the two dimensions, lighter for a lower J; return the shades."""
     least, most = float(history.costs.min()), float(np.percentile(history.costs, 98))
     scale = Normalize(least, most if most > least else least + 1)
     shades = axes.imshow(
@@ -80,7 +80,7 @@ def _swarm(axes: Axes, frame: Frame) -> None:
 
 
 def _course(axes: Axes, history: SwarmHistory) -> None:
-    """Draw where one particle has been, and its local best."""
+    """Draw the course of one particle, and its local best."""
     axes.plot(*history.path.T, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(*history.path.T, "o", ms=1.8, color=style.INK, zorder=3, gid="course")
     axes.plot(*history.path_best, "o", ms=6, color=PURPLE, mec="white", mew=0.6, zorder=4)

@@ -300,7 +300,7 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
         signs.append(Line2D([], [], color=style.GREY, label="arena", **dashed))
     if len(logs) == 1 and _visible_truth(logs[0]) is not None:
         signs.append(Line2D([], [], color=style.INK, label="true path", **dashed))
-    if len(signs) > 5:  # a second line
+    if len(signs) > 5:  # two lines are needed
         figure.set_figheight(figure.get_figheight() + LINE_IN)
     figure.legend(
         handles=signs,

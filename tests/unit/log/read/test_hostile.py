@@ -301,7 +301,7 @@ def test_a_message_that_tetractl_would_not_write_is_refused(tmp_path, contents, 
     entry = next(entry for entry in contents.entries if entry.topic == topic)
     new = entry._replace(data=message.SerializeToString())
     path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
-    with pytest.raises(LogError, match="holds what tetractl does not write"):
+    with pytest.raises(LogError, match="holds a value that tetractl does not write"):
         read_trial(path)
 
 

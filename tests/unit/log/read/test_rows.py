@@ -137,7 +137,7 @@ def test_what_is_no_row_is_passed_over(arm, line):
     [
         (None, "there is no such file"),
         ("", r"spec\.resolved\.yaml"),
-        (lambda text: text.replace("seed: 7", "seed: 8"), "is not of the spec in"),
+        (lambda text: text.replace("seed: 7", "seed: 8"), "belongs to another spec than"),
     ],
 )
 def test_rows_need_their_spec(arm, text, problem):

@@ -189,7 +189,7 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
         channel = writer.register_channel("/chatter", "json", 0)
         writer.add_message(channel, 1, b"{}", 1)
         writer.finish()
-    with pytest.raises(LogError, match="an MCAP file, but no log of tetractl's"):
+    with pytest.raises(LogError, match="an MCAP file, but not a log of tetractl"):
         read_trial(path)
 
 

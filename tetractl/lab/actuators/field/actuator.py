@@ -27,16 +27,16 @@ from tetractl.lab.actuators.field.driver import (
 )
 from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 
-STOPS = 3  # frames of one stop, so that a damaged byte does not cost it
+STOPS = 3  # number of frames per stop, so that a damaged byte does not lose the stop
 OFF: Pair = (0.0, 0.0)
 
 
 class FieldActuator:
     """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
 
-    No cell can be held: every transmission, a stop too, states that all move at their own speed.
-    Its outputs are the currents asked of the driver, `current_x_a` and `current_y_a` [A], and the
-    field they make, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
+    No cell can be held still: every transmission, even a stop, states that all move at their own
+    speed. Its outputs are the currents requested of the driver, `current_x_a` and `current_y_a`
+    [A], and the field they make, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
     """
 
     individual = False
@@ -47,7 +47,7 @@ class FieldActuator:
         self.driver = Driver(section.port, section.baud, clock)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
-        self._currents = OFF  # requested of the driver [A], held from `_sent_ns` ...
+        self._currents = OFF  # currents requested of the driver [A], held from `_sent_ns` ...
         self._sent_ns = clock.now() - self.period_ns
         self._held_until_ns = self._sent_ns  # ... until then, when the driver goes to 0
 
@@ -65,7 +65,7 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Turn other cells from now on: those that a trial found."""
+        """Steer other cells from now on: those that a trial found."""
         self._a, self._speed = setup.a, setup.speed
 
     @property
@@ -75,7 +75,7 @@ class FieldActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why there is no field any more, None while all is well."""
+        """Why the driver makes no field any more, None while there is no fault."""
         return self.driver.failure
 
     def steer(
@@ -87,8 +87,8 @@ class FieldActuator:
     ) -> Transmission:
         """Turn the field to a direction [rad], as far as the slew limit allows in one period.
 
-        The currents go there in a straight line, so a field turned by half a circle passes through
-        a weak one. `turning` is for the field really requested, 0 for cells without a pose;
+        The currents change along a straight line, so a field that turns by half a circle becomes
+        weak on the way. `turning` [rad/s] is for the requested field, 0 for cells without a pose;
         `moving` is ignored. AbortError if the driver has failed.
         """
         if (failure := self.failure) is not None:
@@ -118,7 +118,9 @@ class FieldActuator:
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return a status without an answer for each cell; `check` asks the driver."""
+        """Return a status for each cell, without an answer, as only the driver can be asked
+        (`check`).
+        """
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
@@ -130,11 +132,11 @@ class FieldActuator:
         return inspect(reply, self.section)
 
     def _room(self, passed_ns: int) -> float:
-        """Return how far a current may change in a time [A]."""
+        """Return how far a current may change in a given time [A]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:
-        """Return the driver's set points: those requested, or on their way to 0."""
+        """Return the driver's present set points [A], as requested or on their way to 0."""
         return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
 
     def _transmission(
@@ -159,7 +161,9 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return problems, warnings and facts for a reply; None means no reply."""
+    """Return the driver's problems, warnings and facts from its reply, None if there was no
+    reply.
+    """
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))

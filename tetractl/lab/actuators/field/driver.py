@@ -28,18 +28,18 @@ class FieldFlag(IntFlag):
     """Flags of a command."""
 
     RUN = 1  # without it both currents go to 0
-    EMERGENCY_STOP = 2  # both currents go to 0, and stay so until the driver is switched off
-    POLL = 4  # the driver answers
+    EMERGENCY_STOP = 2  # both currents stay 0 until the driver is switched off
+    POLL = 4  # the driver replies
 
 
 class DriverStatus(IntFlag):
     """Status flags of the driver."""
 
-    RUNNING = 1  # the last frame let it run
+    RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
-    SILENT = 4  # the watchdog has stopped it
-    LIMITED = 8  # the last frame asked for more than the greatest current
-    HOT = 16  # its temperature has stopped it; latched like an emergency stop
+    SILENT = 4  # stopped by the watchdog
+    LIMITED = 8  # the last frame requested more than the greatest current
+    HOT = 16  # stopped by its temperature; latched like an emergency stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,12 +54,12 @@ class FieldCommand:
 
 @dataclass(frozen=True, slots=True)
 class FieldReply:
-    """What a polled driver answers; `sequence` is that of the poll.
+    """The reply of a polled driver; `sequence` is that of the poll.
 
     The currents [mA] are measured. `supply_mv` 0 and `temperature_dc` `UNKNOWN_TEMPERATURE` (in
     tenths of a degree Celsius) mean not known. `received` and `rejected` count frames with a right
-    and a wrong CRC, modulo 65536. The last three are the driver's own limits: of each current [mA],
-    of its change [mA/s], and of the silence after which it stops [ms].
+    and a wrong CRC, modulo 65536. The last three are the driver's own limits: the greatest current
+    [mA], the greatest change of a current [mA/s], and the silence after which it stops [ms].
     """
 
     sequence: int
@@ -77,7 +77,7 @@ class FieldReply:
 
 
 def encode_command(command: FieldCommand) -> bytes:
-    """Pack a command, with its closing 00."""
+    """Pack a command, including the closing byte 00."""
     if command.flags & ~7:
         raise WireError(f"unknown flags 0x{int(command.flags):02X}")
     fields = command.sequence, command.flags, command.x_ma, command.y_ma
@@ -85,7 +85,7 @@ def encode_command(command: FieldCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> FieldCommand:
-    """Read a command, given without its closing 00."""
+    """Read a command, given without the closing byte 00."""
     sequence, flags, x_ma, y_ma = _unpack(_COMMAND, COMMAND, frame)
     if flags & ~7:
         raise WireError(f"unknown flags 0x{flags:02X}")
@@ -93,7 +93,7 @@ def decode_command(frame: bytes) -> FieldCommand:
 
 
 def encode_reply(reply: FieldReply) -> bytes:
-    """Pack a reply, with its closing 00."""
+    """Pack a reply, including the closing byte 00."""
     r = reply
     measured = r.x_ma, r.y_ma, r.supply_mv, r.temperature_dc, r.received, r.rejected
     limits = r.current_max_ma, r.slew_ma_s, r.watchdog_ms
@@ -101,7 +101,7 @@ def encode_reply(reply: FieldReply) -> bytes:
 
 
 def decode_reply(frame: bytes) -> FieldReply:
-    """Read a reply, given without its closing 00; unknown status bits are dropped."""
+    """Read a reply, given without the closing byte 00; unknown status bits are dropped."""
     sequence, status, *rest = _unpack(_REPLY, REPLY, frame)
     return FieldReply(sequence, DriverStatus(status & 31), *rest)
 
@@ -116,12 +116,12 @@ def _pack(layout: struct.Struct, *fields: int) -> bytes:
 def _unpack(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:
-        raise WireError(f"no frame of type 0x{kind:02X}")
+        raise WireError(f"unknown frame type 0x{kind:02X}")
     return layout.unpack(payload)[1:]
 
 
 SILENCE_NS = SECOND // 2
-# more frames than this, over more than this time, without a reply: the driver is off
+# the driver counts as off after more frames, over a longer time, than this without a reply
 UNANSWERED_MAX = 5
 TRIES = 5
 ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
@@ -131,8 +131,8 @@ HINT = "the driver switches the field off by its watchdog; cells swim on"
 class Driver:
     """A current driver on a port that is opened by `open`. Times are ns on `clock`.
 
-    Every frame polls, so that a driver which is off, latched or hot is noticed during a run:
-    `failure` then says so.
+    Every frame polls the driver, so that a run notices if it is off, latched or hot, which
+    `failure` then reports.
     """
 
     def __init__(self, port: str, baud: int, clock: Clock) -> None:
@@ -142,12 +142,14 @@ class Driver:
         self._splitter = Splitter()
         self._lock = threading.Lock()
         self._sequence = 0
-        self._unanswered = 0  # frames since the last reply, and when the first of them left
+        self._unanswered = (
+            0  # number of frames since the last reply, and when the first of them was sent
+        )
         self._unanswered_ns = 0
 
     @property
     def failure(self) -> str | None:
-        """Why the driver makes no field any more, None while all is well."""
+        """Why the driver makes no field any more, None while there is no fault."""
         newest, now_ns = self.newest, self._clock.now()
         if self._port.failure is not None:
             return self._port.failure
@@ -160,11 +162,13 @@ class Driver:
         return None
 
     def open(self) -> None:
-        """Open the port; AbortError if that cannot be."""
+        """Open the port; AbortError if that is not possible."""
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return when it left. AbortError if the port has failed."""
+        """Send a command that polls; return the time of sending [ns]. AbortError if the port has
+        failed.
+        """
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
@@ -175,9 +179,10 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll without running, up to five times 0.1 s; return the reply, None if none came.
+        """Poll with the field off, up to five times 0.1 s; return the reply, None if there was
+        none.
 
-        This switches a field off. AbortError if the port has failed.
+        AbortError if the port has failed.
         """
         self.newest = None
         for _ in range(TRIES):

@@ -15,14 +15,15 @@ from pydantic import Field, field_validator, model_validator
 from tetractl.experiment.base import Finite, Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.lab_section import ActuatorSection
 
-Pair = tuple[float, float]  # x and y: of the coils' axes for currents, of the spec's for fields
+Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
 
 
 @dataclass(frozen=True, slots=True)
 class Coils:
-    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and
-    `offset`, the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each
-    [A], at least what cancels the ambient field."""
+    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and `offset`,
+    the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each [A], at least
+    enough to cancel the ambient field.
+    """
 
     gain: Pair
     offset: Pair
@@ -46,7 +47,7 @@ class Coils:
     def currents(self, direction: float, strength: float) -> Pair:
         """Return the currents [A] of a field: direction [rad], strength [mT].
 
-        If a current would exceed its limit the strength is less, the direction kept.
+        If a current would exceed its limit, the strength is reduced and the direction kept.
         """
         strength = min(strength, self.reach(direction))
         x, y = (
@@ -72,8 +73,9 @@ class Coils:
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved in a straight line towards `wished`, neither component by more than
-    `step`."""
+    """Return `now` moved along a straight line towards `wished`, each component by at most
+    `step`.
+    """
     dx, dy = wished[0] - now[0], wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:
@@ -90,7 +92,7 @@ class CoilPair(Model):
     gain_mt_a: Finite
     """Field per current [mT/A]; negative if the winding is reversed."""
     offset_mt: Finite = 0.0
-    """Ambient field along its axis [mT], such as the earth's; the current cancels it."""
+    """Ambient field along the pair's axis [mT], such as the earth's; the current cancels it."""
 
     @field_validator("gain_mt_a")
     @classmethod
@@ -106,9 +108,9 @@ class CoilsSection(Model):
     x: CoilPair
     """The pair whose axis is the spec's x axis turned by `rotation`."""
     y: CoilPair
-    """The pair at a right angle anticlockwise from x."""
+    """The pair whose axis is a right angle anticlockwise from the x pair's."""
     rotation: Finite = 0.0
-    """Turn from the spec's x axis to that of the x pair [rad]."""
+    """Angle from the spec's x axis to the x pair's axis [rad]."""
 
 
 class FieldSection(ActuatorSection):
@@ -124,16 +126,19 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field at which the cells have their `a` [mT]; less if the current limit binds."""
+    """Field at which the cells have their `a` [mT]; the field is weaker if the current limit is
+    reached.
+    """
     coils: CoilsSection
-    """The coils, as measured by a probe where the cells are."""
+    """The coils, as measured by a field probe at the cells' place."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
     """Greatest current of each coil pair [A]."""
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
-    """Time without a command after which the driver switches the field off [s]; built into the
-    driver."""
+    """Time without a command after which the driver switches the field off [s]; this value is
+    this value is this value is this value is built into the     driver.
+    """
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
@@ -157,14 +162,14 @@ class FieldSection(ActuatorSection):
         require_port(self.port, "the current driver")
 
     def bounds(self) -> dict[str, str]:
-        """Return the driver's port and rate, and how strong the field may be."""
+        """Return the driver's port, rate and field limits for display, {name: text}."""
         return {
             "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
 
     def calibrated_coils(self) -> Coils:
-        """Return the coils as numbers."""
+        """Return the coils with the values of the section."""
         x, y = self.coils.x, self.coils.y
         gain, offset = (x.gain_mt_a, y.gain_mt_a), (x.offset_mt, y.offset_mt)
         return Coils(gain, offset, self.coils.rotation, self.current_max_a)

@@ -1,1 +1,1 @@
-"""m3pi robots: their commands and replies as bytes, without a serial port."""
+"""m3pi robots: an actuator over an XBee, with two protocols."""

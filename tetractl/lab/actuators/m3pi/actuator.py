@@ -1,4 +1,4 @@
-"""m3pi robots as an `Actuator`: the common direction to wheel counts, over an XBee."""
+"""The actuator of m3pi robots: turns the common direction into wheel counts, sent over an XBee."""
 
 import math
 from collections.abc import Sequence
@@ -26,7 +26,7 @@ from tetractl.model.wheels import (
     wheel_speeds,
 )
 
-RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until the wheels have it
+RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
@@ -43,13 +43,13 @@ class M3piActuator:
         self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
         self._clock = clock
         self._protocol = build_protocol(section, setup.names, self.link, clock)
-        self._mm = setup.metres / MM  # millimetres in a length unit
+        self._mm = setup.metres / MM  # millimetres per length unit of the spec
         self._a, self._speed = setup.a, setup.speed * self._mm
         self._radius = np.array([_radius_mm(robot, setup) for robot in self.robots])
         self._residues = [Residue()] * len(self.robots)
 
     def __enter__(self) -> Self:
-        """Open the port and check the module on it."""
+        """Open the port and check the XBee module."""
         try:
             self.link.open()
         except BaseException:
@@ -67,11 +67,13 @@ class M3piActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while all is well."""
+        """Why nothing can be sent any more, None while there is no fault."""
         return self.link.failure
 
     def check(self) -> Health:
-        """Warn of robots without a watchdog; return what is wrong or unknown about the radio."""
+        """Return the radio's problems and questions, and a warning about robots without a
+        watchdog.
+        """
         warnings: tuple[str, ...] = ()
         if not self.section.protocol.watchdog:
             warnings = ("the robots have no watchdog: one that loses the radio drives on",)
@@ -84,14 +86,16 @@ class M3piActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot the wheel counts of a direction [rad], 0 if it may not move."""
+        """Send each robot its wheel counts for a direction [rad], 0 if it must not move."""
         wished = self.counts(direction, poses, self._clock.now() - exposed_ns)
         counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
         sent_ns = self._protocol.drive(counts)
         return self._transmission(sent_ns, direction, counts, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; the mbed firmware latches an emergency stop until switched off."""
+        """Stop every robot; the mbed firmware latches an emergency stop until the robot is switched
+        off.
+        """
         sent_ns = self._protocol.emergency() if emergency else self._protocol.stop()
         still = [STOP] * len(self.robots)
         return self._transmission(sent_ns, None, still, (False,) * len(still))
@@ -102,9 +106,10 @@ class M3piActuator:
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
     def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
-        """Return the counts of a direction by (24)-(25), at the headings the command will meet.
+        """Return the counts for a direction by (24)-(25), at the headings when the command arrives.
 
-        Those are predicted over the age of the poses and the radio's time by the exact step of (3).
+        The headings are predicted, by the exact step of (3), over the age of the poses plus the
+        radio's time.
         """
         ahead_s = min(AHEAD_MAX_NS, age_ns + RADIO_NS) / SECOND
         seen = np.array([0.0 if pose is None else pose.heading for pose in poses])
@@ -152,7 +157,7 @@ class M3piActuator:
 
 
 def drivetrain(section: M3piSection, robot: M3piRobot) -> Drivetrain:
-    """Return a robot's wheels, capped if its program has no watchdog."""
+    """Return a robot's drivetrain, with a lower count limit if its program has no watchdog."""
     return Drivetrain(_wheel(robot.left), _wheel(robot.right), robot.swap, section.limit(robot))
 
 

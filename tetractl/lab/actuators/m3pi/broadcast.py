@@ -15,29 +15,31 @@ from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-REPLY_SLOT_MS = 10  # robot i answers a poll i slots later, so that replies do not collide
+REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 
 
 class Flag(IntFlag):
     """Flags of a command."""
 
-    RUN = 1  # without it every robot stops
-    EMERGENCY_STOP = 2  # stop, and stay so until the robot is switched off
-    POLL = 4  # every robot answers
+    RUN = 1  # without this flag every robot stops
+    EMERGENCY_STOP = 2  # latched stop, until the robot is switched off
+    POLL = 4  # every robot replies
 
 
 class Status(IntFlag):
     """Status flags of a robot."""
 
-    RUNNING = 1  # the last frame let it run
+    RUNNING = 1  # the last frame set the run flag
     EMERGENCY_STOPPED = 2
-    SILENT = 4  # the watchdog has stopped it
+    SILENT = 4  # stopped by the watchdog
 
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i obeys `wheels[i]`, and stops if there is none."""
+    """One frame for all robots: robot i drives with `wheels[i]`, and stops if the list is
+    shorter.
+    """
 
     sequence: int
     flags: Flag
@@ -46,7 +48,7 @@ class BroadcastCommand:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """What a polled robot answers; `sequence` is that of the poll, 0 mV means not known.
+    """The reply of a polled robot; `sequence` is that of the poll, 0 mV means unknown.
 
     `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
     """
@@ -60,7 +62,7 @@ class Reply:
 
 
 def encode_command(command: BroadcastCommand) -> bytes:
-    """Pack a command, with its closing 00."""
+    """Pack a command, including the closing byte 00."""
     if not 0 <= command.sequence <= 255:
         raise WireError(f"sequence {command.sequence} is not one byte")
     if len(command.wheels) > ROBOTS_MAX:
@@ -73,7 +75,7 @@ def encode_command(command: BroadcastCommand) -> bytes:
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
-    """Read a command, given without its closing 00."""
+    """Read a command, given without the closing byte 00."""
     payload = checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
@@ -89,7 +91,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 
 
 def encode_reply(reply: Reply) -> bytes:
-    """Pack a reply, with its closing 00."""
+    """Pack a reply, including the closing byte 00."""
     try:
         return frame_with_crc(
             _REPLY.pack(
@@ -107,7 +109,7 @@ def encode_reply(reply: Reply) -> bytes:
 
 
 def decode_reply(frame: bytes) -> Reply:
-    """Read a reply, given without its closing 00."""
+    """Read a reply, given without the closing byte 00."""
     payload = checked_payload(frame)
     if len(payload) != _REPLY.size or payload[0] != REPLY:
         raise WireError("not a reply")

@@ -1,10 +1,10 @@
 """Measures a robot by moving it a little: wheel order, gains, dead zones, r, heading offset.
 
-One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with
-k = gain / (2 r), whatever the heading offset. Both wheels together, with counts whose turning
-rates cancel, drive it straight at v = r (turning rate of one + of the other): that gives r, and
-the direction of travel gives the heading offset and which way is forward. The rigid body's x axis
-must point less than a right angle away from the robot's front, after the spec's own offset.
+One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with k =
+gain / (2 r), whatever the heading offset. Both wheels together, with counts whose turning rates
+cancel, drive it straight at v = r (turning rate of one + of the other): this gives r, and the
+direction of travel gives the heading offset and the forward direction. The rigid body's x axis must
+point less than a right angle away from the robot's front, after the spec's own offset.
 """
 
 import math
@@ -25,19 +25,19 @@ from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
-FIRST, STEP = 6, 4  # counts of the ramp
+FIRST, STEP = 6, 4  # first count of the ramp, and its step
 BURST_S = 0.4
-SETTLING_S = 0.2  # of a burst, until the wheels turn steadily
+SETTLING_S = 0.2  # time from the start of a burst until the wheels turn steadily
 STRAIGHT_S = 0.7
-TURNS = 0.25  # rad/s: slower is not turning
-ROAM_MM = 300.0  # a robot never gets further from where it stood
-POINTS = 3  # least number of speeds for a line fit
-GAP_NS = 60_000_000  # between frames of a burst
+TURNS = 0.25  # rad/s: a robot that turns more slowly counts as not turning
+ROAM_MM = 300.0  # largest distance of a robot from its starting place
+POINTS = 3  # least number of speeds for the fit of a line
+GAP_NS = 60_000_000  # longest gap between frames of a burst
 TRIES = 4
 SILENCE_NS = 3 * SECOND
-UNKNOWN = 10.0  # wheels may be off by this share before they are measured
+UNKNOWN = 10.0  # relative error that wheels may have before calibration
 POLL_S = 1.0
-FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot moves under measurement
+FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot during calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Channel:
     dead_zone: int
 
     def count(self, turning: float) -> int:
-        """Return the count, not signed, that turns the robot at a rate."""
+        """Return the unsigned count at which the robot turns at a rate [rad/s]."""
         return round(turning / self.k) + self.dead_zone
 
 
@@ -73,7 +73,7 @@ class Found:
     swap: bool
 
     def wheels(self) -> dict[str, Any]:
-        """Return the actuator's fields, as they stand in a calibration file."""
+        """Return the values as fields of the actuator, for a calibration file."""
         left, right = self.left.model_dump(), self.right.model_dump()
         return {"radius_mm": self.radius_mm, "left": left, "right": right, "swap": self.swap}
 
@@ -114,17 +114,17 @@ def calibrate_robots(
 
 
 class ManualActuator(M3piActuator):
-    """An actuator that sends the counts it was last given, whatever the direction."""
+    """An actuator that sends given counts in place of those for the direction."""
 
     held: tuple[Counts, ...] = ()
 
     def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
-        """Return the counts that are held."""
+        """Return the counts given last."""
         return list(self.held)
 
 
 class _Bench:
-    """One robot under measurement; the guard watches as in a run."""
+    """The calibration of one robot; the guard checks frames as in a run."""
 
     def __init__(
         self,
@@ -153,7 +153,7 @@ class _Bench:
         )
 
     def open(self) -> None:
-        """Connect; the robot must be tracked and answer."""
+        """Connect; AbortError unless the robot is tracked and answers."""
         rig = self.rig.__enter__()
         if problems := rig.camera.check().problems:
             raise AbortError("; ".join(problems))
@@ -161,7 +161,9 @@ class _Bench:
         if problems := rig.actuator.check().problems:
             raise AbortError("; ".join(problems))
         if not status.answers:
-            raise AbortError(f"{self.name} does not answer", "see `tetractl lab check`")
+            raise AbortError(
+                f"{self.name} does not answer", "find the cause with `tetractl lab check`"
+            )
         rig.guard.ready()
 
     def close(self) -> None:
@@ -175,11 +177,11 @@ class _Bench:
             self.rig.close()
 
     def measure(self) -> Found:
-        """Move the robot and return what was measured."""
+        """Move the robot and return its measured values."""
         channels = [self._channel(0), self._channel(1)]
         turning = 0.6 * min(channel.k * (self.limit - channel.dead_zone) for channel in channels)
         sizes = [channel.count(turning) for channel in channels]
-        # signs under which the two turning rates cancel
+        # signs of the counts for which the two turning rates cancel
         signs = [1, -channels[0].sign * channels[1].sign]
         away = self._run(_pair(signs, sizes), STRAIGHT_S)
         back = self._run(_pair([-sign for sign in signs], sizes), STRAIGHT_S)
@@ -192,13 +194,17 @@ class _Bench:
         rates = [c.k * (size - c.dead_zone) for c, size in zip(channels, sizes, strict=True)]
         radius = speed / sum(rates)
         if not 5.0 < radius < 500.0:
-            raise AbortError(f"{self.name}: r would be {radius:.0f} mm; does it roll freely?")
+            raise AbortError(
+                f"{self.name}: measured an impossible r of {radius:.0f} mm; do the wheels "
+                "roll freely?"
+            )
         offset = math.atan2(here.across - back.across, here.along - back.along)
         if abs(offset) > math.pi / 3:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "give heading_offset roughly in the spec, or define the rigid body again",
+                "give heading_offset roughly in the spec, or redefine the rigid body in the "
+                "camera software",
             )
         wheels = [
             WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
@@ -210,7 +216,7 @@ class _Bench:
         return Found(round(whole, 5), round(radius, 3), left, right, swap)
 
     def _channel(self, which: int) -> Channel:
-        """Ramp one channel, to and fro; fit turning rates against counts."""
+        """Ramp one channel up in both directions; fit turning rates against counts."""
         points: list[tuple[int, float]] = []
         signs: list[float] = []
         for count in range(FIRST, self.limit + 1, STEP):
@@ -226,13 +232,17 @@ class _Bench:
         self._stand()
         if len(points) < POINTS:
             raise AbortError(
-                f"{self.name}: channel {which + 1} hardly moves it up to {self.limit} counts",
+                f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
+                f"{self.limit} counts",
                 "is its battery charged, is the motor connected? or raise --limit",
             )
         counts, rates = np.array(points).T
         slope, start = np.polyfit(counts, rates, 1)
         if slope <= 0 or len({rate > 0 for rate in signs}) > 1:
-            raise AbortError(f"{self.name}: channel {which + 1} does not turn it steadily")
+            raise AbortError(
+                f"{self.name}: motor channel {which + 1} does not turn the robot steadily; "
+                "charge the battery and check the wheel"
+            )
         dead = min(60, max(0, round(-start / slope)))
         steps = counts - dead
         return Channel(1 if signs[0] > 0 else -1, float(steps @ rates / (steps @ steps)), dead)
@@ -240,7 +250,7 @@ class _Bench:
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold counts for a while; return the motion once it is steady.
 
-        Repeated if frames were missing, since the guard may have stopped the robot.
+        This is repeated if frames were missing, since the guard may have stopped the robot.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count
@@ -255,12 +265,15 @@ class _Bench:
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:
                 return _steady(seen, began + round(SETTLING_S * SECOND), self.rig.mm)
-            self._hold(_pair((-1, -1), counts))  # back, so that it stays near
+            # drive back, so that the robot stays near its place
+            self._hold(_pair((-1, -1), counts))
             wait_for(self.clock, self._strayed, seconds)
-        raise AbortError(f"{self.name}: frames are missing again and again")
+        raise AbortError(
+            f"{self.name}: too many camera frames are missing; check the camera and the network"
+        )
 
     def _hold(self, counts: Counts) -> int:
-        """Set the counts to send; return when they were first sent [ns]."""
+        """Set the counts to send; return the time of their first transmission [ns]."""
         self.actuator.held = (counts,)
         return self.rig.loop.steer(0.0).sent_ns
 
@@ -269,7 +282,9 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the measurement was aborted, as it is if the robot is too far away."""
+        """Return whether the measurement was aborted, for example because the robot drove
+        too far.
+        """
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose

@@ -15,8 +15,9 @@ from tetractl.model.wheels import COUNT_MAX
 
 
 class BroadcastSection(Model):
-    """One frame steers all robots, which run the mbed firmware: they stop by themselves after
-    250 ms of silence."""
+    """For robots with the mbed firmware: one frame steers all of them, and without frames they stop
+    by themselves after 250 ms.
+    """
 
     watchdog: ClassVar[bool] = True
     limit: ClassVar[int] = COUNT_MAX
@@ -24,15 +25,16 @@ class BroadcastSection(Model):
 
 
 class SlaveSection(Model):
-    """One message a robot, which runs the 3pi's serial-slave program. It has no watchdog: a robot
-    that loses the radio drives on."""
+    """For robots with the 3pi's serial-slave program: one message per robot. There is no watchdog:
+    a robot that loses the radio connection drives on.
+    """
 
     watchdog: ClassVar[bool] = False
     type: Literal["slave"]
     accept_no_watchdog: Literal[True]
     """Must be true: confirms that a person stands by to switch the robots off."""
     limit: int = Field(default=25, ge=1, le=40)
-    """Greatest wheel count ever sent, of 127."""
+    """Largest wheel count that is sent, at most 127."""
 
 
 class WheelSection(Model):
@@ -43,26 +45,28 @@ class WheelSection(Model):
     dead_zone: int = Field(default=0, ge=0, le=60)
     """Largest count that does not move the wheel."""
     invert: bool = False
-    """The motor turns backward on positive counts."""
+    """Whether the motor turns backward at positive counts."""
 
 
 class M3piRobot(RobotPart):
     """A robot's entry in the actuator's section: radio address and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Its number in broadcasts, as built into its firmware; by default its index in this list."""
+    """Number of the robot in broadcasts, as built into its firmware; by default its index in this
+    list.
+    """
     address: int | None = Field(default=None, ge=0, le=0xFFFD)
-    """16-bit radio address (MY) of its module; needed for `slave`."""
+    """16-bit radio address (MY) of the robot's module; needed for `slave`."""
     radius_mm: float | None = Field(default=None, gt=0, le=1000, allow_inf_nan=False)
-    """Distance r from a wheel to its centre [mm]; `wheels.radius` by default."""
+    """Distance r from a wheel to the robot's centre [mm]; `wheels.radius` by default."""
     left: WheelSection = WheelSection()
     """The left wheel."""
     right: WheelSection = WheelSection()
     """The right wheel."""
     swap: bool = False
-    """The left wheel is connected to the right motor's output."""
+    """Whether the left wheel is connected to the right motor's output."""
     limit: int = Field(default=127, ge=1, le=127)
-    """Greatest wheel count ever sent to it."""
+    """Largest wheel count that is sent to the robot."""
 
 
 class M3piSection(XbeeSection, ActuatorSection):
@@ -76,16 +80,16 @@ class M3piSection(XbeeSection, ActuatorSection):
     protocol: Annotated[BroadcastSection | SlaveSection, Field(discriminator="type")] = (
         BroadcastSection(type="broadcast")
     )
-    """How the robots are addressed."""
+    """Protocol of the robots' program: one broadcast for all, or one message each."""
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
-    """Every robot of the spec, once."""
+    """Radio address and wheels of every robot of the spec, once each."""
     battery_refuse: NonNegative = 4.0
-    """A robot below this voltage does not start [V]."""
+    """A run does not start with a robot below this battery voltage [V]."""
     battery_warn: NonNegative = 4.4
-    """A robot below this voltage is warned of [V]."""
+    """A warning is printed for a robot below this battery voltage [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Report invalid robots, numbers, wheels, or radio mode."""
+        """Yield problems of robots, broadcast numbers, wheels and radio mode."""
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
@@ -116,7 +120,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the radio's port and rate, and how fast wheels may turn."""
+        """Return the radio's port, rate and limits of the wheels for display, {name: text}."""
         return {
             "radio": f"{self.port}, {self.rate:g} commands per second",
             "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
@@ -132,12 +136,15 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the greatest count ever sent to a robot: less if nothing would stop it."""
+        """Return the largest count that is sent to a robot, lower if its program has no
+        watchdog.
+        """
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, whatever its program; latched until switched off if
-        possible."""
+        """Stop every robot in reach, with either program; where possible, latched until switched
+        off.
+        """
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

@@ -1,5 +1,6 @@
-"""The two protocols of m3pi robots over a link: one broadcast for all, or one message each; and the
-emergency stop by itself, which needs a port and nothing else."""
+"""The two protocols of m3pi robots over a link, one broadcast for all or one message each, and the
+emergency stop, which only needs a port.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ TRIES = 5
 
 @dataclass(frozen=True, slots=True)
 class RobotAnswer:
-    """What a polled robot answered; `battery_mv` 0 if it does not know."""
+    """The answer of a polled robot; `battery_mv` is 0 if unknown."""
 
     battery_mv: int
     emergency_stopped: bool = False
@@ -35,14 +36,14 @@ class RobotAnswer:
 def build_protocol(
     section: M3piSection, names: Sequence[str], link: Link, clock: Clock
 ) -> "BroadcastProtocol | SlaveProtocol":
-    """Return the protocol of a spec for the robots of these names, in which it sends and polls."""
+    """Return the protocol of a spec for robots in the order of `names`."""
     if section.protocol.watchdog:
         return BroadcastProtocol(link, clock, [section.index(name) for name in names])
     return SlaveProtocol(link, clock, [section.robot(name).address or 0 for name in names])
 
 
 class BroadcastProtocol:
-    """One sealed frame for all; robot i of the list has the number `indices[i]`."""
+    """One frame with a checksum for all robots; robot i of the list has the number `indices[i]`."""
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
         self._link, self._clock = link, clock
@@ -65,7 +66,7 @@ class BroadcastProtocol:
         return self._send(Flag.EMERGENCY_STOP)
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Poll, several times if a robot does not answer: broadcasts may be lost."""
+        """Poll all robots, several times if one does not answer, since broadcasts may be lost."""
         found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
@@ -89,14 +90,14 @@ class BroadcastProtocol:
 
 
 class SlaveProtocol:
-    """A unicast to each robot's module. There is no watchdog and no latched emergency stop."""
+    """One unicast message per robot. There is no watchdog and no latched emergency stop."""
 
     def __init__(self, link: Link, clock: Clock, addresses: Sequence[int]) -> None:
         self._link, self._clock = link, clock
         self._addresses = tuple(addresses)
 
     def drive(self, counts: Sequence[Counts]) -> int:
-        """Send each robot its wheel counts; return when the last left."""
+        """Send each robot its wheel counts; return the time of the last transmission [ns]."""
         messages = [slave.encode_wheels(*pair) for pair in counts]
         return self._each(messages)
 
@@ -105,12 +106,12 @@ class SlaveProtocol:
         return self._each([slave.STOP] * len(self._addresses))
 
     def emergency(self) -> int:
-        """Send each robot the signature request, which stops it, and a stop."""
+        """Send each robot a signature request, which also stops it, and then a stop."""
         message = slave.SIGNATURE_REQUEST + slave.STOP
         return self._each([message] * len(self._addresses))
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Ask each robot for its battery."""
+        """Ask each robot for its battery voltage."""
         return [self._battery(address, timeout_s) for address in self._addresses]
 
     def _battery(self, address: int, timeout_s: float) -> RobotAnswer | None:
@@ -127,7 +128,7 @@ class SlaveProtocol:
         return None
 
     def _each(self, messages: Sequence[bytes]) -> int:
-        """Send to every robot, past failures; the first failure is raised after the last try."""
+        """Send to every robot, also after a failure; the first failure is raised at the end."""
         failure: Exception | None = None
         sent = self._clock.now()
         for address, message in zip(self._addresses, messages, strict=True):

@@ -7,19 +7,19 @@ commands the motors run on. A lost data byte leaves the old speed until the next
 from tetractl.core.errors import WireError
 from tetractl.model.wheels import COUNT_MAX
 
-SIGNATURE_REQUEST = b"\x81"  # answered by 6 characters; stops the motors
-BATTERY_REQUEST = b"\xb1"  # answered by 2 bytes, little-endian mV
+SIGNATURE_REQUEST = b"\x81"  # answered with 6 characters; also stops the motors
+BATTERY_REQUEST = b"\xb1"  # answered with 2 bytes, little-endian mV
 STOP = b"\xc1\x00\xc5\x00"
-M1, M2 = 0xC1, 0xC5  # forward; one more is backward
+M1, M2 = 0xC1, 0xC5  # commands to drive forward; plus 1 to drive backward
 
 
 def encode_wheels(left: int, right: int) -> bytes:
-    """Pack both motors' counts in -127..127, four bytes."""
+    """Pack both motors' counts, -127 to 127, into four bytes."""
     return _motor(M1, left) + _motor(M2, right)
 
 
 def decode_battery(answer: bytes) -> int:
-    """Read the battery's answer [mV]."""
+    """Return the battery voltage from the answer's bytes [mV]."""
     if len(answer) != 2:
         raise WireError(f"a battery answer has 2 bytes, not {len(answer)}")
     return int.from_bytes(answer, "little")

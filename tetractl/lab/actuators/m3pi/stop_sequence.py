@@ -1,4 +1,4 @@
-"""The emergency stop by itself: needs a port, nothing else."""
+"""The emergency stop by itself, which only needs a port."""
 
 from collections.abc import Sequence
 
@@ -11,11 +11,13 @@ from tetractl.lab.actuators.xbee.link import Link
 
 
 def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Stop every robot in reach, ten times over 200 ms; return what was done, in words.
+    """Send stops to every robot in reach, ten times over 200 ms; return a description of what was
+    done.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
-    stops on bytes of its own, sent to each address and to all. The module is not checked: a
-    wrong module is better than no stop. If not `alone`, another process may have the port as well.
+    stops on its own bytes, sent to each address and to all. The module is not checked, because
+    sending by a wrong module is better than no stop. If not `alone`, another process may use the
+    port as well.
     """
     clock = MonotonicClock()
     link = Link(module, clock)
@@ -23,7 +25,7 @@ def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = T
     try:
         link.open(checked=False, alone=alone)
         for i in range(STOPS):
-            # both kinds of robots ignore what is meant for the other
+            # robots of each kind ignore the bytes meant for the other
             link.send(encode_command(BroadcastCommand(i, Flag.EMERGENCY_STOP)))
             link.send(slave.SIGNATURE_REQUEST + slave.STOP)
             for address in addresses:

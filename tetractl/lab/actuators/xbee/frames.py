@@ -1,11 +1,11 @@
 """XBee API frames: one dataclass per frame type, big-endian fields in wire order.
 
-Both directions are packed and parsed: the PC sends what an emulated module receives. In
-transparent mode, which the robots' modules use, there are no frames: bytes go as they are.
+Both directions are packed and parsed, as an emulated module receives what the PC sends. In
+transparent mode, used by the robots' modules, there are no frames: bytes are sent unchanged.
 
 API framing is delimiter, length, content, checksum; plain (AP=1) or escaped (AP=2). Escaped, a 0x7E
 is always the start of a frame, so a lost byte costs one frame. Plain, a 0x7E may be data: after a
-frame with a wrong checksum, the search goes on behind its delimiter.
+frame with a wrong checksum, the search for frames goes on after its delimiter.
 """
 
 import struct
@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 from tetractl.core.errors import WireError
 
-EXPLICIT_RECEIVE = 0x91  # type of the frames that replace others with AO=1
+EXPLICIT_RECEIVE = 0x91  # type of the frames in which data is received with AO=1
 BROADCAST_16 = 0xFFFF
 
 
@@ -29,7 +29,7 @@ class XbeeFrame:
 
 @dataclass(frozen=True, slots=True)
 class Transmit16(XbeeFrame):
-    """0x01: send to a 16-bit address, 0xFFFF to all, which is never acknowledged."""
+    """0x01: send to a 16-bit address, or to all with 0xFFFF, which is never acknowledged."""
 
     API = 0x01
     LAYOUT = struct.Struct(">BHB")
@@ -41,7 +41,7 @@ class Transmit16(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class AtCommand(XbeeFrame):
-    """0x08: set or, without data, ask for a parameter of the local module."""
+    """0x08: set a parameter of the local module or, without data, request its value."""
 
     API = 0x08
     LAYOUT = struct.Struct(">B2s")
@@ -88,7 +88,7 @@ class AtResponse(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class TransmitStatus(XbeeFrame):
-    """0x89: the result of a 0x01; of a broadcast it proves nothing."""
+    """0x89: the result of a frame 0x01; for a broadcast it does not confirm reception."""
 
     API = 0x89
     LAYOUT = struct.Struct(">BB")
@@ -99,7 +99,7 @@ class TransmitStatus(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Receive(XbeeFrame):
-    """0x90: data, from newer firmware."""
+    """0x90: received data, from modules with newer firmware."""
 
     API = 0x90
     LAYOUT = struct.Struct(">QHB")
@@ -124,7 +124,7 @@ FRAME_TYPES: dict[int, type[XbeeFrame]] = {
 
 
 def pack_content(frame: XbeeFrame | Other) -> bytes:
-    """Pack a frame's content: what stands between its length and its checksum."""
+    """Pack a frame's content, the bytes between length and checksum."""
     if isinstance(frame, Other):
         if not 0 <= frame.api <= 0xFF:
             raise WireError(f"not an API id: {frame.api}")
@@ -159,7 +159,7 @@ CONTENT_MAX = 128  # 100 bytes of 802.15.4 payload and the longest header, round
 
 
 def encode(frame: XbeeFrame | Other, escaped: bool = True) -> bytes:
-    """Pack one API frame, for AP=2 or, not `escaped`, for AP=1."""
+    """Pack one API frame, for AP=2 if `escaped`, otherwise for AP=1."""
     content = pack_content(frame)
     if len(content) > CONTENT_MAX:
         raise WireError(f"{len(content)} bytes do not fit in an API frame")
@@ -173,7 +173,7 @@ def encode(frame: XbeeFrame | Other, escaped: bool = True) -> bytes:
 
 
 class Decoder:
-    """Finds frames in a stream of bytes cut anywhere, with garbage anywhere.
+    """Finds frames in a byte stream, which may contain garbage and arrive in chunks of any size.
 
     Never raises and keeps at most one frame's bytes. `bad_checksums`, `malformed` (checksum good,
     too short for its type) and `dropped_bytes` (part of no good frame) only grow.
@@ -187,7 +187,7 @@ class Decoder:
         self._buffer = bytearray()
 
     def feed(self, data: bytes) -> list[XbeeFrame | Other]:
-        """Take bytes as they came; return the frames they complete."""
+        """Take a chunk of bytes; return the frames that it completes."""
         frames: list[XbeeFrame | Other] = []
         for start in range(0, len(data), CONTENT_MAX):  # so that the buffer stays small
             self._buffer += data[start : start + CONTENT_MAX]
@@ -196,7 +196,7 @@ class Decoder:
         return frames
 
     def _step(self, frames: list[XbeeFrame | Other]) -> bool:
-        """Take one frame or drop some bytes; False if more bytes are needed."""
+        """Decode one frame or drop some bytes; return False if more bytes are needed."""
         start = self._buffer.find(START)
         if start != 0:
             self._drop(len(self._buffer) if start < 0 else start)
@@ -227,9 +227,9 @@ class Decoder:
         return True
 
     def _unescaped(self) -> tuple[bytearray, int, bool]:
-        """Return the frame's bytes behind the delimiter, how many raw bytes they took, cut.
+        """Return the unescaped bytes after the delimiter, the number of raw bytes read, and `cut`.
 
-        Reads no further than the length says. `cut` says that another frame starts inside.
+        Reads no further than the length field says. `cut` is True if another frame starts inside.
         """
         raw = bytearray()
         wanted = 2

@@ -16,8 +16,8 @@ from tetractl.core.errors import AbortError
 from tetractl.experiment.base import Model
 
 RIGHT = "802.15.4"
-BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # by the value of BD
-MODES = {0: "transparent", 1: "api1", 2: "api2"}  # by the value of AP
+BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD
+MODES = {0: "transparent", 1: "api1", 2: "api2"}  # mode by the value of AP
 OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 
 
@@ -29,15 +29,16 @@ class XbeeSection(Model):
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
     """Bits per second on the port."""
     mode: Literal["api2", "api1", "transparent"] = "api2"
-    """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes as
-    they are."""
+    """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes
+    without frames.
+    """
 
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
     """A family of modules: its HV codes, and its protocols by the first digit of VR.
 
-    `otherwise` is what every other firmware is.
+    `otherwise` is the protocol of all other firmware versions.
     """
 
     name: str
@@ -72,7 +73,7 @@ FAMILIES = (
 
 
 def family(hardware: bytes) -> Hardware | None:
-    """Return the family of a module by its HV, None if it is not known."""
+    """Return the family of a module by its HV, None if the HV is unknown."""
     return next((f for f in FAMILIES if hardware and hardware[0] in f.codes), None)
 
 
@@ -82,9 +83,9 @@ def capable(found: Hardware | None) -> bool:
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
-    """Return what a module runs by HV and VR, in words; None if that is not known.
+    """Return the name of a module's protocol by HV and VR, None if unknown.
 
-    Without VR it is known only of families that run one protocol alone.
+    Without VR, it is known only for families with a single protocol.
     """
     found = family(hardware)
     if found is None or (found.protocols and not version):
@@ -93,24 +94,24 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
 
 class AskedModule(Protocol):
-    """The part of a link that the check of a module needs."""
+    """The methods of a link that the check of a module needs."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
-        """Ask for a parameter; None without an answer."""
+        """Request a parameter; return its value, None without an answer."""
         ...
 
     def set_baud(self, baud: int) -> None:
-        """Speak at another rate."""
+        """Change the baud rate of this side of the port."""
         ...
 
 
 def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers.
 
-    Return the questions for the operator: for unknown hardware, whether its firmware is the right
-    one.
+    Return questions for the operator: for unknown hardware, whether its firmware is 802.15.4.
     """
-    hardware = link.ask(b"HV") or link.ask(b"HV")  # the first may meet the end of a broken frame
+    # the first request may be lost behind an incomplete frame
+    hardware = link.ask(b"HV") or link.ask(b"HV")
     if hardware is None:
         raise _silent(link, radio)
     version = link.ask(b"VR") or b""
@@ -128,7 +129,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     rate = _number(link.ask(b"BD"))
     if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
         raise AbortError(
-            f"{radio.port}: the module says {BAUDS[rate]} baud, the spec {radio.baud}",
+            f"{radio.port}: the module is set to {BAUDS[rate]} baud, the spec says {radio.baud}",
             f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
         )
     mode = MODES.get(_number(link.ask(b"AP")) or 0, "an unknown mode")
@@ -150,7 +151,9 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
 
 
 def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
-    """Find out why nothing answers: try the other rates."""
+    """Try the other baud rates to find out why no module answers; raise AbortError with the
+    result.
+    """
     for baud in OTHER_BAUDS:
         if baud == radio.baud:
             continue
@@ -162,7 +165,7 @@ def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
             )
     return AbortError(
         f"{radio.port}: no XBee module answers at {radio.baud} baud or another",
-        "is it in an API mode (AP=1 or 2)? is it an XBee, and has it power?",
+        "is the module in an API mode (AP=1 or 2)? is it an XBee, and does it have power?",
     )
 
 

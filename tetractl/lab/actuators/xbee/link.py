@@ -1,6 +1,6 @@
 """The serial port with an XBee module behind it.
 
-What the port's thread reads is fetched with `fetch`.
+Data that the port's thread has received is returned by `fetch`.
 """
 
 from collections import deque
@@ -34,7 +34,7 @@ HINT = "the robots stop by their watchdog; plug it in, start again"
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes from another module: its address, None if the mode does not say, and when [ns]."""
+    """Bytes from another module, with its address, None in transparent mode, and the time [ns]."""
 
     source: int | None
     t_ns: int
@@ -42,15 +42,16 @@ class Received:
 
 
 class Link:
-    """An open port. Times are ns on `clock`; every failure is an AbortError and final.
+    """A connection to the module. Times are ns on `clock`; every failure is an AbortError and
+    final.
 
-    `questions` are those that only the operator can answer about the module.
+    `questions` about the module need an answer from the operator.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock) -> None:
         self.radio = radio
-        self.undelivered = 0  # unicasts that no module acknowledged
-        self.explicit = 0  # frames of type 0x91, which are not read
+        self.undelivered = 0  # number of unicasts that no module acknowledged
+        self.explicit = 0  # number of frames of type 0x91, which are not read
         self.questions: tuple[str, ...] = ()
         self.decoder = Decoder(escaped=radio.mode == "api2")
         self._api = radio.mode != "transparent"
@@ -62,17 +63,17 @@ class Link:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while all is well."""
+        """Why nothing can be sent any more, None while there is no fault."""
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
-        """Open the port, as a `SerialPort`, and, `checked` in an API mode, check the module."""
+        """Open the port; if `checked` and in an API mode, check the module."""
         self._port.open(alone)
         if checked and self._api:
             self.questions = hardware.check_module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
-        """Send to one module or to all; return when the bytes were handed over [ns]."""
+        """Send to one module or to all; return the time when the port took the bytes [ns]."""
         if not self._api:
             return self._port.write(data)
         acknowledged = address != BROADCAST_16
@@ -80,11 +81,11 @@ class Link:
         return self._port.write(self.packed(frame))
 
     def packed(self, frame: XbeeFrame | Other) -> bytes:
-        """Pack a frame as the module's mode wants it."""
+        """Pack a frame for the module's mode."""
         return encode(frame, escaped=self.radio.mode == "api2")
 
     def ask(self, command: bytes, timeout_s: float = ANSWER_S) -> bytes | None:
-        """Ask the module for a parameter; return its value, None without an answer."""
+        """Request a parameter of the module; return its value, None without an answer."""
         wanted = self._next_id()
         self._answers.clear()
         self._port.write(self.packed(AtCommand(wanted, command)))
@@ -97,11 +98,11 @@ class Link:
         return found.data if found is not None and found.status == 0 else None
 
     def set_baud(self, baud: int) -> None:
-        """Speak at another rate."""
+        """Change the baud rate of this side of the port."""
         self._port.set_baud(baud)
 
     def problems(self) -> tuple[str, ...]:
-        """Return why what other modules sent could not be read, a lines of text."""
+        """Return one line of text for each reason why data from other modules could not be read."""
         if not self.explicit:
             return ()
         return (
@@ -110,18 +111,18 @@ class Link:
         )
 
     def fetch(self) -> list[Received]:
-        """Return, once, what other modules sent since the last call."""
+        """Return, once, the data received from other modules since the last call."""
         fresh: list[Received] = []
         while self._fresh:
             fresh.append(self._fresh.popleft())
         return fresh
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until something came, at most `timeout_s`."""
+        """Wait until data has been received, at most `timeout_s`."""
         self._wait(lambda: bool(self._fresh), timeout_s)
 
     def close(self) -> None:
-        """End the thread and give the port back; idempotent, never raises."""
+        """End the thread and release the port; idempotent, never raises."""
         self._port.close()
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:

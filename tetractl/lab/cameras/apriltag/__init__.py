@@ -1,1 +1,1 @@
-"""AprilTags seen by an ordinary camera: pictures to the planar poses of robots."""
+"""Planar poses of robots from an ordinary camera's pictures of AprilTags."""

@@ -18,18 +18,19 @@ from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
-ODD_SIZE = 0.2  # a tag whose size differs by this fraction is another one, or at another height
+ODD_SIZE = (
+    0.2  # a tag whose size differs by this fraction is a different tag, or at a different height
+)
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 
 @dataclass(frozen=True, slots=True)
 class Seen:
-    """The tags found in one picture.
-    `poses` has one entry per robot, None if it is not tracked, and `strangers` those of unknown
-    tags, as if they lay on the floor; both in the spec's unit. `tags` are the numbers of all tags,
-    as often as each was seen. `sizes` are measured sides over `size_mm` by robot, if seen.
-    `blur` is the largest blur of a wanted tag's edges in modules, `side_px` the shortest side of
-    one; None without wanted tags.
+    """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
+    `strangers` are the poses of unknown tags, computed as if on the floor; both in the spec's unit.
+    `tags` are the numbers of all tags, repeated if seen several times. `sizes` are the ratios of
+    measured side to `size_mm` by robot, if seen. `blur` is the largest blur of the edges of robots'
+    and floor tags [modules], `side_px` their shortest side; None without such tags.
     """
 
     poses: tuple[Pose | None, ...]
@@ -53,9 +54,10 @@ class Tracker:
         self.floor = Floor(section.floor, metres, section.lens, highest)
 
     def see(self, picture: Grey) -> Seen:
-        """Return what a grey picture (height, width) shows.
+        """Return the tags and poses found in a grey picture (height, width).
 
-        A number that is seen twice is ignored: its robot is not tracked, its floor tag not used.
+        A tag number that is seen twice is ignored: the robot is not tracked, the floor tag not
+        used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)
@@ -104,20 +106,20 @@ class Tracker:
         return Pose(float(x), float(y), heading), float(abs(fit))
 
 
-BLURRED = 0.36  # modules: from here on, tags begin not to be read
-ODD = 0.03  # a tag of another size than the spec says, as a share
+BLURRED = 0.36  # blur in modules from which on some tags cannot be read
+ODD = 0.03  # relative difference from the spec's size that is reported
 MISPLACED_MM = 3.0
 DOUBTFUL_MM = 3.0
-OFTEN = 0.5  # a tag seen in fewer of the pictures is not seen
+OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen
 
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
-    has not.
+    """The state of the camera besides its pictures; `ended` is why the source ended, "" while it is
+    open.
 
-    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the floor as
-    calibrated, even if it does not fit the spec.
+    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the calibrated
+    floor, even if it does not fit the spec.
     """
 
     source: str
@@ -133,7 +135,7 @@ class State:
 def health_of(
     section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
 ) -> Health:
-    """Return the health of a camera from its last looks, oldest first."""
+    """Return the health of a camera from its last pictures' results, oldest first."""
     problems, warnings = stream_lines(
         looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
     )
@@ -155,7 +157,7 @@ Lines = tuple[list[str], list[str]]
 
 
 def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
-    """Return the tags seen in most pictures, and those seen twice in any."""
+    """Return the tags seen in most pictures, and the tags seen twice in any picture."""
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
     return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
@@ -175,7 +177,7 @@ def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
         return [], []
     problems: list[str] = []
     warnings: list[str] = []
-    if not plane.worst_mm <= MISPLACED_MM:  # NaN is far off too
+    if not plane.worst_mm <= MISPLACED_MM:  # also for NaN
         line = (
             f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
             "them: measure at, size_mm and heading again"
@@ -259,8 +261,8 @@ def _listed(numbers: Sequence[int]) -> str:
 class AprilTagCamera(PictureCamera[Seen]):
     """Tracks N robots by their tags; a `Camera`.
 
-    A robot is not tracked (None) while its tag is not seen, seen twice, or not of its size, and
-    none is while the floor is not known.
+    A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
+    No robot is tracked while the floor is unknown.
     """
 
     def __init__(

@@ -1,8 +1,8 @@
-"""Tags of the family 36h11 in a grey picture, found by OpenCV, and the picture of each tag.
+"""Finds tags of the family 36h11 in a grey picture by OpenCV; draws the picture of a tag.
 
 Corners are refined: each side of the black square is fitted by a line where the grey level changes
-most, and neighbouring lines are intersected. A side has many pixels and a corner few: corners come
-out several times better than by OpenCV's own refinements (benchmarks/apriltag.py).
+most, and neighbouring lines are intersected. A side has many more pixels than a corner, so the
+corners are several times more accurate than by OpenCV's own refinements (benchmarks/apriltag.py).
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,11 @@ from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats, Grey
 
-MODULES = 8  # of a tag's side, black border included
+MODULES = 8  # side of a tag in modules, including the black border
 ZERO = 0xD5D628584  # tag 0 as the AprilTag project prints it: its modules row by row, 1 is white
-ENLARGED_BELOW = 1000  # columns; in narrower pictures a module is often too small to be read
+ENLARGED_BELOW = (
+    1000  # columns; narrower pictures are enlarged, as a module is often too small to be read
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +26,7 @@ class Sighting:
 
     `corners` (4, 2) [px], pixel centres at whole numbers: top left, top right, bottom right and
     bottom left of the black square as the tag is read upright. `blur_px` is the standard deviation
-    of the Gaussian that makes an edge as wide as the square's are.
+    of the Gaussian that blurs a sharp edge to the width of the square's edges.
     """
 
     tag: int
@@ -38,26 +40,26 @@ class Sighting:
 
 
 class Detector:
-    """Finds black squares, reads their modules, and refines the corners of those that are tags."""
+    """Finds black squares, reads their modules, and refines the corners of tags."""
 
     def __init__(self) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = 9, 21
         parameters.adaptiveThreshWinSizeStep = (
-            12  # two thresholds: OpenCV's third costs and adds none
+            12  # two thresholds: OpenCV's third takes time and finds no more tags
         )
         parameters.perspectiveRemovePixelPerCell = 8
-        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # blur spoils a module's rim
+        parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
         self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
         self._top_left = 0
-        # OpenCV's dictionary is turned against the AprilTag project's pictures, and its releases
-        # may differ: which of its corners is the top left one is seen on a picture of tag 0
+        # OpenCV's dictionary is rotated against the AprilTag project's pictures, and not in every
+        # release alike: a picture of tag 0 shows which of its corners is the top left one
         square = np.kron(_zero(), np.ones((10, 10), np.uint8))
         (shown,) = self.find(np.pad(square, 20, constant_values=255))
         self._top_left = int(np.argmin(shown.corners.sum(axis=1)))
 
     def find(self, picture: Grey) -> list[Sighting]:
-        """Return every tag in the picture; a number twice if two tags show it."""
+        """Return every tag in the picture; two tags with the same number are both returned."""
         factor = 2 if picture.shape[1] < ENLARGED_BELOW else 1
         searched = picture
         if factor > 1:
@@ -76,7 +78,7 @@ class Detector:
 
 
 def tag_picture(number: int) -> Grey:
-    """Return a tag as the AprilTag project prints it, one pixel a module, (8, 8), 0 or 255."""
+    """Return a tag as printed by the AprilTag project, one pixel per module, (8, 8), 0 or 255."""
     turns = next(k for k in range(4) if (np.rot90(_drawn(0), k) == _zero()).all())
     return np.ascontiguousarray(np.rot90(_drawn(number), turns))
 
@@ -86,7 +88,7 @@ def _family() -> cv2.aruco.Dictionary:
 
 
 def _drawn(number: int) -> Grey:
-    """A tag as OpenCV draws it, whichever way that is turned."""
+    """Return a tag as drawn by OpenCV, which may be rotated."""
     return cv2.aruco.generateImageMarker(_family(), number, MODULES).astype(np.uint8)
 
 
@@ -95,9 +97,12 @@ def _zero() -> Grey:
     return np.pad(255 * np.array(inside, np.uint8).reshape(6, 6), 1)
 
 
-ALONG = np.linspace(0.15, 0.85, 15)  # places on a side, away from the corners that blur rounds
-ACROSS = np.linspace(-1.0, 1.0, 17)  # places on its normal, in shares of the reach
-REACH = 0.9  # modules to either side: beyond lie the tag's inside and what is round the paper
+# positions along a side, away from the corners, which blur rounds
+ALONG = np.linspace(0.15, 0.85, 15)
+ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
+REACH = (
+    0.9  # modules to either side of an edge, so that nothing beyond border and margin is sampled
+)
 ROUNDS = 2
 NOTHING = 1e-9
 
@@ -106,8 +111,8 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     """Return corners (T, 4, 2) [px], refined from rough ones, and the blur of each tag (T,) [px].
 
     Corners run clockwise round a dark square of the given number of modules per side. The blur is
-    the standard deviation of the Gaussian that makes a step as wide as the sides are. If the sides
-    cannot be seen, the rough corners come back.
+    the standard deviation of the Gaussian that blurs a step to the width of the sides. If the sides
+    cannot be found, the rough corners are returned.
     """
     rough, blur = corners, np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
@@ -127,7 +132,7 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
         shift = (weight * between).sum(axis=-1) / total
         lines = _lines(places + shift[..., None] * outward[..., None, :], total)
         corners = _crossings(np.roll(lines, 1, axis=1), lines)
-        profile = rise.mean(axis=(1, 2)) / step  # grey levels a pixel
+        profile = rise.mean(axis=(1, 2)) / step  # grey levels per pixel
         contrast = (profile * step).sum(axis=-1)
         blur = contrast / (profile.max(axis=-1) + NOTHING) / np.sqrt(2 * np.pi)
     moved = np.linalg.norm(corners - rough, axis=-1).max(axis=1)
@@ -149,12 +154,12 @@ def _lines(points: Floats, weight: Floats) -> Floats:
     middle = (share * points).sum(axis=-2)
     spread = points - middle[..., None, :]
     _, axes = np.linalg.eigh(np.swapaxes(share * spread, -1, -2) @ spread)
-    normal = axes[..., 0]  # of the smaller eigenvalue
+    normal = axes[..., 0]  # eigenvector of the smaller eigenvalue
     return np.concatenate([normal, -(normal * middle).sum(axis=-1, keepdims=True)], axis=-1)
 
 
 def _crossings(one: Floats, other: Floats) -> Floats:
-    """Return where lines (..., 3) cross, (..., 2); not finite if they are parallel."""
+    """Return the intersections (..., 2) of lines (..., 3), not finite for parallel lines."""
     meet = np.cross(one, other)
     with np.errstate(divide="ignore", invalid="ignore"):
         return meet[..., :2] / meet[..., 2:]

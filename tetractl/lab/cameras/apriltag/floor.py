@@ -1,9 +1,9 @@
 """The floor in front of the camera: its pose and lens, from the corners of the floor tags in its
 pictures, and from pixels to positions on planes parallel to the floor.
 
-The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. A pixel is a ray, once
-distortion is removed, and a tag h above the floor is where its ray meets the plane z = h. On the
-floor itself this is the homography; above it, it corrects the parallax.
+The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. After removing distortion,
+a pixel is a ray, and a tag at height h is where the ray meets the plane z = h. On the floor this is
+the homography; above the floor it corrects the parallax.
 
 A lens in the spec is used as given. Without one, the principal point is the picture's middle, and
 the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values
@@ -35,9 +35,9 @@ class Plane:
 
     `matrix` is K (3, 3), `distortion` OpenCV's coefficients, `rotation` R (3, 3) and `shift` t (3,)
     [m]. `error_mm` is the root mean square, and `worst_mm` the largest, of the distances between
-    the floor tags' corners as seen and as the spec puts them. `doubt_mm` is how far robots at the
-    height of the highest tag may be off, by two standard deviations of what is estimated of the
-    lens.
+    the floor tags' corners as seen and as the spec puts them. `doubt_mm` is the position error of
+    robots at the height of the highest tag that corresponds to two standard deviations of the
+    estimated lens.
     """
 
     matrix: Floats
@@ -54,7 +54,8 @@ class Plane:
         return float(self.matrix[0, 0])
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
-        """Return where pixels (..., 2) lie on the plane `height` [m] above the floor, (..., 2) [m].
+        """Return the positions (..., 2) [m] of pixels (..., 2) on the plane `height` [m] above the
+        floor.
 
         `height` broadcasts against the pixels' leading shape.
         """
@@ -68,8 +69,8 @@ class Plane:
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
         """Return the height above the floor [m] and the tilt [rad] of a tag.
 
-        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square seen from
-        afar may fit two tilts: the smaller is returned. None if none is found.
+        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square far away may
+        fit two tilts: the smaller one is returned. None if no solution is found.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(
@@ -84,22 +85,24 @@ class Plane:
         return min(found, key=lambda each: each[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
-        """Return height [m] and tilt [rad] of a body turned and shifted in the camera's axes."""
+        """Return height [m] and tilt [rad] of a body with rotation and shift in the camera's
+        axes.
+        """
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
         return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
 
 
 def placed(tag: FloorTag, metres: float) -> Floats:
-    """Return the corners of a floor tag on the floor, (4, 2) [m]."""
+    """Return the corners of a floor tag in the spec's axes, (4, 2) [m]."""
     cos, sin = np.cos(tag.heading), np.sin(tag.heading)
     turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
     return tag.size_mm * MM * turned + metres * np.array(tag.at)
 
 
-USUAL_FOCAL = 0.35  # deviation of log(f / width) among lenses: 40 to 70 degrees of view
-USUAL_BEND = 0.15  # deviation of k1 among lenses
-CORNER_PX = 0.1  # deviation of a corner as found
+USUAL_FOCAL = 0.35  # standard deviation of log(f / width) among lenses: 40 to 70 degrees of view
+USUAL_BEND = 0.15  # standard deviation of k1 among lenses
+CORNER_PX = 0.1  # standard deviation of a detected corner
 SURE = 2.0  # deviations
 
 
@@ -124,7 +127,9 @@ def calibrated(
         usual, deviations = _fitted(points, spots, size[0], middle)
         plane = _posed(*_lens(usual, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
-        between = (centres[:, None] + centres[None]) / 2  # where robots may be
+        between = (
+            centres[:, None] + centres[None]
+        ) / 2  # places between the tags, where robots may be
         here = plane.locate(between, highest)
         for deviation in deviations:
             other = _posed(*_lens(usual + SURE * deviation, size[0], middle), points, spots)
@@ -140,13 +145,17 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
 
 
 def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return the matrix and the distortion of log(f / width) and k1 in their usual deviations."""
+    """Return matrix and distortion for log(f / width) and k1, given in units of their usual
+    deviations.
+    """
     focal, bend = width * math.exp(USUAL_FOCAL * usual[0]), USUAL_BEND * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Return the plane of known intrinsics on which points (M, 2) [px] lie at spots (M, 2) [m]."""
+    """Return the plane, for known intrinsics, on which points (M, 2) [px] lie at spots (M,
+    2) [m].
+    """
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
     return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
@@ -157,14 +166,16 @@ def _fitted(
 ) -> tuple[Floats, Floats]:
     """Return the most probable log(f / width) and k1 (2,) and their deviations (2, 2).
 
-    Both are in their usual deviations. Each row of the deviations is one standard deviation, in a
-    direction in which it is independent of the other.
+    Both are in units of their usual deviations. Each row of the deviations is one standard
+    deviation along an axis of the error ellipse.
     """
     start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def projected(x: Floats) -> tuple[Floats, Floats]:
-        """Pixels of the spots for pose and lens x (8,), and their slopes (2M, 8)."""
+        """Return the pixels of the spots for pose and lens x (8,), and their derivatives
+        (2M, 8).
+        """
         matrix, distortion = _lens(x[6:], width, middle)
         pixels, slopes = cv2.projectPoints(_flat(spots), x[:3], x[3:6], matrix, distortion)
         # columns: turn, shift, fx, fy, cx, cy, k1, ...; f = fx = fy
@@ -189,17 +200,18 @@ def _flat(spots: Floats) -> Floats:
     return np.column_stack([spots, np.zeros(len(spots))])
 
 
-MOVED_PX = 3.0  # a floor tag this far from its mean was moved, or the camera was
+MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
 AVERAGED = 32  # pictures
-MISFIT_MM = 10.0  # floor tags further off than this are not where the spec puts them
+MISFIT_MM = 10.0  # floor tags with a larger error are not where the spec says
 
 
 class Floor:
-    """Keeps the plane calibrated from the floor tags while they are seen.
+    """Keeps the plane calibrated by the floor tags that are seen.
 
     The corners are averaged over some pictures, since neither the camera nor a floor tag moves. If
-    one does, by `MOVED_PX`, the plane is given up until all floor tags are seen in one picture
-    again; a plane on which they do not lie as the spec says, by `MISFIT_MM`, is not used.
+    one moves by `MOVED_PX`, the plane is discarded until all floor tags are seen in one picture
+    again. A plane on which the tags are more than `MISFIT_MM` from the spec's positions is not
+    used.
     """
 
     def __init__(
@@ -214,7 +226,8 @@ class Floor:
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
-        """Account for the floor tags of one picture: corners (4, 2) [px] by tag, each seen once.
+        """Take the floor tags of one picture: corners (4, 2) [px] by number, only of tags seen
+        once.
 
         `size` is the picture's width and height.
         """

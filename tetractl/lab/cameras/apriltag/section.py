@@ -1,4 +1,4 @@
-"""The `apriltag` camera's part of a spec, and what builds the camera from it.
+"""The `apriltag` camera's part of a spec, which builds the camera.
 
 Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
 seconds. OpenCV is imported only if the camera is built.
@@ -16,7 +16,7 @@ from tetractl.experiment.lab_section import RobotPart, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
-TAGS = 587  # of the family 36h11, numbered from 0
+TAGS = 587  # number of tags in the family 36h11, counted from 0
 
 Tag = Annotated[int, Field(ge=0, lt=TAGS)]
 
@@ -42,7 +42,7 @@ class RobotTag(RobotPart):
     """The tag on a robot; its centre is the robot's position."""
 
     tag: Tag
-    """Number of its tag."""
+    """Number of the robot's tag."""
     size_mm: Positive
     """Side of the tag's black square [mm]."""
     height_mm: NonNegative
@@ -57,11 +57,11 @@ class FloorTag(Model):
     tag: Tag
     """Number of the tag."""
     at: Point
-    """Its centre in the spec's coordinates [length unit]."""
+    """Centre of the tag in the spec's coordinates [length unit]."""
     size_mm: Positive
     """Side of the tag's black square [mm]."""
     heading: Finite = 0.0
-    """Direction of reading it upright, from the spec's x axis [rad]."""
+    """Direction of reading of the upright tag, from the spec's x axis [rad]."""
 
 
 class AprilTagSection(PictureSection):
@@ -72,9 +72,9 @@ class AprilTagSection(PictureSection):
     family: Literal["36h11"] = "36h11"
     """The family of the tags."""
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
-    """Every robot of the spec, once."""
+    """Tag of every robot of the spec, once each."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
-    """Tags round the arena that show where the floor is; all must be seen at once."""
+    """Tags around the arena that define the floor; all must be in view at once."""
     lens: Lens | None = None
     """The calibrated lens; by default focal length and distortion are found from the floor tags."""
 
@@ -89,22 +89,22 @@ class AprilTagSection(PictureSection):
         return self
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
-        """Return the tags of robots in the order of their names; SpecError if one has none."""
+        """Return the tags in the order of the robots' `names`; SpecError if a robot has no tag."""
         by_name = {robot.name: robot for robot in self.robots}
         if missing := [name for name in names if name not in by_name]:
             raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")
         return tuple(by_name[name] for name in names)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Report robots that are not those of the spec."""
+        """Yield the robots that differ from the spec's."""
         yield from mismatches(self.robots, setup.names, ("tag",))
 
     def bounds(self) -> dict[str, str]:
-        """Return where pictures come from."""
+        """Return the source of the pictures for display, {name: text}."""
         return {"camera": self.source_name}
 
     def heading_offset(self, name: str) -> float:
-        """Return what is added to the heading of a robot's tag [rad]."""
+        """Return the angle added to the heading of a robot's tag [rad]."""
         return self.ordered([name])[0].heading_offset
 
 
@@ -113,8 +113,9 @@ def _twice(values: Sequence[str]) -> list[str]:
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Whether the points are nearly collinear: the area of the widest triangle is too small for its
-    longest side."""
+    """Return whether the points are nearly collinear: the largest triangle is too narrow for its
+    longest side.
+    """
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

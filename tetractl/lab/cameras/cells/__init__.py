@@ -1,1 +1,1 @@
-"""Cells seen through a microscope: pictures to the planar poses of cells."""
+"""Planar poses of cells from a microscope's pictures."""

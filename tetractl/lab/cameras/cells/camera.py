@@ -24,17 +24,19 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
-FILMS = 1024  # pictures whose crops are queued; each has some 50 kB, one per second a whole picture
-SIGNALS = 4096  # directions that are remembered
+FILMS = (
+    1024  # most pictures queued with their crops, about 50 kB each, and a whole picture per second
+)
+SIGNALS = 4096  # number of directions that are remembered
 
 
 class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
-    The robots are the cells that are nearest to their starts when as many as there are robots are
-    seen for the first time. A cell that is lost is not tracked any more: another one that appears
-    is a stranger. `steered` lets the camera know the common direction, without which cells that
-    have met are distinguished by their paths alone.
+    As soon as as many cells as robots are in view, the cells nearest to the starts become the
+    robots. A lost cell is not tracked any more: a cell that appears later is a stranger. `steered`
+    gives the camera the common direction; without it, cells that have met are distinguished only by
+    their paths.
     """
 
     def __init__(
@@ -52,8 +54,8 @@ class CellCamera(PictureCamera[SeenDish]):
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
-        self._identities: list[int] | None = None  # of the robots, once all are seen
-        self.divided: set[int] = set()  # robots out of whose blob another cell came
+        self._identities: list[int] | None = None  # numbers of the robots' cells, once all are seen
+        self.divided: set[int] = set()  # robots from whose blob another cell separated
         self._lock = threading.Lock()
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
@@ -69,13 +71,13 @@ class CellCamera(PictureCamera[SeenDish]):
         return self._cells
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track other robots from now on: the cells of these numbers."""
+        """Track the cells with these numbers as robots from now on."""
         self._setup, self._identities = setup, list(numbers)
         self.divided.clear()
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells; none before all were seen."""
+        """The numbers of the robots' cells; empty before all were seen."""
         return tuple(self._identities or ())
 
     def replace(self, robot: int, number: int) -> None:
@@ -129,7 +131,9 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _learn(self, picture: Grey, exposed_ns: int) -> None:
-        """Keep pictures, spread over the time of learning; then make the background of them."""
+        """Collect pictures spread over the time of learning, then compute the background
+        from them.
+        """
         if self._first_ns is None:
             self._first_ns = exposed_ns
         passed = (exposed_ns - self._first_ns) / SECOND
@@ -141,7 +145,7 @@ class CellCamera(PictureCamera[SeenDish]):
             self._first = []
 
     def _bound(self, cells: Sequence[SeenCell]) -> list[int]:
-        """Return the cells that are the robots; -1 before all of them were seen at once."""
+        """Return the numbers of the robots' cells; -1 before all of them were seen at once."""
         if self._identities is not None:
             return self._identities
         count = len(self._setup.names)
@@ -160,7 +164,9 @@ class CellCamera(PictureCamera[SeenDish]):
         return Pose(x, y, cell.heading + self.section.rotation)
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] by the directions sent, in the picture's axes."""
+        """Return the field between two times [s], from the directions sent, in the picture's
+        axes.
+        """
         with self._lock:
             signals = list(self._signals)
         times = [sent / SECOND for sent, _ in signals]
@@ -182,7 +188,7 @@ class CellCamera(PictureCamera[SeenDish]):
 def _sharpness(
     picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
 ) -> float | None:
-    """Return the median of the steepest slopes of cells over their contrast [1/px]."""
+    """Return the median, over cells, of the steepest slope divided by the contrast [1/px]."""
     if not light.contrast:
         return None
     found = []

@@ -12,12 +12,12 @@ from tetractl.lab.cameras.cells.identity import Question
 class SeenCell:
     """One cell in one picture.
 
-    x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] that of the
-    helix, which (3) turns. `covariance` (12, 12) is that of the filter's state `mean` (12,).
-    `probability` is that of this being the cell of the number `identity`, and not another one.
-    `found`: it has a blob; `merged`: it shares the blob with others. `track` is the number of the
-    path that it is on. `measured` (6,) is the measurement by its blob alone: x, y, axis
-    and their deviations; None if it has none of its own.
+    x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
+    of the helix, which (3) turns. `mean` (12,) and `covariance` (12, 12) are the filter's state.
+    `probability` is the probability that this is the cell with the number `identity`. `found`: the
+    cell has a blob; `merged`: it shares the blob with others. `track` is the number of the path to
+    which it belongs. `measured` (6,) is the measurement by the cell's own blob: x, y, axis and
+    their deviations; None without an own blob.
     """
 
     identity: int
@@ -38,7 +38,9 @@ class SeenCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """Which cell is which since a time [s]: the cell of each track, and the probability of this."""
+    """The answer to a question of identity, valid since a time [s]: the cell of each track, and the
+    probability of that assignment.
+    """
 
     tracks: tuple[int, ...]
     identities: tuple[int, ...]
@@ -61,22 +63,24 @@ class Born:
 
 @dataclass(slots=True)
 class FollowedCell:
-    """A cell that is followed."""
+    """A cell that the tracker follows."""
 
     identity: int
     track: int
     row: int
     long: float
     wide: float
-    certainty: float = 1.0  # that of its identity, by questions that are closed
+    certainty: float = 1.0  # probability of its identity after the closed questions
     missed_s: float = 0.0
     odd: int = 0
     merge: "Merge | None" = None
     blob: Blob | None = None
     merged: bool = False
     question: Question | None = None
-    place: int = 0  # of this track in the question
-    begun: tuple[float, float, float] | None = None  # s, x, y: where it began, until it swims
+    place: int = 0  # index of this track in its question
+    begun: tuple[float, float, float] | None = (
+        None  # time [s] and x, y [um] of its first blob, until it swims
+    )
     measured: tuple[float, ...] | None = None
     alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
     size: tuple[float, float] = (math.nan, math.nan)  # its length and width then
@@ -86,8 +90,10 @@ class FollowedCell:
 
 @dataclass(slots=True)
 class Merge:
-    """Cells that have been one blob, and their rows predicted by the signal alone."""
+    """Cells that share a blob, and copies of their filter rows that are predicted without
+    measurements.
+    """
 
     cells: list[FollowedCell]
-    coasted: dict[int, int]  # by identity
+    coasted: dict[int, int]  # row of each copy, by the cell's number
     seen: bool = True

@@ -12,20 +12,20 @@ from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
-FAINT = 6.0  # contrast over noise: below, cells are lost occasionally
+FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
 BLURRED = 0.1  # 1/px: the rim of a cell is wider than ten pixels
-SMALL_PX = 8.0  # of a cell's width
+SMALL_PX = 8.0  # smallest width of a cell
 BODY_UM = 26.3
-UNSURE = 0.9  # probability of which cell is which
+UNSURE = 0.9  # probability of a robot's identity below which a problem is reported
 
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """One picture: the robots' poses, other cells, what the picture is like, and how sharp.
+    """The result for one picture: the robots' poses, other cells, light and sharpness.
 
-    `sure` is the least probability that a robot's cell is that cell; `level` the picture's median
-    [grey levels]. `sharpness` is the steepest slope at a cell's rim over its contrast [1/px], the
-    median of the cells; None without any.
+    `sure` is the least probability of a robot's identity; `level` is the picture's median [grey
+    levels]. `sharpness` is the median, over cells, of the steepest slope at the rim divided by the
+    contrast [1/px]; None without cells.
     """
 
     poses: tuple[Pose | None, ...]
@@ -38,8 +38,9 @@ class SeenDish:
 
 @dataclass(frozen=True, slots=True)
 class DishState:
-    """The state of the camera apart from its pictures; `ended` says why the source ended, "" if it
-    has not."""
+    """The state of the camera besides its pictures; `ended` is why the source ended, "" while it is
+    open.
+    """
 
     source: str
     ended: str
@@ -53,7 +54,7 @@ class DishState:
 
 
 def cell_health(names: Sequence[str], looks: Sequence[Look[SeenDish]], state: DishState) -> Health:
-    """Return the health of a camera from its last looks, oldest first."""
+    """Return the health of a camera from the results for its last pictures, oldest first."""
     problems, warnings = stream_lines(
         looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
     )
@@ -127,7 +128,7 @@ def _warnings(looks: Sequence[Look[SeenDish]], state: DishState) -> list[str]:
 
 
 def _cells(looks: Sequence[Look[SeenDish]]) -> int:
-    """Return how many cells are in view, in the median."""
+    """Return the median number of cells in view."""
     counts = [
         sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
         for look in looks

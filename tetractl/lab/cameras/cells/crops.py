@@ -1,4 +1,4 @@
-"""The film that a log keeps: a crop of each cell, and occasionally the whole picture."""
+"""Makes the film in a log: a crop of each cell and, occasionally, the whole picture."""
 
 import math
 from collections.abc import Sequence
@@ -13,11 +13,15 @@ from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
-STEP, LEAST, MOST = 16, 32, 160  # sides of crops [px]
+STEP, LEAST, MOST = 16, 32, 160  # step, smallest and largest side of crops [px]
 ROOM = 1.8  # a crop's side over the length of the longest cell
-RIM = 2  # px round a blob, margin that keeps its contour the same
-HERE_UM = 15.0  # a robot that its filter has further away than this was not found in its blob
-WHOLE_NS, BACKGROUND_NS = SECOND, 10 * SECOND  # from one to the next
+RIM = 2  # margin around a blob [px], so that its contour is the same in the crop
+HERE_UM = 15.0  # largest distance of a robot's filtered position from its blob
+# interval between whole pictures, and between backgrounds
+WHOLE_NS, BACKGROUND_NS = (
+    SECOND,
+    10 * SECOND,
+)
 
 
 @dataclass(slots=True)
@@ -35,7 +39,9 @@ class FilmCutter:
         robots: Sequence[SeenCell | None],
         tracker: CellTracker,
     ) -> CellFilm:
-        """Return the film's data of a picture; `robots` are the robots' cells, None if not seen."""
+        """Return the film's data for a picture; `robots` are the robots' cells, None if not
+        seen.
+        """
         searched, background = tracker.finder.searched, tracker.finder.background
         assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
@@ -70,32 +76,37 @@ class FilmCutter:
 
 
 def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
-    """Return how far a cell is from its blob, in a picture of the given number of rows [um]."""
+    """Return the distance of a cell from its blob in a picture with the given number of rows
+    [um].
+    """
     x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
     return math.hypot(cell.x - x, cell.y - y)
 
 
 def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob with a rim is within a crop of the given number of pixels per side."""
+    """Return whether a blob with its margin fits into a crop with the given number of pixels per
+    side.
+    """
     return max(blob.body.shape) + 2 * RIM <= side
 
 
 def corner(blob: Blob, side: int) -> tuple[int, int]:
-    """Return the upper left pixel of a crop with a blob in its middle."""
+    """Return the upper left pixel of a crop centred on a blob."""
     rows, columns = blob.body.shape
     return blob.corner[0] + columns // 2 - side // 2, blob.corner[1] + rows // 2 - side // 2
 
 
 def numbers(blob: Blob) -> tuple[float, ...]:
-    """Return the measurement of a blob: x, y [px], axis [rad], long, wide [px], strength [grey
-    levels]."""
+    """Return a blob's numbers: x, y [px], axis [rad], long, wide [px], strength [grey levels]."""
     return blob.x, blob.y, blob.axis, blob.long, blob.wide, blob.strength
 
 
 def found_again(
     crop: Grey, place: Sequence[int], stated: Sequence[float], limits: Sequence[float]
 ) -> tuple[float, ...] | None:
-    """Return the numbers of the blob of a crop nearest to the one stated, None for none."""
+    """Search a crop again; return the numbers of the blob nearest to the stated one, None without a
+    blob.
+    """
     blobs = map(numbers, blobs_of(crop, limits, (place[0], place[1])))
     x, y = stated[:2]
     return min(blobs, key=lambda one: (one[0] - x) ** 2 + (one[1] - y) ** 2, default=None)

@@ -1,6 +1,6 @@
-"""Blobs in a grey picture: what differs from a slow background, as ellipses.
+"""Finds blobs in a grey picture: regions that differ from a slowly learned background, as ellipses.
 
-Blur, difference to the background at the picture's own light, a threshold with hysteresis,
+Steps: blur, difference to the background scaled to the picture's light, threshold with hysteresis,
 contours, and the moments within each.
 """
 
@@ -14,24 +14,25 @@ from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats, Grey
 
-STRIPES = 16  # of the background; one is brought up to date with each picture
-LEARNING = 0.1  # how far it then goes towards the picture: 5 s at 30 Hz
+STRIPES = 16  # number of stripes of the background; each picture updates one
+LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
 SPARSE = 64  # rows sampled for light and noise; at most every eighth
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
-BLOBS = 200  # of one picture; of more, the largest
-CONTOURS = 4000  # a picture with more shows no dish
-CHANGED = 0.25  # share of the picture that differs when something else is in view
-PART_LOW = 0.35  # of a blob's darkest: what is less is not its body
+BLOBS = 200  # largest number of blobs of a picture; of more, the largest are kept
+CONTOURS = 4000  # a picture with more contours does not show a dish
+CHANGED = 0.25  # fraction of changed pixels above which the picture shows something else
+PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's extreme
 
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """Something in a picture: x, y [px] of its middle, `axis` [rad] mod pi, columns and rows.
+    """A region in a picture that differs from the background: x, y [px] of its middle, `axis` [rad]
+    mod pi.
 
-    `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` its mean
-    difference [grey levels]. `body` is 1 where the blob is, in a rectangle whose upper left pixel
-    is at `corner`. `at_edge`: it is cut by the picture's edge.
+    `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` is the mean
+    difference [grey levels]. `body` is a mask of the blob, in a rectangle whose upper left pixel is
+    at `corner`. `at_edge`: the picture's edge cuts the blob.
     """
 
     x: float
@@ -46,22 +47,24 @@ class Blob:
 
     @property
     def pixels(self) -> Floats:
-        """Columns and rows of its pixels (M, 2)."""
+        """Columns and rows of the blob's pixels (M, 2)."""
         rows, columns = np.nonzero(self.body)
         return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
 
     @property
     def area(self) -> float:
-        """Area of the ellipse [px^2]."""
+        """Area of the blob's ellipse [px^2]."""
         return math.pi / 4 * self.long * self.wide
 
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """What a picture is like: `gain` is its light over the background's, `noise` [grey levels].
+    """Properties of a picture: `gain` is its light relative to the background's, `noise` [grey
+    levels].
 
-    `contrast` [grey levels] is the median strength of the blobs, None without any. `changed` is the
-    share of pixels that differ from the background; `lost` whether that is too much to be cells.
+    `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
+    the fraction of pixels that differ from the background; `lost` is whether that is too much for
+    cells.
     """
 
     gain: float
@@ -73,11 +76,10 @@ class Light:
 
 @dataclass(slots=True)
 class BlobFinder:
-    """Finds blobs of `least` to `most` px^2; `bright` cells differ upwards.
+    """Finds blobs of `least` to `most` px^2; `bright` cells are brighter than the background.
 
-    `learn` makes the background from some pictures taken over a second or more. From then on it
-    follows what is outside of `keep` in each picture, so that resting cells do not become part of
-    it.
+    `learn` computes the background from pictures taken over a second or more. Later pictures update
+    the background outside `keep`, so that resting cells do not become part of it.
     """
 
     least_px2: float
@@ -90,9 +92,11 @@ class BlobFinder:
     _smooth: Grey | None = field(default=None, init=False)
     _room: list[Grey] = field(default_factory=list, init=False)  # reused: new memory costs time
     searched: Grey | None = field(default=None, init=False)
-    """The newest picture minus its background, in which blobs are looked for."""
+    """The newest picture minus its background, in which blobs are searched."""
     limits: tuple[float, ...] = field(default=(), init=False)
-    """Low and high threshold [grey levels], least and most area [px^2] of that search."""
+    """Limits of the newest search: low and high threshold [grey levels], least and most area
+    [px^2].
+    """
 
     @property
     def size(self) -> tuple[int, ...] | None:
@@ -101,12 +105,12 @@ class BlobFinder:
 
     @property
     def background(self) -> Grey | None:
-        """The picture without cells."""
+        """The learned picture without cells."""
         return self._flat
 
     def learn(self, pictures: Sequence[Grey]) -> None:
         """Compute the background as the median of pictures of one size (height, width),
-        and determine whether cells are brighter or darker if that is not given.
+        and determine whether cells are brighter or darker unless that is given.
         """
         smooth = [_smoothed(each, np.empty_like(each), np.empty_like(each)) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
@@ -136,7 +140,7 @@ class BlobFinder:
         cv2.convertScaleAbs(self._flat, alpha=gain, dst=expected)
         above, below = (smooth, expected) if self.bright else (expected, smooth)
         cv2.subtract(above, below, dst=searched)
-        # what lies on the other side of the background is noise
+        # differences in the other direction are noise
         other = (seen.astype(np.float32) - gain * known) * (-1 if self.bright else 1)
         noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
         noise = min(noise, 20.0)
@@ -154,9 +158,10 @@ class BlobFinder:
         return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Bring a stripe of the background up to date by the last picture, but not within `keep`.
+        """Update a stripe of the background by the last picture, except within the rectangles
+        `keep`.
 
-        Those are rectangles left, top, right and bottom [px].
+        Each rectangle is left, top, right and bottom [px].
         """
         assert self._background is not None and self._flat is not None, "learn() comes first"
         assert self._smooth is not None, "find() comes first"
@@ -177,7 +182,7 @@ class BlobFinder:
 def blobs_of(
     searched: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
 ) -> list[Blob]:
-    """Return the blobs of a picture minus its background, or of a part of one, largest first.
+    """Return the blobs of a background-subtracted picture, or of a part of it, largest first.
 
     `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
     column and row of the part's upper left pixel.
@@ -253,12 +258,12 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 
 def _chunks(height: int, rows: int = 64) -> list[slice]:
-    """Return slices of rows, so that a median of many pictures needs little memory."""
+    """Return slices of rows in which a median of many pictures is computed with little memory."""
     return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
 
 
 def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return by how much one picture exceeds another, if that is more than noise."""
+    """Return the difference by which one picture exceeds another, 0 if that is within the noise."""
     return cv2.threshold(cv2.subtract(above, below), 15, 0, cv2.THRESH_TOZERO)[1]
 
 

@@ -27,32 +27,39 @@ from tetractl.core.poses import Bools, Floats
 X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y = range(12)
 STATES = 12
 
-HELIX = 2 * math.pi * 2.5, 2.0  # rad/s: mean and deviation among cells
-HELIX_UM = 6.0  # deviation of c and s
+HELIX = 2 * math.pi * 2.5, 2.0  # mean and standard deviation of the rate among cells [rad/s]
+HELIX_UM = 6.0  # standard deviation of c and s among cells
 NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
 SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothing about its axis
 BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
-# growth of deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
+# growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
-RESTING = ((HEADING, 0.5), (SPEED, 150.0))  # additional growth, since it may go on in any direction
-TURN_S = 0.5  # after which unexplained turning is forgotten
-TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0  # its deviation [rad/s] with and without a known field
-TAIL = 8.0  # degrees of freedom: outliers cost a logarithm of their size
-ODD = 25.0  # a squared distance in deviations beyond which a measurement is trusted less
+RESTING = (
+    (HEADING, 0.5),
+    (SPEED, 150.0),
+)  # additional growth at rest, since a cell may go on in any direction
+TURN_S = 0.5  # time constant with which unexplained turning is forgotten
+TURN_KNOWN, TURN_UNKNOWN = (
+    0.1,
+    3.0,
+)  # standard deviation of that turning [rad/s] with and without a known field
+TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
+ODD = 25.0  # squared distance in deviations beyond which a measurement gets less weight
 
 Piece = tuple[float, float, float]
-"""Seconds for which a field of two parts, in parts of the reference field, is there."""
+"""A constant field for a time: seconds, and two components relative to the reference field."""
 
 
 @dataclass(slots=True)
 class HelixFilter:
-    """Rows of cells: `mean` (R, 12) and `covariance` (R, 12, 12); free rows are not `used`.
+    """A filter with one row per cell: `mean` (R, 12) and `covariance` (R, 12, 12); free rows are
+    not `used`.
 
-    `known`: whether the field is known, so that what it does not explain is little. `growth` (R, 9)
-    are the deviations that the first states of each row gain per sqrt(s).
+    `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) are
+    the standard deviations that the first states of each row gain per sqrt(s).
     """
 
     known: bool = True
@@ -62,7 +69,7 @@ class HelixFilter:
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
-        """Return the row of a new cell of which only the path is known."""
+        """Add a new cell, of which only the path is known, and return its row."""
         row = self._free()
         turn = TURN_KNOWN if self.known else TURN_UNKNOWN
         a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
@@ -72,7 +79,7 @@ class HelixFilter:
         return row
 
     def copied(self, row: int) -> int:
-        """Return a row that goes on from another one."""
+        """Copy a row to a free one and return its index."""
         new = self._free()
         self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
         self.growth[new] = self.growth[row]
@@ -92,20 +99,22 @@ class HelixFilter:
         self.used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
-        """Move every row on through pieces of time with a constant field each."""
+        """Predict every row through pieces of time, each with a constant field."""
         for seconds, ux, uy in pieces:
             if seconds > 0:
                 self._move(seconds, ux, uy)
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Increase the uncertainty of speed, heading and helix of cells that do not move as
-        predicted."""
+        """Increase the uncertainty of speed, heading and helix for cells that do not move as
+        predicted.
+        """
         for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return the predicted measurements of rows (M,): x, y, axis (M, 3) and slopes (M, 3,
-        12)."""
+        """Return the predicted measurements of rows (M,): x, y, axis (M, 3), and their derivatives
+        (M, 3, 12).
+        """
         m = self.mean[rows]
         cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
         speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
@@ -127,10 +136,11 @@ class HelixFilter:
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
     ) -> tuple[Floats, Floats]:
-        """Take x, y [um] and axis [rad] (M, 3) of deviations (M, 3) into rows (M,).
+        """Update rows (M,) by measurements x, y [um], axis [rad] (M, 3) with standard deviations
+        (M, 3).
 
-        Returns the logarithm of the likelihood of each, by a Student distribution, and the squared
-        distance in deviations (M,).
+        Returns the logarithm of each likelihood, by Student's distribution, and the squared
+        distance in standard deviations (M,).
         """
         if len(rows) == 0:
             return np.zeros(0), np.zeros(0)
@@ -156,7 +166,7 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that swim backwards: it was the wrong end of the axis."""
+        """Reverse the heading of cells that swim backwards, as it was the wrong end of the axis."""
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
             signs = np.ones(STATES)
@@ -180,7 +190,7 @@ class HelixFilter:
         m = self.mean[rows]
         half = seconds / 2
         towards, slope = _field(m[:, HEADING] + m[:, BIAS], ux, uy)
-        resting = m[:, SPEED] < SLOWEST_UM_S  # the field does not turn what does not swim
+        resting = m[:, SPEED] < SLOWEST_UM_S  # the field does not turn a resting cell
         towards, a = np.where(resting, 0.0, towards), np.where(resting, 0.0, m[:, A])
         rate, bend = a * towards + m[:, TURN], a * slope
         middle = m[:, HEADING] + rate * half
@@ -188,7 +198,7 @@ class HelixFilter:
         towards_2, bend_2 = np.where(resting, 0.0, towards_2), a * slope_2
         f = np.zeros((len(rows), STATES, STATES))
         f[:, range(STATES), range(STATES)] = 1
-        # slopes of the heading in the middle, which moves the cell, and at the end
+        # derivatives of the heading in the middle, which moves the cell, and at the end
         to_middle = {HEADING: 1 + bend * half, A: towards * half, BIAS: bend * half, TURN: half}
         direct = {A: towards_2, BIAS: bend_2, TURN: 1.0}
         cos, sin = np.cos(middle), np.sin(middle)
@@ -223,6 +233,8 @@ class HelixFilter:
 
 
 def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return field x dipole of directions (R,) and its slope, as (3) has them for a = 1."""
+    """Return the cross product of field and dipole in directions (R,), (3) with a = 1, and its
+    derivative.
+    """
     cos, sin = np.cos(dipole), np.sin(dipole)
     return uy * cos - ux * sin, -(uy * sin + ux * cos)

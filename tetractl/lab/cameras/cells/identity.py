@@ -1,9 +1,9 @@
-"""Identities of cells after they were one blob: probabilities from how each answers the known
+"""Infers the identities of cells after they were one blob from each cell's response to the known
 signal.
 
-Each cell that leaves a merged blob is followed once for every cell that went in, with what was
-known of that one (turning rate, bias, speed, helix). Once the likelihood of the later measurements
-decides, the question is closed; if cells are too alike it stays open, and says so.
+Each cell that leaves a merged blob is followed once as each of the cells that entered it, with that
+cell's known turning rate, bias, speed and helix. The question is closed once the likelihood of the
+later measurements decides; if cells are too alike, it stays open and reports that.
 """
 
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.helix import HelixFilter
 
-MOST = 4  # cells of one question: 24 assignments
-SURE = 0.998  # then the question is closed
+MOST = 4  # largest number of cells in a question: 24 assignments
+SURE = 0.998  # probability at which a question is closed
 LEAST_S = 0.25  # before which it is not
-PATIENCE_S = 10.0  # after which it is closed without an answer: the cells are indistinguishable
-TEMPER = 0.7  # of the likelihood: errors of successive pictures are not independent
-FIRST = (2.0, 2.0, 0.1)  # deviations of the first blob of a question: um, um, rad
+PATIENCE_S = 10.0  # time after which it is closed unanswered: the cells are indistinguishable
+TEMPER = 0.7  # exponent of the likelihood, as errors of successive pictures are not independent
+FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
 FAR = 25.0  # squared deviations of a cell from where it was predicted
 SIZE_SD, SIZE_TAIL = 0.1, 4.0  # of the logarithm of a cell's length and width, a Student variable
 SIZED = 6  # pictures that give the sizes of a question's tracks
@@ -28,11 +28,11 @@ SIZED = 6  # pictures that give the sizes of a question's tracks
 
 @dataclass(slots=True)
 class Question:
-    """Which of K cells each of K tracks is.
+    """The question which of K cells each of K tracks is.
 
-    `rows` (K, K) are the filter's rows: track t as if it were cell i. `likelihood` (K, K) is the
-    logarithm of each, summed since the question was opened at `since_s`. `sizes` (K, 2) are length
-    and width [um] of the cells, NaN where not known.
+    `rows` (K, K) are the filter's rows of track t as if it were cell i. `likelihood` (K, K) is the
+    sum of their log-likelihoods since the question was opened at `since_s`. `sizes` (K, 2) are
+    length and width [um] of the cells, NaN where not known.
     """
 
     identities: tuple[int, ...]
@@ -76,7 +76,7 @@ class Question:
         return tuple(self._orders[i].tolist()), float(shares[i])
 
     def closed(self, now_s: float) -> bool:
-        """Whether the answer is certain, or will never be."""
+        """Return whether the answer is certain, or can never become certain."""
         open_s = now_s - self.since_s
         return (self.best()[1] > SURE and open_s > LEAST_S) or open_s > PATIENCE_S
 

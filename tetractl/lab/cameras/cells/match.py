@@ -1,4 +1,4 @@
-"""Which blob is which cell: by where the filter expects each, and how large it is."""
+"""Assigns blobs to cells by the filter's expected positions and by size."""
 
 import math
 from collections.abc import Sequence
@@ -10,19 +10,19 @@ from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.cell import FollowedCell
 from tetractl.lab.cameras.cells.detect_cells import Blob
 
-GATE = 6.0  # deviations from where a cell is expected
-GATE_UM = 12.0  # and as far as this in any case
+GATE = 6.0  # largest distance from a cell's expected position, in standard deviations
+GATE_UM = 12.0  # least radius of this gate
 FAR = 100.0  # cost of leaving a cell without a blob
-STOPPED_UM = 45.0  # from where a cell should be, there may be its blob if no other cell's is
-STOPPED_UM_S = 200.0  # and further for each second without a blob
-SIZE_SHARE = 0.35  # a cell's blob varies by so much: tilt and focus
-ALIKE = 0.4  # logarithm of sizes, for a cell that is not where it should be
-COVER = 0.6  # of a cell's width: so far from a blob, it may still be a part of it
-FAR_PX = 20.0  # further from its middle than its length and this, a cell is no part of a blob
+STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected position
+STOPPED_UM_S = 200.0  # growth of this distance for each second without a blob
+SIZE_SHARE = 0.35  # relative variation of a cell's blob by tilt and focus
+ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
+COVER = 0.6  # smallest width of a cell: so far from a blob, it may still be a part of it
+FAR_PX = 20.0  # a cell further than the blob's length plus this from its middle is not part of it
 PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one that has left it
 SPECK_UM = 25.0  # from where a speck was
-PLACE_UM = 2.0  # deviation of a blob, in addition to the filter's
-ROUNDS = 4  # of parting a blob
+PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
+ROUNDS = 4  # iterations when a blob is divided among cells
 SAMPLED = 200  # pixels of it
 
 
@@ -48,10 +48,11 @@ def assigned(
     specks: Floats,
     places: Floats,
 ) -> tuple[dict[int, int], set[int]]:
-    """Return the blobs of cells that share none, and of specks.
+    """Return the blob of each cell, unless shared, and of each speck, by the least sum of squared
+    distances.
 
     Cells are `expected` (C, 3) with a covariance `spread` (C, 2, 2) of their positions, specks (S,
-    2) where they were; blobs are at `places` (B, 5). The sum of squared distances is least.
+    2) at their last positions; blobs are at `places` (B, 5).
     """
     if len(places) == 0 or len(cells) + len(specks) == 0:
         return {}, set()
@@ -83,7 +84,7 @@ def stopped(
 ) -> list[int]:
     """Assign free blobs to nearby cells that are not at their expected positions.
 
-    So a cell that stops or turns by itself is found again. Returns these cells.
+    This finds cells that have stopped or turned by themselves. Returns these cells.
     """
     taken = set(owner.values()) | specks
     free = [j for j in range(len(places)) if j not in taken]
@@ -107,9 +108,9 @@ def shared_blobs(
     owner: dict[int, int],
     um_px: float,
 ) -> dict[int, list[int]]:
-    """Return the cells of each blob; a cell without one gets the blob that covers its position.
+    """Return the cells of each blob; a cell without a blob gets the one that covers its position.
 
-    `pixels` (C, 2) are columns and rows where cells are expected; `owner` is added to.
+    `pixels` (C, 2) are the expected columns and rows of cells; `owner` is completed in place.
     """
     shared: dict[int, list[int]] = {}
     for i, j in owner.items():
@@ -185,7 +186,7 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
 
 
 def second_best(squared: Floats, best: float) -> float:
-    """Return the least sum of squared distances of the assignments other than the best."""
+    """Return the least sum of squared distances among all assignments except the best."""
     track, cell = linear_sum_assignment(squared)
     least = math.inf
     for t, c in zip(track, cell, strict=True):

@@ -11,13 +11,13 @@ from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter
 from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
 
-CLEAR = 25.0  # squared deviations between assignments that leave no question
-CLEAR_UM = 3.0  # deviation of a position, in addition to the filter's
+CLEAR = 25.0  # difference of squared deviations between assignments that decides at once
+CLEAR_UM = 3.0  # standard deviation of a position, in addition to the filter's
 REMEMBERED_S = 0.5  # after its blob was too large: as long as it takes to recognise another cell
 
 
 class Merges:
-    """The blobs with several owners, and the questions that they leave, of one filter's cells."""
+    """Keeps the blobs that cells of a filter share, and the questions of identity afterwards."""
 
     def __init__(self, bank: HelixFilter) -> None:
         self._bank = bank
@@ -25,7 +25,9 @@ class Merges:
         self.closed: list[CellAnswer] = []
 
     def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
-        """Store which cells are in one blob, and predict copies of them by the signal alone."""
+        """Record which cells share a blob, and start copies of them that are predicted without
+        measurements.
+        """
         for cell in together:
             if cell.question is not None:
                 self._close(cell.question, cells)
@@ -70,8 +72,7 @@ class Merges:
         self._drop_alone(cell)
 
     def part(self, places: dict[int, Floats], seconds: float) -> None:
-        """Open the question of identity of cells that have been one blob, once each has its own
-        again.
+        """Open a question of identity when cells that shared a blob have separate blobs again.
 
         `places` are x, y, axis of each track's own blob.
         """
@@ -88,7 +89,9 @@ class Merges:
                 self._bank.drop(row)
 
     def answer(self, cells: Sequence[FollowedCell], seconds: float) -> None:
-        """Take the likeliest answer to each question for now; close those that have one."""
+        """Apply the likeliest answer to each question for now; close the questions that are
+        decided.
+        """
         for question in {id(c.question): c.question for c in cells if c.question}.values():
             order, _ = question.best()
             for cell in cells:
@@ -99,7 +102,7 @@ class Merges:
                 self._close(question, cells)
 
     def forget(self, cell: FollowedCell, cells: Sequence[FollowedCell]) -> None:
-        """Remove a lost cell from its blob and its question."""
+        """Remove a lost cell from its shared blob and its question."""
         self._drop_alone(cell)
         if cell.question is not None:
             self._close(cell.question, cells)
@@ -116,7 +119,7 @@ class Merges:
             cell.alone = None
 
     def _open(self, merge: Merge, seen: Floats, seconds: float) -> None:
-        """Open a question, unless the signal alone decides."""
+        """Open a question, unless the predicted positions decide at once."""
         identities = [cell.identity for cell in merge.cells]
         coasted = [merge.coasted[identity] for identity in identities]
         rows = np.array(coasted)
@@ -152,7 +155,7 @@ class Merges:
             cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Accept the likeliest answer; its probability stays with the cells."""
+        """Close a question with its likeliest answer, whose probability is kept with the cells."""
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]
         for cell in members:

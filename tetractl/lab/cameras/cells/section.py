@@ -1,4 +1,4 @@
-"""The `cells` camera's part of a spec: a microscope's pictures, and where they are in the dish."""
+"""The `cells` camera's part of a spec: a microscope's pictures and their place in the dish."""
 
 import math
 from typing import Annotated, ClassVar, Literal
@@ -10,12 +10,12 @@ from tetractl.experiment.base import Finite, Point, Positive
 from tetractl.experiment.lab_section import Measured
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
-LEAST_PX = 50  # between the two points of a scale measurement
-PLACED_PX = 1.0  # deviation of each
+LEAST_PX = 50  # least distance of the two points of a scale measurement
+PLACED_PX = 1.0  # standard deviation of each point
 
 
 class CellsSection(PictureSection):
-    """A microscope above swimming cells; those nearest to the starts are the robots."""
+    """A microscope above swimming cells; the cells nearest to the starts become the robots."""
 
     device: ClassVar[str] = "tetractl.lab.cameras.cells.camera:CellCamera"
     settles: ClassVar[bool] = True
@@ -23,15 +23,17 @@ class CellsSection(PictureSection):
     um_px: Annotated[float, Field(ge=0.05, le=100)]
     """Micrometres per pixel, by a stage micrometer."""
     corner: Point = (0.0, 0.0)
-    """Where the picture's lower left corner is in the spec's coordinates [length unit]."""
+    """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
     rotation: Finite = 0.0
-    """From the spec's x axis to the picture's rows, anticlockwise [rad]."""
+    """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
     cells: Literal["dark", "bright", "either"] = "either"
     """Whether cells are brighter or darker than the medium; by default it is determined."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
-    """How long pictures are taken for the background before the first frame [s]."""
+    """Time for which pictures are taken for the background before the first frame [s]."""
     connect: Positive = 8.0
-    """How long the source may take to open, and then to deliver and show the background [s]."""
+    """Longest time for the source to open, and again for the first pictures and the
+    background [s].
+    """
 
     @property
     def bright(self) -> bool | None:
@@ -39,7 +41,7 @@ class CellsSection(PictureSection):
         return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:
-        """Return where pictures come from."""
+        """Return the source of the pictures for display, {name: text}."""
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
@@ -48,7 +50,9 @@ class CellsSection(PictureSection):
         across, up = second[0] - first[0], first[1] - second[1]
         long = math.hypot(across, up)
         if long < LEAST_PX:
-            raise UsageError(f"two places {long:.3g} px from each other, at least {LEAST_PX}")
+            raise UsageError(
+                f"the two places are {long:.3g} px from each other; at least {LEAST_PX} are needed"
+            )
         um_px, rotation = um / long, -math.atan2(up, across)
         off = math.sqrt(2) * PLACED_PX / long
         lines = (
@@ -58,7 +62,9 @@ class CellsSection(PictureSection):
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: float, y_um: float, metres: float) -> tuple[float, float]:
-        """Return a position in the picture [um] in the spec's coordinates; a unit is `metres`."""
+        """Return a position in the picture [um] in the spec's coordinates, whose length unit is
+        `metres`.
+        """
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         scale = 1e-6 / metres
         x = self.corner[0] + scale * (cos * x_um - sin * y_um)

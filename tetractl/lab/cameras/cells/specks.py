@@ -1,4 +1,4 @@
-"""Specks: objects in a dish that are followed until they swim, and so are cells."""
+"""Specks: objects in a dish that are followed until they swim, which shows that they are cells."""
 
 import math
 from collections.abc import Sequence
@@ -9,18 +9,21 @@ from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Floats
 
-SPECKS = 120  # that are followed at most
-BORN = 5  # blobs in a row until something is a cell
-SWIM_UM_S, SWIM_UM = 60.0, 12.0  # least speed and distance of a cell in that time
-STRAY_UM = 5.0  # from a straight line, meanwhile
+SPECKS = 120  # largest number of specks that are followed
+BORN = 5  # number of successive blobs after which a speck may be a cell
+SWIM_UM_S, SWIM_UM = 60.0, 12.0  # least speed and distance of a cell over these blobs
+STRAY_UM = 5.0  # largest distance of these blobs from a straight line
 ALONG = 0.75  # least cosine between a cell's axis and its path
-ROUND = 1.3  # length over width
-EVEN = 0.2  # a share of its size, which is steady
-NEAR_UM = 40.0  # to a cell: what appears there is a part of it, unless it stays
+ROUND = 1.3  # ratio of length to width below which a blob has no axis
+EVEN = 0.2  # relative variation of a cell's size
+NEAR_UM = 40.0  # a blob that appears this near to a cell is part of it, unless it stays
 NEAR_BORN = 7
-FROM_UM = 80.0  # of a cell, where it is first seen: they were one blob, or one cell
-LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # of something that may be a cell
-REACH_UM, FIRST_UM = 25.0, 40.0  # from where a speck should be; without a path, where it was
+FROM_UM = 80.0  # a cell first seen this near to another one was one blob, or one cell, with it
+LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # ranges of length and width of a possible cell
+REACH_UM, FIRST_UM = (
+    25.0,
+    40.0,
+)  # reach around a speck's expected position; without a path, around its last one
 MISSED = 3  # pictures
 HIDDEN = 90  # pictures for which one that stays is remembered: cells may be over it
 
@@ -30,15 +33,16 @@ Entry = tuple[float, float, float, float, float, float]
 
 @dataclass(slots=True)
 class Speck:
-    """Something that may become a cell: its blobs so far, and the number of the track of the cell
-    next to which it was first seen."""
+    """An object that may become a cell: its blobs so far, and the track number of the cell next to
+    which it was first seen.
+    """
 
     path: list[Entry]
     beside: int | None = None
     missed: int = 0
 
     def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return where it will be if it moves on as it did."""
+        """Return the position expected from the speck's motion so far."""
         if len(self.path) < 2:
             return self.path[-1][1], self.path[-1][2]
         first, last = self.path[max(0, len(self.path) - 4)], self.path[-1]
@@ -46,7 +50,9 @@ class Speck:
         return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
     def swims(self, needed: int) -> bool:
-        """Whether it has the size of a cell, and swam along its axis in `needed` blobs."""
+        """Return whether the speck has the size of a cell and swam along its axis in `needed`
+        blobs.
+        """
         entries = self.path[-max(needed, BORN) :]
         first, last = entries[0], entries[-1]
         moved = math.hypot(last[1] - first[1], last[2] - first[2])
@@ -62,7 +68,7 @@ class Speck:
         strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
         sway = np.abs(np.cos(path[:, 3] - math.atan2(line[1, 1], line[1, 0])))
         even = np.std(path[:, 4]) < EVEN * long and np.std(path[:, 5]) < EVEN * wide
-        along = long < ROUND * wide or np.median(sway) > ALONG  # a round one has no axis
+        along = long < ROUND * wide or np.median(sway) > ALONG  # a round blob has no axis
         return bool(even and strayed < STRAY_UM and along)
 
 
@@ -92,9 +98,10 @@ class Specks:
     def follow(
         self, places: Floats, cells: Floats, tracks: Sequence[int], seconds: float
     ) -> list[Speck]:
-        """Take the blobs (B, 5) that belong to no cell; return specks that swim now.
+        """Take the blobs (B, 5) that belong to no cell; return the specks that now swim.
 
-        `cells` (C, 2) are where the cells are [um], `tracks` (C,) the numbers of their tracks.
+        `cells` (C, 2) are the positions of the cells [um], `tracks` (C,) the numbers of their
+        tracks.
         """
         found = self._found(places, seconds)
         taken = set(found.values())

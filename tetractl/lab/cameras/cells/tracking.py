@@ -27,29 +27,34 @@ from tetractl.lab.cameras.cells.merges import Merges
 from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
-LARGE = 1.45  # ratio above which a blob shows more than its cell
-CELLS = 64  # that are followed at most
-LOST_S = 0.7  # without a blob: a cell is given up
-HIDDEN_S = 0.15  # the same: it is not shown
-GONE_S = 0.1  # the same near the edge of the picture
-OUTSIDE = 0.4  # of a cell's length: so near the edge
-STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far by then is no cell
-POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # deviations of a blob
-ODD = (8.0, 8.0, 0.5)  # those of one that is cut, or larger than its cell
-MERGED = (7.0, 7.0, 10.0)  # those of a cell in a blob with several owners
-ODD_RUN, ODD_DISTANCE = 3, 30.0  # blobs in a row that are not where they should be
+LARGE = 1.45  # ratio of sizes above which a blob shows more than its cell
+CELLS = 64  # largest number of cells that are followed
+LOST_S = 0.7  # time without a blob after which a cell is given up
+HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
+GONE_S = 0.1  # time after which a cell is given up near the edge of the picture
+OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
+STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this time is not a cell
+POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
+ODD = (8.0, 8.0, 0.5)  # the same for a blob that is cut off, or larger than its cell
+MERGED = (7.0, 7.0, 10.0)  # the same for a cell in a shared blob
+ODD_RUN, ODD_DISTANCE = (
+    3,
+    30.0,
+)  # number of successive blobs far from their expected positions, and their squared distance
 ENTERED_UM = 120.0  # nearer the edge of the picture, what is new has swum into it
-EITHER = 0.5  # probability that a cell is the one known, once another one came out of its blob
+EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
 DOUBT = 0.75  # the same, while another one may have been in its blob
-SHAPE_SHARE = 0.05  # of a new blob in a cell's usual size
+SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
-"""Gives the field between two times [s] in pieces."""
+"""Function that returns the field between two times [s] in pieces."""
 
 
 @dataclass(slots=True)
 class _Reading:
-    """A blob's measurement of a cell: x, y, axis with deviations; `merged` if it is of several."""
+    """A blob's measurement of a cell: x, y, axis with deviations; `merged` if several cells share
+    it.
+    """
 
     cell: FollowedCell
     values: tuple[float, ...]
@@ -58,17 +63,17 @@ class _Reading:
 
 
 class CellTracker:
-    """Follows the cells in pictures of `um_px`; `known`: whether the field is.
+    """Follows the cells in pictures with the scale `um_px`; `known`: whether the field is known.
 
-    Pictures come with rising times. Columns c and rows r become x = (c + 1/2) um_px and, with y
-    upwards, y = (height - 1/2 - r) um_px [um].
+    Pictures must be given in order of time. Columns c and rows r become x = (c + 1/2) um_px and,
+    with y upwards, y = (height - 1/2 - r) um_px [um].
     """
 
     def __init__(self, um_px: float, known: bool, bright: bool | None = None) -> None:
         self.um_px = um_px
         self.finder = BlobFinder(LEAST_UM2 / um_px**2, MOST_UM2 / um_px**2, bright)
         self.bank = HelixFilter(known)
-        self.born: list[Born] = []  # by the newest picture
+        self.born: list[Born] = []  # cells recognised in the newest picture
         self.gone: list[int] = []
         self._cells: list[FollowedCell] = []
         self._specks = Specks()
@@ -78,17 +83,17 @@ class CellTracker:
         self._height = self._width = 0
 
     def learn(self, pictures: Sequence[Grey]) -> None:
-        """Make the background of pictures over a second or more."""
+        """Compute the background from pictures taken over a second or more."""
         self.finder.learn(pictures)
 
     @property
     def light(self) -> Light:
-        """Properties of the newest picture."""
+        """Light and noise of the newest picture."""
         return self.finder.light
 
     @property
     def closed(self) -> Sequence[CellAnswer]:
-        """The questions of identity that the newest picture answered."""
+        """The answers to questions of identity that the newest picture decided."""
         return self._merges.closed
 
     def blob(self, track: int) -> Blob | None:
@@ -175,7 +180,9 @@ class CellTracker:
         return found
 
     def _update(self, readings: Sequence[_Reading]) -> None:
-        """Update the filter; a cell of open identity once for each cell that it may be."""
+        """Update the filter; for a track with an open question, one row for each cell that it may
+        be.
+        """
         if not readings:
             return
         rows = [
@@ -201,7 +208,7 @@ class CellTracker:
             at += count
 
     def _begin(self, speck: Speck) -> None:
-        """Follow what swims as a cell."""
+        """Start to follow specks that swim as cells."""
         path = np.array(speck.path)
         last = path[-BORN:]
         times = last[:, 0] - last[-1, 0]
@@ -247,7 +254,7 @@ class CellTracker:
                 self.gone.append(cell.identity)
 
     def _stays(self, cell: FollowedCell) -> bool:
-        """Whether an assumed cell does not swim."""
+        """Return whether a tracked object does not swim, so that it is not a cell."""
         if cell.begun is None or self._time is None:
             return False
         began, x, y = cell.begun
@@ -263,13 +270,13 @@ class CellTracker:
         return np.column_stack([columns, self._height - 0.5 - places[:, 1] / self.um_px])
 
     def _points(self, blob: Blob) -> Floats:
-        """Return where the pixels of a blob are (M, 2) [um]."""
+        """Return the positions of a blob's pixels (M, 2) [um]."""
         pixels = blob.pixels
         up = self._height - 0.5 - pixels[:, 1]
         return np.column_stack([pixels[:, 0] + 0.5, up]) * self.um_px
 
     def _kept(self) -> list[tuple[int, int, int, int]]:
-        """Return rectangles [px] round the cells, which the background does not learn."""
+        """Return rectangles [px] around the cells, in which the background is not updated."""
         rows = [cell.row for cell in self._cells]
         found = []
         for cell, (column, row) in zip(

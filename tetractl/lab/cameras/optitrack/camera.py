@@ -1,7 +1,7 @@
-"""OptiTrack cameras as a `Camera`: a NatNet connection, and what is checked before a run.
+"""OptiTrack cameras as a `Camera`: a NatNet connection, and its checks before a run.
 
-The thread outlives whatever the network sends: bad datagrams are counted, errors of the sockets
-are kept as `error`. It never waits for the reader of its frames.
+No data from the network ends the receiver's thread: bad datagrams are counted, errors of the
+sockets are kept as `error`. The thread never waits for the reader of its frames.
 """
 
 import select
@@ -39,14 +39,14 @@ from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
-ASK_NS = SECOND // 4  # an unanswered question is asked again after this long
-ASKED_MAX = 4  # what the run can do without is asked this often
-MODELS_MAX_NS = 8 * SECOND  # at most this long between asking for models that keep changing
+ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
+ASKED_MAX = 4  # optional information is requested this often
+MODELS_MAX_NS = 8 * SECOND  # longest interval between requests for models that keep changing
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
-FIRST_ECHOES = 20  # these follow each other at once, so that the clock is known early
+FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
 FIRST_ECHO_NS = SECOND // 50
-KEPT = 4096  # frames not fetched yet
+KEPT = 4096  # most frames kept until they are fetched
 WAIT_S = 0.02
 BUFFER = 1 << 18
 
@@ -98,9 +98,10 @@ class OptitrackCamera:
         return self.stream.counts.bad
 
     def __enter__(self) -> Self:
-        """Connect: return once frames stream and the clocks, axes and names are known.
+        """Connect: return once frames stream and clock, axes and names are known.
 
-        AbortError says which of these did not come, what came instead, and what to set.
+        AbortError says which of these is missing, what was received instead, and which setting to
+        change.
         """
         try:
             self.open()
@@ -111,7 +112,9 @@ class OptitrackCamera:
         return self
 
     def open(self) -> None:
-        """Open the sockets and begin to ask and to read; AbortError if they cannot be had."""
+        """Open the sockets, and start requests and reception; AbortError if a socket cannot be
+        opened.
+        """
         try:
             self._open_sockets()
         except OSError as error:
@@ -124,7 +127,7 @@ class OptitrackCamera:
     def wait_connected(self, timeout_s: float) -> None:
         """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
 
-        AbortError says which of these did not come, and what came instead.
+        AbortError says which of these is missing, and what was received instead.
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
@@ -163,7 +166,9 @@ class OptitrackCamera:
         self._sockets = []
 
     def check(self) -> Health:
-        """Return which rigid bodies are not streamed, and what is known of server and clock."""
+        """Return problems, such as rigid bodies that are not streamed, and facts of server and
+        clock.
+        """
         stream, sync = self.stream, self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
         warnings = diagnosis.not_taken(self.senders, stream)
@@ -195,7 +200,7 @@ class OptitrackCamera:
             data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            # bound to the group, Linux gives this socket nothing else; other systems refuse that
+            # on Linux a socket bound to the group gets nothing else; other systems refuse that
             data.bind((section.group if sys.platform == "linux" else "", section.data_port))
             membership = struct.pack(
                 "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
@@ -216,7 +221,7 @@ class OptitrackCamera:
                 if self._closing.is_set():
                     return
                 self.error = error if isinstance(error, OSError) else OSError(str(error))
-                self._closing.wait(WAIT_S)  # a card that went down may come back
+                self._closing.wait(WAIT_S)  # a network card that went down may come back
 
     def _read(self, ready: socket.socket) -> None:
         while True:
@@ -241,7 +246,9 @@ class OptitrackCamera:
         self._wake()
 
     def _chores(self) -> None:
-        """Ask what is not known yet, ask the time, keep the stream alive."""
+        """Send the periodic requests: for missing information, for the time, and to keep the stream
+        alive.
+        """
         stream = self.stream
         if stream.info is None:
             self._every("connect", ASK_NS, lambda: self._connect())
@@ -263,10 +270,11 @@ class OptitrackCamera:
                 self._echoes += 1
 
     def _ask_models(self) -> None:
-        """Ask for names that are not known, have changed, or are wanted and not streamed.
+        """Request the names if they are unknown or have changed, or if a robot's body is not
+        streamed.
 
-        Once they are known, the time between questions doubles: a server may report a change in
-        every frame, for good.
+        Once names are known, the interval of requests doubles each time: some servers report a
+        change in every frame.
         """
         stream, now = self.stream, self._clock.now()
         known = stream.model is not None

@@ -1,5 +1,4 @@
-"""Diagnoses why robots are not seen: what came from the camera server, and which setting to
-change."""
+"""Diagnoses why robots are not seen: what the camera server sent, and which setting to change."""
 
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
@@ -10,7 +9,7 @@ from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
 from tetractl.lab.cameras.optitrack.wire import parse
 
 LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
-"""The first version of each layout that frames have."""
+"""The first protocol version of each layout of frames."""
 SHOWN = 12  # bodies
 
 
@@ -33,7 +32,7 @@ def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> 
 def no_frames(
     section: OptitrackSection, senders: Senders, stream: Stream, timeout_s: float
 ) -> AbortError:
-    """Return the error for a server that answers, while no frame of it could be taken."""
+    """Return the error for a server that answers but sends no usable frame."""
     server = f"the camera server at {section.server}:{section.command_port} answers"
     if (other := senders.most(frames=True)) is not None and not stream.counts.unread_frames:
         sender, count = other
@@ -73,11 +72,13 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
     else:
         hint = "in unicast, set lab.camera.version to the one they read as; else restart Motive"
-    return AbortError(f"{server} and reports protocol {own}, but is not understood: {came}", hint)
+    return AbortError(
+        f"{server} and reports protocol {own}, but its frames cannot be read: {came}", hint
+    )
 
 
 def _reads_as(frame: bytes, stream: Stream) -> str:
-    """Return the protocol versions that a frame's layout fits, the server's own before others."""
+    """Return the protocol versions that fit a frame's layout, the server's own first."""
     own = [] if stream.info is None else [stream.info.version]
     for version in (*own, *reversed(LAYOUTS)):
         try:
@@ -89,7 +90,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
 
 
 def no_tracking_flag(version: Version) -> AbortError:
-    """Return the error for a protocol whose frames do not say which bodies are tracked."""
+    """Return the error for a protocol version whose frames do not say which bodies are tracked."""
     return AbortError(
         f"the camera server speaks protocol {version}, whose frames do not say which bodies are "
         "tracked: a lost robot would look like one that stands",
@@ -98,7 +99,7 @@ def no_tracking_flag(version: Version) -> AbortError:
 
 
 def no_up_axis(stream: Stream) -> AbortError:
-    """Return the error for a server whose up axis is not known, or is none that can be used."""
+    """Return the error for a server whose up axis is unknown or cannot be used."""
     if stream.up_answer is None:
         return AbortError(
             "the camera server does not report its up axis", "set lab.camera.up_axis to y or z"
@@ -111,7 +112,7 @@ def no_up_axis(stream: Stream) -> AbortError:
 
 
 def no_names(stream: Stream, timeout_s: float) -> AbortError:
-    """Return the error for a server that does not report names, if bodies are wanted by name."""
+    """Return the error for a server that does not report names although the spec names bodies."""
     if stream.counts.unread_models:
         said = f"its list of rigid bodies cannot be read as protocol {stream.version}"
     else:
@@ -125,7 +126,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return the rigid bodies that the server names or streams, as one line of text."""
+    """Return one line of text that lists the rigid bodies the server names or streams."""
     named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
     every = tuple(dict.fromkeys((*named, *stream.seen)))
     shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
@@ -141,8 +142,8 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
 
-    `names` are those of the stream's robots. A line says whether the body is known at all, the
-    name or id nearest to one that is not, and which bodies there are.
+    `names` are those of the stream's robots. A line says whether the server knows the body and, if
+    not, which similar name or id exists, and which bodies there are.
     """
     if stream.model is None or not (missing := stream.missing()):
         return []
@@ -172,7 +173,7 @@ def _lacking(stream: Stream, model: ModelDef, name: str, robot: Tracked) -> str:
 
 
 def not_taken(senders: Senders, stream: Stream) -> list[str]:
-    """Return a line for datagrams of other senders, and one for answers without a question."""
+    """Return a line about datagrams of other senders, and one about answers without a request."""
     lines: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]

@@ -1,4 +1,6 @@
-"""The contents of NatNet datagrams, as plain values. Positions are in metres, quaternions unit."""
+"""The contents of NatNet datagrams as plain values. Positions are in metres; quaternions have norm
+1.
+"""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -31,7 +33,7 @@ class Version(NamedTuple):
         return f"{self.major}.{self.minor}"
 
 
-OLDEST = Version(2, 6)  # before, frames do not say which bodies are tracked
+OLDEST = Version(2, 6)  # frames of older versions do not say which bodies are tracked
 NEWEST = Version(4, 3)
 
 
@@ -70,11 +72,13 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Server clock ticks of a frame (3.0 on); `ServerInfo.clock_hz` is their rate."""
+    """Times of a frame in ticks of the server's clock (from 3.0 on); `ServerInfo.clock_hz` is the
+    rate.
+    """
 
     exposure: int  # middle of the exposure
-    received: int  # the server had the camera data
-    transmit: int  # the datagram left
+    received: int  # when the server had the camera data
+    transmit: int  # when the datagram was sent
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,12 +92,12 @@ class NatNetFrame:
 
     @property
     def models_changed(self) -> bool:
-        """Rigid bodies were added or removed: ask for MODELDEF again."""
+        """Whether rigid bodies were added or removed, so that MODELDEF must be requested again."""
         return bool(self.params & 2)
 
     @property
     def edit_mode(self) -> bool:
-        """Motive is in edit mode: what it streams is a recording, not the robots."""
+        """Whether Motive is in edit mode, in which it streams a recording, not the robots."""
         return bool(self.params & 4)
 
 
@@ -109,15 +113,15 @@ class BodyName:
 class ModelDef:
     """The rigid bodies a server streams.
 
-    `complete` is False if a data set of unknown layout and unknown size (before 4.1) ended the
-    reading early: a missing name is then no proof that there is no such body.
+    `complete` is False if reading ended early at a data set of unknown layout and size (before
+    4.1): a body whose name is missing may then exist.
     """
 
     bodies: tuple[BodyName, ...]
     complete: bool = True
 
     def ids(self) -> dict[str, int]:
-        """Return name -> id."""
+        """Return the ids of the bodies by name."""
         return {body.name: body.id for body in self.bodies}
 
 
@@ -134,7 +138,7 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
-    """The answer to CONNECT; the last four fields come from 3.0 on, else None."""
+    """The answer to CONNECT; the last four fields exist from 3.0 on, otherwise None."""
 
     name: str
     app_version: Quad
@@ -146,7 +150,7 @@ class ServerInfo:
 
     @property
     def version(self) -> Version:
-        """The protocol version its frames are in, unless CONNECT pinned another."""
+        """The protocol version of the server's frames, unless CONNECT pinned another."""
         return Version(*self.natnet_version[:2])
 
 
@@ -159,21 +163,21 @@ class NatNetRequest:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The answer to a request: four bytes of number, or text; it depends on the request."""
+    """The answer to a request: depending on it, a number of four bytes or text."""
 
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """Asks for the server's clock; `client` comes back as it was sent."""
+    """A request for the server's clock; the answer repeats `client`."""
 
     client: int
 
 
 @dataclass(frozen=True, slots=True)
 class EchoResponse:
-    """The server's clock [ticks] when it answered."""
+    """The server's clock at its answer [ticks]."""
 
     client: int
     server: int
@@ -181,7 +185,7 @@ class EchoResponse:
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """A message whose id says all that is read of it, such as KEEPALIVE, REQUEST_MODELDEF, TEXT."""
+    """A message of which only the id is read, such as KEEPALIVE, REQUEST_MODELDEF, TEXT."""
 
     kind: MessageKind
 

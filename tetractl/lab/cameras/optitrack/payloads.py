@@ -1,13 +1,14 @@
-"""The payloads of FRAMEOFDATA and MODELDEF: rigid bodies are read, the rest is skipped.
+"""Reads rigid bodies from the payloads of FRAMEOFDATA and MODELDEF, and skips the rest.
 
-A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1
-every section also states its size in bytes; before, elements are measured one by one. The suffix
-is read from the tail, and a frame whose sections do not end exactly where it begins is refused.
+A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1 on,
+every section also states its size in bytes; before, elements are measured one by one. The suffix is
+read from the end, and a frame is refused if its sections do not end exactly where the suffix
+begins.
 
-MODELDEF says which rigid body has which id. From 4.1 on a data set states its size. Of a rigid
-body only name and id are read, and the rest is skipped by that size: Motive 3.4 has descriptions
-longer than those of 4.3. Before 4.1 a data set has to be measured; one of a type whose layout is
-not known ends the reading, and `ModelDef.complete` says so.
+MODELDEF gives each rigid body's id. From 4.1 on, a data set states its size: only name and id of a
+rigid body are read, and the rest is skipped by that size, as Motive 3.4 sends longer descriptions
+than 4.3. Before 4.1 a data set has to be measured; reading ends at a data set of unknown layout,
+and `ModelDef.complete` is then False.
 """
 
 import struct
@@ -32,7 +33,9 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A cursor in a payload of little-endian fields that only moves forward and stays inside."""
+    """A read position in a payload of little-endian fields; it only moves forward and stays
+    inside.
+    """
 
     __slots__ = ("at", "data", "end")
 
@@ -43,13 +46,13 @@ class Cursor:
 
     @property
     def left(self) -> int:
-        """Bytes up to the end."""
+        """Number of bytes up to the end."""
         return self.end - self.at
 
     def skip(self, size: int) -> None:
-        """Move on by `size` bytes."""
+        """Skip `size` bytes."""
         if not 0 <= size <= self.left:
-            raise WireError(f"{size} bytes wanted, {self.left} left")
+            raise WireError(f"{size} bytes expected, {self.left} left")
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:
@@ -63,9 +66,10 @@ class Cursor:
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
-        """Read the count of elements of at least `smallest` bytes each; it must fit what is left.
+        """Read the count of elements of at least `smallest` bytes each; they must fit into the
+        rest.
 
-        So neither loops nor memory ever exceed what the datagram's own size allows.
+        This limits loops and memory by the datagram's size.
         """
         count = self.i32()
         if not 0 <= count * smallest <= self.left:
@@ -105,7 +109,7 @@ def packed_name(name: str) -> bytes:
     return raw + b"\0"
 
 
-SIZED = Version(4, 1)  # from here on sections state their size
+SIZED = Version(4, 1)  # from this version on, sections state their size
 POSE = Struct("<i7f")
 BODY = Struct("<i7ffH")  # a whole body from 3.0 on, 38 bytes
 ERROR_AND_PARAMS = Struct("<fH")
@@ -113,7 +117,7 @@ MARKER_IN_BODY = 20  # position, id, size
 
 
 def suffix_layout(version: Version) -> Struct:
-    """Return the layout of what follows the last section."""
+    """Return the layout of the suffix, which follows the last section."""
     if version < (2, 7):
         return Struct("<fIIfHi")
     if version < (3, 0):
@@ -124,17 +128,19 @@ def suffix_layout(version: Version) -> Struct:
 
 
 def smallest_body(version: Version) -> int:
-    """Return the size of a rigid body without markers."""
+    """Return the size of a rigid body without markers [bytes]."""
     return BODY.size if version >= (3, 0) else POSE.size + 4 + ERROR_AND_PARAMS.size
 
 
 def labelled_size(version: Version) -> int:
-    """Return the size of a labelled marker."""
+    """Return the size of a labelled marker [bytes]."""
     return 26 if version >= (3, 0) else 22
 
 
 def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
-    """Read a frame; versions above 4.3 are read as 4.3, which fits or raises."""
+    """Read a frame; versions above 4.3 are read as 4.3, with WireError if the layout does
+    not fit.
+    """
     if version < OLDEST:
         raise WireError(f"protocol {version} is older than {OLDEST}")
     suffix = suffix_layout(version)
@@ -148,7 +154,7 @@ def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
             _skip(cursor, version, section)
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
-    fields = suffix.unpack_from(payload, cursor.end)  # params are the last but one
+    fields = suffix.unpack_from(payload, cursor.end)  # params are the last field but one
     ticks = Ticks(*fields[3:6]) if version >= (3, 0) else None
     return NatNetFrame(number, bodies, fields[-2], ticks)
 
@@ -157,7 +163,7 @@ def _bodies(cursor: Cursor, version: Version) -> tuple[RigidBody, ...]:
     smallest = smallest_body(version)
     count = cursor.count(smallest)
     if version >= SIZED and cursor.size(count, smallest) != count * smallest:
-        raise WireError("the size of the rigid bodies is not theirs")
+        raise WireError("the stated size of the rigid bodies is wrong")
     return tuple(_body(cursor, version) for _ in range(count))
 
 
@@ -196,8 +202,8 @@ def _skip_channels(cursor: Cursor, version: Version) -> None:
 @dataclass(frozen=True, slots=True)
 class _Section:
     since: Version
-    smallest: Callable[[Version], int]  # bytes of one element at least
-    skip_one: Callable[[Cursor, Version], None] | None  # None: all elements are that size
+    smallest: Callable[[Version], int]  # least size of an element [bytes]
+    skip_one: Callable[[Cursor, Version], None] | None  # None: all elements have that size
 
 
 def _skip(cursor: Cursor, version: Version, section: _Section) -> None:
@@ -255,7 +261,7 @@ def _named(cursor: Cursor) -> BodyName:
 
 
 def _whole_description(cursor: Cursor, version: Version) -> BodyName:
-    """Read a body's whole description, of a version that does not state its size."""
+    """Read a body's complete description, in a version that does not state its size."""
     body = _named(cursor)
     cursor.skip(12)
     if version >= (3, 0):

@@ -1,5 +1,6 @@
-"""From a rigid body to a robot's pose in the spec's coordinates, or to nothing if it cannot be
-trusted."""
+"""Converts a rigid body to a robot's pose in the spec's coordinates, or to None if it cannot be
+trusted.
+"""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ NORM_TOLERANCE = 1e-3
 
 
 class UpAxis(IntEnum):
-    """The server's vertical axis, as `UpAxis` answers it."""
+    """The server's vertical axis, as in the answer to `UpAxis`."""
 
     Y = 1
     Z = 2
@@ -22,8 +23,8 @@ class UpAxis(IntEnum):
 def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
     """Return a body's pose on the floor in the server's axes; lengths in m, angles in rad.
 
-    The heading is that of its own +x axis plus the robot's offset, in [-pi, pi]; the tilt is the
-    angle between its own vertical axis and the server's.
+    The heading is that of the body's +x axis plus the robot's offset, in [-pi, pi]; the tilt is the
+    angle between the body's vertical axis and the server's.
 
     With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
     With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
@@ -48,7 +49,9 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """Where the cameras' axes lie in the spec's coordinates; `scale` length units to a metre."""
+    """The cameras' axes in the spec's coordinates; `scale` is the number of length units per
+    metre.
+    """
 
     x: float
     y: float
@@ -57,7 +60,7 @@ class Placement:
 
     @classmethod
     def of(cls, section: OptitrackSection, metres: float) -> "Placement":
-        """Return the placement that a spec gives; `metres` in its length unit."""
+        """Return the placement in a spec whose length unit is `metres`."""
         return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:

@@ -18,9 +18,9 @@ Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
 def _version_as_text(value: Any) -> Any:
-    """Return a version that YAML reads as a number, such as 4.1, as the text that it stands for.
+    """Return the text of a version that YAML reads as a number, such as 4.1.
 
-    YAML reads 2.10 as 2.1, which is no version of frames that can be read: it needs quotes.
+    YAML reads 2.10 as 2.1, whose frames cannot be read: it needs quotes.
     """
     if not isinstance(value, int | float) or isinstance(value, bool):
         return value
@@ -34,20 +34,20 @@ _Version = Annotated[str, Field(pattern=r"^[2-4]\.\d{1,2}$")]
 VersionText = Annotated[
     _Version, BeforeValidator(_version_as_text, json_schema_input_type=_Version | float)
 ]
-"""A protocol version as text; if its minor number has one digit, a number will do."""
+"""A protocol version as text, or as a number if its minor version has one digit."""
 
 
 class TrackedRobot(RobotPart):
     """A robot's entry in the cameras' section."""
 
     body: str | int
-    """Its rigid body in the camera system: name or id."""
+    """Name or id of the robot's rigid body in the camera system."""
     heading_offset: Finite = 0.0
     """Added to the rigid body's heading [rad]."""
 
 
 class OptitrackSection(CameraSection):
-    """OptiTrack cameras behind a Motive server that speaks NatNet."""
+    """OptiTrack cameras with a Motive server that streams by NatNet."""
 
     device: ClassVar[str] = "tetractl.lab.cameras.optitrack.camera:OptitrackCamera"
     type: Literal["optitrack"]
@@ -57,39 +57,40 @@ class OptitrackSection(CameraSection):
     """Address of this computer's network card that reaches the cameras: IPv4; 0.0.0.0 lets the
     system choose."""
     transport: Literal["multicast", "unicast"] = "multicast"
-    """How the server streams; as set in Motive."""
+    """Transmission mode of the stream, as set in Motive."""
     command_port: Port = 1510
-    """The server's port for commands."""
+    """The server's UDP port for commands."""
     data_port: Port = 1511
-    """Port of the multicast stream; unused in unicast."""
+    """UDP port of the multicast stream; unused in unicast."""
     group: Ipv4 = "239.255.42.99"
     """Address of the multicast stream: IPv4."""
     version: VersionText | None = None
-    """Protocol version to ask for: major.minor, such as 4.1, or in quotes if it ends in 0, as
-    '2.10'; the server's own by default, and always so in multicast."""
+    """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, as
+    '2.10'; by     default, and always in multicast, the server's own.
+    """
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)
-    """Where the cameras' origin lies in the spec's coordinates [length unit]."""
+    """Position of the cameras' origin in the spec's coordinates [length unit]."""
     rotation: Finite = 0.0
-    """Turn from the spec's x axis to the cameras' [rad]."""
+    """Angle from the spec's x axis to the cameras' x axis [rad]."""
     connect: Positive = 2.0
-    """How long the server may take to answer, and then to stream [s]."""
+    """Longest time for the server to answer, and again for it to stream [s]."""
     robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
-    """Every robot of the spec, once."""
+    """Rigid body of every robot of the spec, once each."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield where robots or the version cannot be as they are given."""
+        """Yield the location and description of invalid robots or an unusable version."""
         yield from mismatches(self.robots, setup.names, ("body",))
         if self.version is not None and self.transport == "multicast":
             yield ("version",), "can only be asked for in unicast; leave it out"
 
     def bounds(self) -> dict[str, str]:
-        """Return the server's address."""
+        """Return the server's address for display, {name: text}."""
         return {"cameras": f"{self.server}:{self.command_port}, {self.transport}"}
 
     def heading_offset(self, name: str) -> float:
-        """Return what is added to the heading of a robot's rigid body [rad]."""
+        """Return the angle added to the heading of a robot's rigid body [rad]."""
         return self.robot(name).heading_offset
 
     def robot(self, name: str) -> TrackedRobot:

@@ -1,7 +1,7 @@
-"""Which datagrams come from the camera server: its address, and one port for each kind.
+"""Decides which datagrams come from the camera server, by its address and one port for each kind.
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
-the one that SERVERINFO reports (from 3.0 on), else the one of the first frame that could be read.
+the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
 NatNet signs nothing: packets from the server's address and port are trusted.
 """
 
@@ -10,12 +10,12 @@ from dataclasses import dataclass
 
 from tetractl.lab.cameras.optitrack.natnet_messages import MessageKind
 
-KINDS_KEPT = 64  # senders that refused datagrams are distinguished by, at most
+KINDS_KEPT = 64  # largest number of senders whose refused datagrams are counted separately
 
 
 @dataclass(frozen=True, slots=True)
 class Sender:
-    """Where datagrams came from, and whether they were frames or answers."""
+    """The origin of datagrams: address and port, and whether they were frames or answers."""
 
     host: str
     port: int
@@ -32,13 +32,13 @@ class Senders:
         self.server, self.command_port = server, command_port
         self.frames_port: int | None = None
         self.refused: Counter[Sender] = Counter()
-        self.refused_frame = b""  # the newest one
+        self.refused_frame = b""  # the newest refused frame
 
     def admit(self, datagram: bytes, host: str, port: int) -> bool:
-        """Return whether a datagram comes from where its kind has to come from.
+        """Return whether a datagram comes from the address and port for its kind.
 
-        Until the frames' port is known, frames are admitted from every port of the server. What
-        is of no known kind counts as a frame: it may be a damaged one.
+        Until the frames' port is known, frames are admitted from every port of the server. A
+        datagram of unknown kind counts as a frame, since it may be a damaged one.
         """
         kind = int.from_bytes(datagram[:2], "little")
         frame = kind == MessageKind.FRAME or kind not in set(MessageKind)
@@ -53,11 +53,12 @@ class Senders:
         return False
 
     def pin(self, port: int | None) -> None:
-        """Admit frames from this port alone from now on; the first port stays."""
+        """Admit frames only from this port from now on; later calls change nothing."""
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return the sender of most of the refused frames, or answers, and their number; None for
-        none."""
+        """Return the sender of most refused frames, or answers, and their number; None if none were
+        refused.
+        """
         found = [item for item in self.refused.most_common() if item[0].frames is frames]
         return found[0] if found else None

@@ -1,13 +1,13 @@
-"""A NatNet connection without its sockets: datagrams in, camera frames and counts out.
+"""A NatNet connection without its sockets: turns datagrams into camera frames and counts.
 
 The same code reads a live server and a recorded wire.
 
 The server's clock on the host's, its offset and drift, comes from echoes. An echo says that the
 server's clock read `ticks` at some time between its sending and its return; halfway is the best
-guess, wrong by half the round trip at most. So the echoes of shortest round trip decide, and the
-drift is fitted to those. Two echoes also bound how the clock ran between them, however late the
-network or the host was. A clock that gained or lost more than `DRIFT_MAX` was set or runs wrongly:
-`fault` says so.
+guess, with an error of at most half the round trip. Therefore only the echoes with the shortest
+round trips are used, also for the fit of the drift. Two echoes also bound the clock's rate between
+them, even with a slow network or host. If a clock gained or lost more than `DRIFT_MAX`, it was set
+or runs wrongly, and `fault` says so.
 """
 
 from collections import Counter, deque
@@ -35,14 +35,16 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
 
 KEPT = 120
-BEST = 0.25  # share of the echoes that decide
-DRIFT_SPAN = 5 * SECOND  # echoes must span this for a drift to be distinguished from noise
+BEST = 0.25  # fraction of the echoes, with the shortest round trips, that are used
+DRIFT_SPAN = 5 * SECOND  # least time span of the echoes for a fit of the drift
 DRIFT_MAX = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One echo: host time halfway [ns], what the server's clock read there [ns], round trip."""
+    """One echo: host time halfway [ns], the server's clock at that time [ns], and round trip
+    [ns].
+    """
 
     host_ns: int
     server_ns: int
@@ -50,18 +52,18 @@ class Echo:
 
 
 class ClockSync:
-    """Maps the ticks of a server's clock to the host's clock; without an echo it cannot."""
+    """Maps the ticks of a server's clock to the host's clock; needs at least one echo."""
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
-        self.drift = 0.0  # the server gains this much on the host, per unit of time
-        self.fault = ""  # the fault of the clock, permanent
+        self.drift = 0.0  # time by which the server's clock gains on the host's, per unit of time
+        self.fault = ""  # description of a fault of the clock, kept for good
         self._echoes: deque[Echo] = deque(maxlen=KEPT)
         self._at = Echo(0, 0, 0)
 
     @property
     def synced(self) -> bool:
-        """Whether `to_host` can convert a time."""
+        """Whether there is an echo, so that `to_host` can convert times."""
         return bool(self._echoes)
 
     @property
@@ -83,17 +85,18 @@ class ClockSync:
         self.drift = _slope(best)
 
     def to_host(self, ticks: int) -> int:
-        """Return the host time [ns] when the server's clock read `ticks`."""
+        """Return the host time [ns] at which the server's clock showed `ticks`."""
         since = self._ns(ticks) - self._at.server_ns
         return self._at.host_ns + round(since / (1.0 + self.drift))
 
     def error_ns(self, host_ns: int) -> int:
-        """Return how far `to_host` may be off at a time of the host's [ns]."""
-        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)  # `drift` is off by twice at most
+        """Return the largest error of `to_host` near a host time [ns]."""
+        # the error of `drift` is at most twice DRIFT_MAX
+        drifted = 2 * DRIFT_MAX * abs(host_ns - self._at.host_ns)
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return the fault of the clock since an earlier echo, "" for none."""
+        """Return a description of the clock's fault since an earlier echo, "" if there is none."""
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
             gained = new.server_ns - old.server_ns - span
@@ -115,7 +118,9 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Least squares slope of server minus host against host; 0 if it cannot be estimated."""
+    """Return the least-squares slope of server minus host time over host time, 0 if it cannot be
+    estimated.
+    """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:
@@ -127,18 +132,18 @@ def _slope(echoes: list[Echo]) -> float:
     return max(-DRIFT_MAX, min(DRIFT_MAX, slope))
 
 
-AGE_MAX_NS = 60_000_000_000  # a frame said to be older than this was not exposed by these cameras
-MISTIMED = 5  # impossible times of exposure in a row: no damage, but the clock
-REORDERED = 10  # a frame this little behind the newest was overtaken on its way
+AGE_MAX_NS = 60_000_000_000  # a frame with a larger age was not exposed by these cameras
+MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
+REORDERED = 10  # a frame up to this number behind the newest was overtaken in the network
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
-ECHOES = 64  # unanswered questions for the time that an answer is matched to
+ECHOES = 64  # number of unanswered time requests to which an answer can be matched
 
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A robot as the cameras know it: a rigid body by name or id, and its heading offset [rad]."""
+    """A robot's rigid body, by name or id, and its heading offset [rad]."""
 
     body: str | int
     heading_offset: float = 0.0
@@ -146,14 +151,14 @@ class Tracked:
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Counts of datagrams by what became of them; every number only grows."""
+    """Counts of datagrams by result; every count only grows."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames
-    overtaken: int = 0  # frames behind a newer one, or twice the same
-    bad: int = 0  # datagrams that are no NatNet message
+    overtaken: int = 0  # frames that arrived after a newer one, or twice
+    bad: int = 0  # datagrams that are not NatNet messages
     early: int = 0  # frames and models before the version was known
-    unasked: int = 0  # answers to no question of ours
+    unasked: int = 0  # answers to which no request was open
     unread_frames: int = 0  # of the bad ones
     unread_models: int = 0  # of the bad ones
 
@@ -161,8 +166,8 @@ class StreamCounts:
 class Stream:
     """The state of a server and its newest frame.
 
-    `pinned` is the version CONNECT asked for, in unicast; `up` the vertical axis if the spec
-    gives it. `feed` never raises on data. Times are ns on the host's clock.
+    `pinned` is the version that CONNECT requested, in unicast; `up` is the vertical axis if the
+    spec gives it. `feed` never raises on data. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
     `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame reports
@@ -199,16 +204,16 @@ class Stream:
         self._awaited: Counter[type[Message]] = Counter()
         self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
-        self._mistimed = 0  # in a row
-        self._twins = ""  # which name in the models is that of two bodies
+        self._mistimed = 0  # number of successive frames with an impossible time
+        self._twins = ""  # message about a name that two bodies share
 
     @property
     def version(self) -> Version | None:
-        """The protocol version frames come in, None before SERVERINFO."""
+        """The protocol version of frames, None before SERVERINFO."""
         return self._pinned if self._pinned and self.info else self.info and self.info.version
 
     def number(self, body: str | int) -> int | None:
-        """Return the id that a body has in frames, None if its name is not known."""
+        """Return a body's id in frames, None if its name is unknown."""
         if isinstance(body, int):
             return body
         return self.model.ids().get(body) if self.model else None
@@ -218,7 +223,7 @@ class Stream:
         return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
 
     def asked(self, message: Message) -> None:
-        """Note a message of ours: its answer will be taken, any other is counted and dropped."""
+        """Record a request that was sent: only answers to recorded requests are accepted."""
         match message:
             case NatNetRequest(text):
                 self._asked = text
@@ -232,7 +237,7 @@ class Stream:
                 pass
 
     def feed(self, datagram: bytes, received_ns: int) -> Message | None:
-        """Take one datagram; return what it says, None for one that is dropped and counted."""
+        """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
             if not self._expected(message):
@@ -257,7 +262,7 @@ class Stream:
             self.counts.unread_models += 1
 
     def _expected(self, message: Message) -> bool:
-        """Return whether an answer is to a question of ours, which it then closes."""
+        """Return whether an answer belongs to an open request, which it then closes."""
         match message:
             case ServerInfo() | ModelDef():
                 awaited = self._awaited[type(message)] > 0
@@ -298,7 +303,7 @@ class Stream:
         elif asked == UNITS:
             unit_mm = response_float(response)
             if not 1e-3 <= unit_mm <= 1e6:
-                raise WireError(f"no unit of length: {unit_mm:g} mm")
+                raise WireError(f"not a unit of length: {unit_mm:g} mm")
             self.unit_mm = unit_mm
             if abs(unit_mm - METRE_MM) > 1e-3 * METRE_MM:
                 self._fault = self._fault or (
@@ -346,7 +351,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return a message if two bodies have one robot's name, else ""."""
+        """Return a message if two bodies have the same robot's name, otherwise ""."""
         for robot in self.robots:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:

@@ -1,4 +1,4 @@
-"""NatNet datagrams of a server to messages, and a client's messages to datagrams."""
+"""Parses a server's NatNet datagrams, and packs a client's messages."""
 
 import struct
 
@@ -27,14 +27,14 @@ SERVER_INFO = SENDER + 15  # from 3.0: u64 clock, u16 data port, u8 multicast, g
 def parse(datagram: bytes, version: Version | None = None) -> Message:
     """Read one datagram of a server.
 
-    Frames and models need the version that SERVERINFO reported (or CONNECT pinned); the other
-    messages do not. Raises WireError, and nothing else, whatever the bytes are.
+    Frames and models need the version that SERVERINFO reported (or CONNECT pinned); other messages
+    do not. For any bytes, raises no error other than WireError.
     """
     kind, payload = split(datagram)
     match kind:
         case MessageKind.FRAME | MessageKind.MODELDEF:
             if version is None:
-                raise WireError(f"{kind.name} before the protocol version is known")
+                raise WireError(f"{kind.name} received before the protocol version is known")
             read = parse_frame if kind is MessageKind.FRAME else parse_modeldef
             return read(payload, version)
         case MessageKind.SERVER_INFO:
@@ -48,7 +48,7 @@ def parse(datagram: bytes, version: Version | None = None) -> Message:
 
 
 def pack(message: Message) -> bytes:
-    """Pack one datagram of a client; WireError for what only a server sends."""
+    """Pack one datagram of a client; WireError for a message that only a server sends."""
     match message:
         case Connect():
             payload = sender(message.name, message.app_version, message.natnet_version)
@@ -64,18 +64,22 @@ def pack(message: Message) -> bytes:
         case Bare(MessageKind.REQUEST_MODELDEF | MessageKind.DISCONNECT as kind):
             return datagram(kind, b"\0")
         case _:
-            raise WireError(f"no client sends this: {type(message).__name__}")
+            raise WireError(f"a client does not send {type(message).__name__}")
 
 
 def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     """Return a datagram's kind and payload; WireError unless its header is right."""
     if len(datagram) < HEADER:
-        raise WireError(f"a datagram of {len(datagram)} bytes")
+        raise WireError(
+            f"a datagram of {len(datagram)} bytes is too short or too long is too short or "
+            "too long is too short or "
+            "too long is too short"
+        )
     code = int.from_bytes(datagram[:2], "little")
     size = int.from_bytes(datagram[2:4], "little")
     payload = bytes(datagram[HEADER:])
     if size != len(payload):
-        raise WireError(f"the header says {size} bytes, {len(payload)} came")
+        raise WireError(f"the header states {size} bytes, {len(payload)} were received")
     try:
         return MessageKind(code), payload
     except ValueError:
@@ -116,33 +120,33 @@ def _server_info(payload: bytes) -> ServerInfo:
 
 
 def sender(name: str, app: Quad, natnet: Quad) -> bytes:
-    """Pack what CONNECT and SERVERINFO begin with: name and versions."""
+    """Pack the sender's name and versions, with which CONNECT and SERVERINFO begin."""
     return packed_name(name).ljust(256, b"\0") + packed("4B4B", *app, *natnet)
 
 
 def read_sender(payload: bytes) -> tuple[str, Quad, Quad]:
-    """Read what CONNECT and SERVERINFO begin with."""
+    """Read the sender's name and versions, with which CONNECT and SERVERINFO begin."""
     if len(payload) < SENDER:
-        raise WireError(f"name and versions in {len(payload)} bytes")
+        raise WireError(f"{len(payload)} bytes are too few for name and versions")
     return read_text(payload[:256]), quad(payload, 256), quad(payload, 260)
 
 
 def quad(payload: bytes, at: int) -> Quad:
-    """Read four bytes, such as an address or a version."""
+    """Return four bytes at an offset as a tuple, such as an address or a version."""
     a, b, c, d = payload[at : at + 4]
     return a, b, c, d
 
 
 def read_text(payload: bytes) -> str:
-    """Read text up to its NUL, or to the end; after the NUL there may be anything."""
+    """Read text up to its NUL, or to the end; bytes after the NUL are ignored."""
     raw = payload[:257].partition(b"\0")[0]
     if len(raw) > 256:
-        raise WireError("text too long")
+        raise WireError("the text is too long for its field")
     return raw.decode("utf-8", "replace")
 
 
 def u64(payload: bytes, at: int, size: int) -> int:
-    """Read a u64 of a payload that must have `size` bytes."""
+    """Read an unsigned 64-bit integer from a payload that must have `size` bytes."""
     if len(payload) != size:
         raise WireError(f"{size} bytes expected, not {len(payload)}")
     return int.from_bytes(payload[at : at + 8], "little")

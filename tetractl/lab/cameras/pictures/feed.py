@@ -1,4 +1,4 @@
-"""What an open source of pictures does, and what comes out of it."""
+"""The interface of an open source of pictures, and its pictures."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,22 +7,24 @@ import numpy as np
 
 
 class SourceEndedError(Exception):
-    """No picture will come any more; the message is a clause that says why."""
+    """The source has ended and gives no more pictures; the message says why."""
 
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture as it came: pixels (height, width, 3) or a JPEG file, and its time of arrival."""
+    """A picture as received: pixels (height, width, 3) or a JPEG file, and its time of arrival
+    [ns].
+    """
 
     content: np.ndarray | bytes
     received_ns: int
 
 
 class Feed(Protocol):
-    """An open source. One thread reads and closes; any may interrupt.
+    """An open source. One thread reads and closes it; any thread may interrupt.
 
-    Pictures of a `live` source come whether they are read or not. `rate_hz` is what it promises,
-    None if it promises nothing. An `emulated` source does not show real robots.
+    A `live` source delivers pictures even if they are not read. `rate_hz` is the declared rate,
+    None if unknown. An `emulated` source does not show real robots.
     """
 
     live: bool
@@ -31,11 +33,11 @@ class Feed(Protocol):
 
     @property
     def damaged(self) -> int:
-        """Parts of a stream that could not be read; only grows."""
+        """Number of parts of the stream that could not be read; only grows."""
         ...
 
     def read(self) -> Picture:
-        """Wait for the next picture; SourceEndedError if none will come."""
+        """Wait for the next picture; SourceEndedError if the source has ended."""
         ...
 
     def interrupt(self) -> None:

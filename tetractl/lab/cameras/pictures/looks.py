@@ -1,4 +1,4 @@
-"""The last pictures that a camera searched, and what their stream is like; no I/O."""
+"""Results for the last pictures that a camera searched, and statistics of their stream; no I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -9,15 +9,15 @@ from tetractl.core.clock import SECOND
 
 LOOKS = 20  # pictures
 SILENT_NS = SECOND // 2
-SLOW_HZ = 20.0  # below, one lost picture looks like a lost stream
-SLOWER = 0.8  # of the declared rate
+SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
+SLOWER = 0.8  # fraction of the declared rate below which a source counts as slow
 
 S = TypeVar("S")
 
 
 @dataclass(frozen=True, slots=True)
 class Look(Generic[S]):
-    """One picture: its number, arrival, the time that searching it took, and what it shows."""
+    """One searched picture: its number, its arrival, the duration of the search, and the result."""
 
     number: int
     received_ns: int
@@ -26,7 +26,7 @@ class Look(Generic[S]):
 
 
 def rate_hz(looks: Sequence[Look[Any]]) -> float | None:
-    """Return how many pictures per second came, skipped ones included."""
+    """Return the rate of received pictures, including skipped ones [Hz]."""
     if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
         return None
     span = looks[-1].received_ns - looks[0].received_ns
@@ -34,7 +34,7 @@ def rate_hz(looks: Sequence[Look[Any]]) -> float | None:
 
 
 def search_ms(looks: Sequence[Look[Any]]) -> float:
-    """Return how long searching a picture took, in the median [ms]."""
+    """Return the median duration of searching a picture [ms]."""
     return statistics.median(look.search_ns for look in looks) / 1e6
 
 

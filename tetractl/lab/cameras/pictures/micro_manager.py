@@ -1,7 +1,8 @@
 """Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; never tried on a real one.
 
-By its documentation the core fills a circular buffer while a sequence runs. Every picture is taken
-out of it as it comes, so that none waits there; the camera skips and counts those it cannot search.
+By its documentation, the core fills a circular buffer while a sequence runs. Each picture is taken
+out at once, so that none waits in the buffer; the camera skips and counts pictures it has no time
+for.
 """
 
 import threading
@@ -20,8 +21,9 @@ SILENT_NS = 10 * SECOND
 
 
 class MicroManagerFeed:
-    """A camera that Micro-Manager knows: the upper eight bits of its grey levels, or the mean of
-    red, green and blue."""
+    """A camera configured in Micro-Manager; pictures are the upper eight bits of its grey levels,
+    or the mean of red, green and blue.
+    """
 
     live = True
     rate_hz: float | None = None
@@ -44,7 +46,7 @@ class MicroManagerFeed:
             self._core.loadSystemConfiguration(source.config)
             self._shift = max(0, self._core.getImageBitDepth() - 8)
             self._core.startContinuousSequenceAcquisition(0.0)
-        except RuntimeError as error:  # as the core's own errors come
+        except RuntimeError as error:  # the type of the core's own errors
             self._core.reset()
             raise AbortError(
                 f"{source.config}: {error}", "does Micro-Manager itself show this camera live?"
@@ -61,12 +63,14 @@ class MicroManagerFeed:
             except RuntimeError as error:
                 raise SourceEndedError(f"Micro-Manager says: {error}") from error
             if not running or self._clock.now() > silent:
-                raise SourceEndedError("Micro-Manager's camera delivers no more")
+                raise SourceEndedError(
+                    "Micro-Manager's camera delivers no more pictures pictures pictures"
+                )
             self._clock.sleep_until(self._clock.now() + WAIT_NS)
         raise SourceEndedError("Micro-Manager's camera was closed")
 
     def interrupt(self) -> None:
-        """Make a `read` that waits end soon."""
+        """Make a waiting `read` end soon."""
         self._closing.set()
 
     def close(self) -> None:

@@ -1,29 +1,29 @@
-"""The parts of a multipart/x-mixed-replace stream, whatever arrives; without sockets.
+"""Splits a multipart/x-mixed-replace stream into parts, for any bytes; without sockets.
 
     --boundary CRLF  header lines CRLF  CRLF  body CRLF   --boundary CRLF ...
 
-A body ends after its Content-Length or, without one, at the next boundary. What cannot be read is
+A body ends after its Content-Length or, without one, at the next boundary. Unreadable bytes are
 dropped up to the next boundary and counted.
 """
 
-HEAD_MAX = 4096  # bytes of a part's header lines
+HEAD_MAX = 4096  # most bytes of a part's header lines
 BODY_MAX = 1 << 23
 _BLANK = b"\r\n\r\n"
 
 
 class Multipart:
-    """Cuts a stream of bytes into bodies; holds one part at most."""
+    """Splits a stream of bytes into the bodies of parts; buffers at most one part."""
 
     def __init__(self, boundary: str) -> None:
         self.damaged = 0
         self._mark = b"--" + boundary.lstrip("-").encode("latin-1", "replace")
         self._held = bytearray()
-        self._inside = False  # the bytes held begin after a boundary
-        self._scanned = 0  # bytes held that are known to contain no end of the part
+        self._inside = False  # whether the buffer begins after a boundary
+        self._scanned = 0  # number of buffered bytes already searched for the end of the part
         self._bodies: list[bytes] = []
 
     def feed(self, data: bytes) -> list[bytes]:
-        """Return the bodies that are complete with these bytes, oldest first."""
+        """Take bytes; return the bodies that they complete, oldest first."""
         self._held += data
         while self._part() if self._inside else self._find():
             pass
@@ -31,7 +31,7 @@ class Multipart:
         return bodies
 
     def _find(self) -> bool:
-        """Drop everything up to the next boundary; return whether there is one."""
+        """Drop the bytes up to the next boundary; return whether there is one."""
         at = self._held.find(self._mark)
         if at < 0:
             del self._held[: max(0, len(self._held) - len(self._mark) + 1)]
@@ -40,7 +40,7 @@ class Multipart:
         return True
 
     def _part(self) -> bool:
-        """Finish the part that the held bytes begin; return whether it is finished."""
+        """Try to complete the part at the start of the buffer; return whether that succeeded."""
         head = self._held.find(_BLANK, 0, HEAD_MAX)
         cut = self._held.find(self._mark, 0, head if head >= 0 else HEAD_MAX)
         if cut >= 0 or (head < 0 and len(self._held) >= HEAD_MAX):
@@ -55,7 +55,7 @@ class Multipart:
         self._scanned = max(start, len(self._held) - len(self._mark) + 1)
         if length is None:
             return self._unmeasured(start, end)
-        if 0 <= end < start + length:  # the boundary comes before the body is full
+        if 0 <= end < start + length:  # a boundary comes before the stated length of the body
             return self._drop()
         if len(self._held) < start + length:
             return False
@@ -81,7 +81,7 @@ class Multipart:
 
 
 def _content_length(head: bytes) -> int | None:
-    """Return a part's Content-Length, None without one, -1 if it is no number."""
+    """Return a part's Content-Length, None without one, -1 if it is not a number."""
     for line in head.split(b"\r\n"):
         name, _, value = line.partition(b":")
         if name.strip().lower() == b"content-length":

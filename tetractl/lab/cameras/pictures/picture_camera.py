@@ -19,7 +19,7 @@ from tetractl.lab.cameras.pictures.looks import LOOKS, Look
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
-KEPT = 4096  # frames not fetched yet
+KEPT = 4096  # most frames kept until they are fetched
 WAIT_S = 0.05
 CLOSE_S = 2.0
 
@@ -29,12 +29,12 @@ class SearchedPicture(Protocol):
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:
-        """one per robot."""
+        """The robots' poses, one per robot, None if not tracked."""
         ...
 
     @property
     def strangers(self) -> tuple[Pose, ...]:
-        """Objects that are not robots of the spec."""
+        """Poses of objects that are not robots of the spec."""
         ...
 
 
@@ -42,10 +42,10 @@ S = TypeVar("S", bound=SearchedPicture)
 
 
 class PictureCamera(ABC, Generic[S]):
-    """Tracks robots in pictures; a `Camera` except for what is searched in them.
+    """Tracks robots in pictures; a `Camera` without the search, which subclasses implement.
 
-    `wake` is called, in the finding thread, after every new frame. A frame is numbered by its
-    picture: if a live source outruns the finding, numbers are missing. Frames never carry a
+    `wake` is called, in the searching thread, after every new frame. A frame has its picture's
+    number: if a live source is faster than the search, numbers are missing. Frames never have a
     `fault`.
     """
 
@@ -58,7 +58,7 @@ class PictureCamera(ABC, Generic[S]):
         self._feed: Feed | None = None
         self._size: tuple[int, ...] | None = None
         self._next: queue.Queue[tuple[int, Picture]] = queue.Queue(maxsize=1)
-        self._unread = 0  # pictures that could not be decoded
+        self._unread = 0  # number of pictures that could not be decoded
         self._skipped = 0
         self._ended = ""
         self._changed = threading.Condition()
@@ -67,7 +67,9 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Return the robots and strangers in a picture, None if there is no frame yet."""
+        """Search a picture; return its robots and strangers, None if it gives no frame, as while
+        learning.
+        """
 
     @abstractmethod
     def check(self) -> Health:
@@ -80,7 +82,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @property
     def damaged(self) -> int:
-        """Parts of the stream and pictures that could not be read."""
+        """Number of parts of the stream and pictures that could not be read."""
         return self._unread + (0 if self._feed is None else self._feed.damaged)
 
     @property
@@ -123,7 +125,7 @@ class PictureCamera(ABC, Generic[S]):
             thread.join(CLOSE_S)
 
     def _look(self) -> tuple[Look[S], ...]:
-        """Wait for some pictures and return the last ones, oldest first."""
+        """Wait for some pictures and return the results for the last ones, oldest first."""
         first = self._looks[-1].number if self._looks else 0
 
         def enough() -> bool:
@@ -134,7 +136,7 @@ class PictureCamera(ABC, Generic[S]):
         return tuple(self._looks)
 
     def _read(self, feed: Feed) -> None:
-        """Put every picture in the queue; of a live source only the newest is kept."""
+        """Read pictures into the queue, in which only the newest of a live source is kept."""
         number = 0
         try:
             while not self._closing.is_set():
@@ -171,10 +173,10 @@ class PictureCamera(ABC, Generic[S]):
         try:
             grey = decoded(picture, self._size)
             if grey is None or (self._size is not None and grey.shape != self._size):
-                self._unread += 1  # of another size, it does not fit the calibration
+                self._unread += 1  # a picture of another size does not fit the calibration
                 return
             seen = self._see(grey, exposed)
-        except cv2.error:  # OpenCV refuses the picture or what is in it
+        except cv2.error:  # OpenCV cannot process this picture
             self._unread += 1
             return
         self._size = grey.shape

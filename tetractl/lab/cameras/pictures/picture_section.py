@@ -1,4 +1,4 @@
-"""The part of a spec that all cameras with pictures share: where pictures come from.
+"""The part of a spec shared by all cameras that search pictures: the source of the pictures.
 
 OpenCV is imported only if the camera is built.
 """
@@ -15,16 +15,16 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import CameraSection
 
-PIXELS_MAX = 8192  # of a picture's side
+PIXELS_MAX = 8192  # longest side of a picture [px]
 Pixels = Annotated[int, Field(ge=64, le=PIXELS_MAX)]
 
 
 class DeviceSource(Model):
-    """A camera at this computer, as OpenCV opens it."""
+    """A camera connected to this computer, opened by OpenCV."""
 
     type: Literal["device"]
     index: int = Field(default=0, ge=0, le=63)
-    """Its number: 0 for /dev/video0."""
+    """Number of the camera: 0 for /dev/video0."""
     width: Pixels = 1280
     """Columns of a picture [px]."""
     height: Pixels = 720
@@ -40,7 +40,7 @@ class FileSource(Model):
 
     type: Literal["file"]
     path: str = Field(min_length=1, max_length=500)
-    """The file, absolute or relative to the working directory."""
+    """Path of the video file, absolute or relative to the working directory."""
 
 
 class MjpegSource(Model):
@@ -83,15 +83,15 @@ class PictureSection(CameraSection):
     """A camera that searches the pictures of its `source`."""
 
     source: Source
-    """Where pictures come from."""
+    """Source of the pictures."""
     latency: NonNegative = 0.05
-    """From exposure to arrival of a picture [s]; no source reports it."""
+    """Time from exposure to arrival of a picture [s], which no source reports."""
     connect: Positive = 5.0
-    """How long the source may take to open, and then to deliver [s]."""
+    """Longest time for the source to open, and again for a first picture [s]."""
 
     @property
     def source_name(self) -> str:
-        """Name of the source, for display."""
+        """Name of the source for display, such as its address."""
         return named(self.source)
 
     def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:

@@ -1,4 +1,4 @@
-"""Where pictures come from: a camera at this computer, a video file, a network camera."""
+"""Sources of pictures: a camera at this computer, a video file, a network camera."""
 
 import http.client
 import io
@@ -32,12 +32,12 @@ from tetractl.lab.cameras.pictures.picture_section import (
 
 CHUNK = 1 << 16
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
-END_WITHIN = 64  # bytes at the end of a JPEG file, some cameras fill it up
-NO_CODE = b"\xff\x00" * 8  # 64 bits set: no Huffman code, and more than a decoder looks ahead
+END_WITHIN = 64  # bytes searched for a JPEG's end marker, as some cameras pad the file
+NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
 def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
-    """Open a source; AbortError says why it cannot be."""
+    """Open a source; AbortError with the reason if that fails."""
     match source:
         case DeviceSource():
             return DeviceFeed(source, clock)
@@ -56,8 +56,8 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
     """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
 
-    A JPEG of another `size` (height, width), or by default of more than `PIXELS_MAX` a side, is not
-    decoded: None. cv2.error if OpenCV refuses pixels.
+    A JPEG of another `size` (height, width), or by default with a side above `PIXELS_MAX`, is not
+    decoded, which returns None. Raises cv2.error if OpenCV cannot convert pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
@@ -66,8 +66,8 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
     end = content.rfind(JPEG_END, max(0, len(content) - END_WITHIN))
     if not content.startswith(JPEG_START) or end < 0:
         return None
-    # a JPEG cut short before its end marker is decoded into a picture that is partly grey; without
-    # the marker a decoder waits for the codes that are missing, and Pillow says so
+    # a decoder fills a JPEG that is cut short before its end marker with grey; without the
+    # marker it waits for the missing codes, and Pillow raises
     try:
         jpeg = JpegImageFile(io.BytesIO(content[:end] + NO_CODE))
         fits = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
@@ -75,12 +75,12 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
             return None
         jpeg.draft("L", jpeg.size)
         return np.asarray(jpeg) if jpeg.mode == "L" else None
-    except Exception:  # what Pillow raises for hostile bytes is not documented
+    except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None
 
 
 class DeviceFeed:
-    """A camera at this computer through OpenCV; never tried on a real one."""
+    """A camera at this computer, opened by OpenCV; never tried with a real camera."""
 
     live = True
     emulated = False
@@ -101,28 +101,28 @@ class DeviceFeed:
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, source.width)
         capture.set(cv2.CAP_PROP_FRAME_HEIGHT, source.height)
         capture.set(cv2.CAP_PROP_FPS, source.rate)
-        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # old pictures are of no use
+        capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)  # so that no old pictures wait in the buffer
         width = round(capture.get(cv2.CAP_PROP_FRAME_WIDTH))
         height = round(capture.get(cv2.CAP_PROP_FRAME_HEIGHT))
         if (width, height) != (source.width, source.height):
             capture.release()
             raise AbortError(
                 f"{self._name} gives {width}x{height}, not {source.width}x{source.height}",
-                "choose a size that it can: v4l2-ctl --list-formats-ext",
+                "choose a size that the camera supports: v4l2-ctl --list-formats-ext",
             )
 
     def read(self) -> Picture:
         """Wait for the next picture."""
         if not self._capture.grab():
-            raise SourceEndedError(f"{self._name} delivers no more")
-        received = self._clock.now()  # before it is decompressed
+            raise SourceEndedError(f"{self._name} delivers no more pictures")
+        received = self._clock.now()  # taken before the picture is decompressed
         read, pixels = self._capture.retrieve()
         if not read:
-            raise SourceEndedError(f"{self._name} delivers no more")
+            raise SourceEndedError(f"{self._name} delivers no more pictures")
         return Picture(pixels, received)
 
     def interrupt(self) -> None:
-        """Nothing to do: the driver's own timeout ends a wait."""
+        """Do nothing: the driver's own timeout ends a wait."""
 
     def close(self) -> None:
         """Release the camera."""
@@ -130,7 +130,7 @@ class DeviceFeed:
 
 
 class FileFeed:
-    """A video file, each picture at its time."""
+    """A video file; each picture is returned at its time."""
 
     live = False
     emulated = True  # robots in a film cannot be steered
@@ -144,7 +144,7 @@ class FileFeed:
         rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
         if not rate > 0:
             self._capture.release()
-            raise AbortError(f"{source.path} is no video that OpenCV can read")
+            raise AbortError(f"{source.path} is not a video that OpenCV can read")
         self.rate_hz: float | None = rate
         self._start_ns: int | None = None
         self._read = 0
@@ -162,7 +162,7 @@ class FileFeed:
         return Picture(pixels, self._clock.now())
 
     def interrupt(self) -> None:
-        """Nothing to do: no wait is longer than a picture's time."""
+        """Do nothing: no wait is longer than the time of a picture."""
 
     def close(self) -> None:
         """Close the file."""
@@ -184,7 +184,7 @@ class MjpegFeed:
         try:
             connection.connect()
             self._socket: socket.socket = connection.sock
-            # the connection's own timeout is for each byte, this one for the whole answer
+            # the socket's own timeout is per byte, this one is for the whole answer
             deadline = threading.Timer(until - time.monotonic(), self.interrupt)
             deadline.start()
             try:
@@ -206,21 +206,21 @@ class MjpegFeed:
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(
-                f"{source.url} is no MJPEG stream: it answers {self._answer.status}, {kind}",
+                f"{source.url} is not an MJPEG stream: it answers {self._answer.status}, {kind}",
                 "a stream is multipart/x-mixed-replace with a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
-        self._socket.settimeout(None)  # from here on, closing interrupts the reader
+        self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader
         self._parts = Multipart(boundary)
         self._waiting: list[bytes] = []
 
     @property
     def damaged(self) -> int:
-        """Parts that could not be read."""
+        """Number of parts that could not be read."""
         return self._parts.damaged
 
     def read(self) -> Picture:
-        """Wait for the next part."""
+        """Wait for the next picture in the stream."""
         while not self._waiting:
             try:
                 data = self._answer.read1(CHUNK)

@@ -164,7 +164,9 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         lab.camera.motive.trouble.version = Version(3, 0)
-        with pytest.raises(AbortError, match=r"reports protocol 4\.1, but is not underst") as e:
+        with pytest.raises(
+            AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
+        ) as e:
             camera.__enter__()
     assert str(e.value).endswith("which read as protocol 3.0")
     assert "set lab.camera.version" in e.value.hint

@@ -41,7 +41,7 @@ def test_no_file_and_no_film_are_told_apart(tmp_path):
         open_feed(FileSource(type="file", path=str(tmp_path / "no.avi")), VirtualClock(), 1.0)
     text = tmp_path / "text.avi"
     text.write_text("no film")
-    with pytest.raises(AbortError, match="no video that OpenCV can read"):
+    with pytest.raises(AbortError, match="not a video that OpenCV can read"):
         open_feed(FileSource(type="file", path=str(text)), VirtualClock(), 1.0)
 
 
@@ -133,7 +133,7 @@ def answering(status, kind, body=b""):
 )
 def test_an_answer_that_is_no_stream_is_told(status, kind):
     server, source = answering(status, kind)
-    with pytest.raises(AbortError, match=f"is no MJPEG stream: it answers {status}"):
+    with pytest.raises(AbortError, match=f"is not an MJPEG stream: it answers {status}"):
         open_feed(source, VirtualClock(), 5.0)
     server.server_close()
 

@@ -56,6 +56,8 @@ def other(value: Any) -> Any:
         at = zlib.crc32(value) % len(value)  # another place in each
         return value[:at] + bytes([value[at] ^ 1]) + value[at + 1 :]
     if isinstance(value, float):
+        if math.isnan(value):  # every change of it is itself
+            return 0.0
         return value + CHANGE * (abs(value) or 1) if CHANGE else math.nextafter(value, math.inf)
     return "criterion" if value != "criterion" else "iterations"
 

@@ -12,6 +12,7 @@ from support.mutate import rewrite
 from support.tampering import noticed, tamperings
 
 from tetractl.core.cell_film import cut
+from tetractl.lab.cameras.cells.detect_cells import PART_LOW
 from tetractl.log.format import channels
 from tetractl.log.format.crop_images import encode_film
 from tetractl.log.read.raw_log import RawLog
@@ -61,7 +62,8 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
     ):
         seen = sample.film
         crops_changed = seen.crops.copy()
-        body = np.argwhere(crops_changed[0] > seen.limits[1])
+        least = max(seen.limits[1], PART_LOW * crops_changed[0].max())
+        body = np.argwhere(crops_changed[0] > least)
         row, column = body[rng.randrange(len(body))]
         crops_changed[0, row, column] += 1 if crops_changed[0, row, column] < 255 else -1
         forged = replace(seen, crops=crops_changed)

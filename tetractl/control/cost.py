@@ -96,9 +96,8 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
         sums[0] = along[0]
         for i, term in enumerate(terms):
             sums[1 + i :: len(terms)] = term
-        along[:] = np.add.accumulate(sums)[
-            :: len(terms)
-        ]  # the same order of additions as step by step
+        # the same order of additions as step by step
+        along[:] = np.add.accumulate(sums)[:: len(terms)]
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

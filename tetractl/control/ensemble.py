@@ -52,7 +52,7 @@ class EnsembleSection(ControllerSection):
     """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
     """Turns of the field without such a moment, after which the trial ends at the least sum of
-    distances     during a turn.
+    distances during a turn.
     """
 
     def problem(self, setup: Setup) -> Problem:
@@ -77,9 +77,8 @@ class Ensemble:
         self.section, self._key = section, key
         self._problem = section.problem(setup)
         self._delay_ns = round(section.dead_time * SECOND)
-        self._acting: deque[tuple[int, float | None]] = (
-            deque()
-        )  # time of effect [ns]; u, or None for no field
+        # time of effect [ns]; u, or None for no field
+        self._acting: deque[tuple[int, float | None]] = deque()
         self._phase: float | None = (
             None  # direction of the rotating field [rad], None while it is off
         )

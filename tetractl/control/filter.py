@@ -227,9 +227,8 @@ class FilterBank:
         if not len(self._when) and frame.valid.any() and not same.all():
             self._noisy = True
         frozen = len(same) > 1 and same.all()  # all robots never stop between two frames
-        seen = frame.valid & ~(
-            same & (self._noisy | frozen)
-        )  # with noise, no two poses are the same
+        # with noise, no two poses are the same
+        seen = frame.valid & ~(same & (self._noisy | frozen))
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
             self._bank, self._model, self._step, since, until, self._when, self._u, now, seen

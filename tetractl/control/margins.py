@@ -55,9 +55,8 @@ class Margins:
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
         self._targets = targets
-        self._one, self._other = np.triu_indices(
-            len(targets), 1
-        )  # indices of the two robots of each pair of robots
+        # indices of the two robots of each pair of robots
+        self._one, self._other = np.triu_indices(len(targets), 1)
         self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:

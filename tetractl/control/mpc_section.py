@@ -34,8 +34,8 @@ class Collision(Model):
     meet. It is tested at the predicted positions."""
     adaptive: bool = False
     """Whether the margin grows by a robot's greatest deviation from its course before the next
-    command     acts, given the uncertainty of its motion; around a robot or target that is within
-    the margin,     the margin shrinks to the present distance.
+    command acts, given the uncertainty of its motion; around a robot or target that is within
+    the margin, the margin shrinks to the present distance.
     """
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
@@ -45,7 +45,7 @@ class Collision(Model):
     stand still."""
     silence: NonNegative = 0.0
     """Time for which robots may receive nothing and keep to the direction held [s]: plans are
-    preferred     that keep clear during such a time, at whichever signal it begins.
+    preferred that keep clear during such a time, at whichever signal it begins.
     """
 
 
@@ -105,7 +105,7 @@ class MpcFields(ControllerSection):
     `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
     """Whether a, speed and heading bias of each robot, and their common dead time, are identified
-    while     they drive, starting from the spec's values.
+    while they drive, starting from the spec's values.
     """
     prior: PriorSection = PriorSection()
     """The prior uncertainty of the identified values."""
@@ -125,7 +125,7 @@ class MpcFields(ControllerSection):
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2 (with an
     optimiser that has a tolerance, up to the first length that is good enough); or `geometric`,
     with such an optimiser: growing lengths from the shortest that could reach the targets until one
-    is     good enough, then bisection; if no length is, three lengths are searched for some seconds
+    is good enough, then bisection; if no length is, three lengths are searched for some seconds
     each.
     """
     obstacle_weight: NonNegative = 1000.0
@@ -134,7 +134,7 @@ class MpcFields(ControllerSection):
     """How the planner tests for obstacles."""
     evaluations_max: int | None = Field(default=None, ge=1)
     """Largest number of cost evaluations in one control step, shared equally by its horizons; the
-    best     sequence found within the limit is used. No limit by default.
+    best sequence found within the limit is used. No limit by default.
     """
     optimizer: Annotated[OptimizerSection, _OPTIMIZER] = Field(default_factory=_OPTIMIZER.make)
     """The optimiser of each search."""

@@ -111,9 +111,8 @@ class Registry:
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
-        return {
-            point.name: point for point in points
-        }  # a name from two packages: the first package by name
+        # a name from two packages: the first package by name
+        return {point.name: point for point in points}
 
 
 def imported(code: str) -> Any:

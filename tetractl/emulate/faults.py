@@ -33,9 +33,8 @@ class Fault(Model):
     """A scripted fault; `fault` adds the fields of a kind."""
 
     visible: ClassVar[Visible]
-    begin: ClassVar[
-        Callable[..., Undo]
-    ]  # triggers the fault on a device, returns the function to undo it
+    # triggers the fault on a device, returns the function to undo it
+    begin: ClassVar[Callable[..., Undo]]
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """Time of the fault after `since` [s]."""

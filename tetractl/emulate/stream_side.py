@@ -319,9 +319,8 @@ class StreamedCamera(ABC):
             return past[0][1]
         (t0, before), (t1, after) = past[i - 1], past[i]
         part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
-        return before + part * (
-            after[..., : before.shape[-1]] - before
-        )  # a cell may have divided since
+        # a cell may have divided since
+        return before + part * (after[..., : before.shape[-1]] - before)
 
     def _remember(self) -> None:
         """Keep the present scene for exposures that are drawn later."""

@@ -54,7 +54,7 @@ class Choice(Model):
     """Number of robots to choose."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
     """Targets [x, y] [length unit], at least as many as robots, assigned so that the sum of the
-    squared     straight paths is least.
+    squared straight paths is least.
     """
     ring: Ring | None = None
     """Targets on a circle, in place of `targets`."""
@@ -68,7 +68,7 @@ class Choice(Model):
     """Time for which the field turns before the choice [s]."""
     turn: Positive = Field(default=3.2, le=60)
     """Duration of one turn of the field before the choice [s]; cells with an a below 2 pi / turn
-    lag     behind.
+    lag behind.
     """
 
     found: bool = False

@@ -98,7 +98,7 @@ class ControllerSection(Model):
     """Control period T [s] (the paper's experiment: 5 Hz)."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from measurement to actuation that the controller assumes [s]: plans start where the
-    robots     will be after that time under the directions already sent.
+    robots will be after that time under the directions already sent.
     """
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of control steps k_max."""
@@ -109,7 +109,7 @@ class ControllerSection(Model):
     """What the robots do while the first plan is computed."""
     deadline: Positive | None = None
     """Time after which a control step uses the best sequence so far [s]; searches end then, except
-    at     step 0. None by default, so that a simulation depends only on its seed.
+    at step 0. None by default, so that a simulation depends only on its seed.
     """
 
     switches_field: ClassVar[bool] = False

@@ -158,11 +158,11 @@ class Experiment(Model):
         Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrChoice()
     ]
     """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
-    trial     finds its robots.
+    trial finds its robots.
     """
     chosen: Choice | None = None
     """In a resolved spec, the mapping given as `robots`; the robots are then stand-ins until a
-    trial has     found its own.
+    trial has found its own.
     """
     assign: Literal["given", "free"] = "given"
     """`free` if any robot may go to any target: targets are then assigned so that the sum of the
@@ -191,7 +191,7 @@ class Experiment(Model):
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
     """File written by `tetractl identify`, relative to the spec: its a and speed of each robot and
-    its     dead time replace the spec's own.
+    its dead time replace the spec's own.
     """
     trials: Trials = Trials()
     """Number and seed of the trials."""

@@ -150,7 +150,7 @@ class LabLimits(Model):
     """The run aborts after this time without a new frame [s]."""
     untracked_stop: Positive = 0.05
     """A robot stops after this time without being tracked [s]; it is steered on if the actuator
-    cannot     hold a single robot still.
+    cannot hold a single robot still.
     """
     untracked_abort: Positive = 0.3
     """The run aborts after this time in which a robot was not tracked [s]."""

@@ -90,6 +90,6 @@ class Wheels(Model):
     """Distance r from a wheel to the robot's centre [length unit]."""
     watchdog: Positive | None = None
     """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
-    firmware; by     default it drives on. A stopped robot moves again with the next command it
+    firmware; by default it drives on. A stopped robot moves again with the next command it
     receives.
     """

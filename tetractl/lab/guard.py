@@ -121,12 +121,9 @@ class Guard:
 
     def __post_init__(self) -> None:
         rules, height = self.rules, (self.rules.lowest, self.rules.highest)
+        limits = rules.jump, rules.jump_heading, *height, rules.tilt, rules.mm
         self._filters = [
-            PoseFilter(
-                MotionLimits(
-                    speed, turning, rules.jump, rules.jump_heading, *height, rules.tilt, rules.mm
-                )
-            )
+            PoseFilter(MotionLimits(speed, turning, *limits))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
         noise = NOISE_MM / rules.mm if rules.individual else 0.0
@@ -191,8 +188,7 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        A frame that was not exposed after the earlier ones is dropped and counted; then None is
-        returned.
+        Returns None for a frame not exposed after the earlier ones, which is dropped and counted.
         """
         if frame.fault:
             self.abort(frame.fault)
@@ -219,9 +215,7 @@ class Guard:
         return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
 
     def lose(self, i: int, reason: str) -> None:
-        """Continue without a lost robot; abort if the rules do not allow that or no robot is
-        left.
-        """
+        """Continue without a lost robot; abort if the rules forbid that or no robot is left."""
         if i in self.lost or (self.rules.goes_on and self.state is GuardState.PREFLIGHT):
             return
         if not self.rules.goes_on or len(self.lost) + 1 == len(self._filters):
@@ -237,9 +231,7 @@ class Guard:
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return the fault of a stream without a new frame for `silent_ns`, "" if that is not too
-        long.
-        """
+        """Return the fault of a stream without a new frame for `silent_ns`."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text

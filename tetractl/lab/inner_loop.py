@@ -54,9 +54,8 @@ class InnerLoop:
         self._direction = 0.0  # the direction held while steering [rad]
         self._steering = False
         self._new = False  # whether the direction has not been sent yet
-        self._let: tuple[
-            bool, ...
-        ] = ()  # which robots were allowed to move by the last transmission
+        # which robots were allowed to move by the last transmission
+        self._let: tuple[bool, ...] = ()
         self._sent: deque[Transmission] = deque(maxlen=KEPT)
         self._warnings: deque[tuple[int, str]] = deque(maxlen=KEPT)
         self._aborted = False

@@ -139,9 +139,8 @@ def is_version(key: str) -> bool:
 @cache
 def environment() -> str:
     """Return machine, versions, installed packages and local changes, as JSON."""
-    installed = [
-        item.metadata for item in metadata.distributions()
-    ]  # parsed once, as each access to `metadata` reads a file
+    # parsed once, as each access to `metadata` reads a file
+    installed = [item.metadata for item in metadata.distributions()]
     packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
         "host": host(),

@@ -70,8 +70,8 @@ class SimSection(PlantSection):
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from the exposure of the newest frame when a command is decided until the robots act on
-    the     command [s], as `controller.dead_time`; a command that is sent later acts at once. The
-    same     applies to a stop. Delays of `drive` and `disturbances` are added.
+    the command [s], as `controller.dead_time`; a command that is sent later acts at once. The
+    same applies to a stop. Delays of `drive` and `disturbances` are added.
     """
     lost_commands: Fraction = 0.0
     """Probability that a command does not reach a robot, which then continues with the previous
@@ -82,7 +82,7 @@ class SimSection(PlantSection):
     trial and robot."""
     speed_error: Fraction = 0.0
     """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
-    drawn once per     trial and robot.
+    drawn once per trial and robot.
     """
     disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100

@@ -40,11 +40,11 @@ class WheelDriveSection(Model):
     """
     recompute: bool = True
     """Whether each transmission computes the wheel speeds from the newest frame; otherwise it
-    repeats those     of the control step.
+    repeats those of the control step.
     """
     lead: NonNegative | None = None
     """Time added to the frame's age over which the host predicts the headings [s]; by default it
-    uses     the measured ones.
+    uses the measured ones.
     """
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
@@ -53,7 +53,7 @@ class WheelDriveSection(Model):
     """Largest count that does not move a wheel, as known to the host; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
     """Largest difference of a wheel's true dead zone from `dead_zone`; the difference is a whole
-    number,     uniform in both directions.
+    number, uniform in both directions.
     """
     gain_error: Fraction = 0.0
     """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
@@ -86,9 +86,8 @@ class WheelHost:
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
         more = section.dead_zone_error
         zones = section.dead_zone + erring.integers(-more, more + 1, (2, count))
-        self._trains: list[
-            tuple[Drivetrain, Drivetrain]
-        ] = []  # wheels as known to the host, and true wheels
+        # wheels as known to the host, and true wheels
+        self._trains: list[tuple[Drivetrain, Drivetrain]] = []
         if section.count is not None:
             known = Wheel(section.count, section.dead_zone)
             true = [

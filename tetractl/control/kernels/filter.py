@@ -80,11 +80,12 @@ def _advance(model, i, z, cov, u, scale, seconds):
             z[X] += dx + t * z[FLOW_X]
             z[Y] += dy + t * z[FLOW_Y]
             z[HEADING] += turn
+            # derivatives of the heading in the middle
             by_h, by_a, by_b = (
                 0.5 * (1 + keep),
                 half,
                 0.5 * (1 - keep),
-            )  # derivatives of the heading in the middle
+            )
             for k in range(SIZE):  # rows of F P
                 h, la, b = cov[HEADING, k], cov[LN_A, k], cov[BIAS, k]
                 m = by_h * h + by_a * la + by_b * b

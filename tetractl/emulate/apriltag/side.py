@@ -64,9 +64,8 @@ class Optics:
         and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
-        around = (
-            0.75 * max(tag.size_mm for tag in floor) * MM
-        )  # from the card's centre to its corner
+        # from the card's centre to its corner
+        around = 0.75 * max(tag.size_mm for tag in floor) * MM
         low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
         focal = width / 2 / math.tan(view / 2)

@@ -177,9 +177,8 @@ def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robo
     edge, apart = (_floats(items.get(key, "[]")) for key in ("edge", "apart"))
     inside = _floats(items.get("inside", "[]"))
     lost = tuple(int(times) for times in json.loads(items.get("lost", "[]")))
-    kept = [
-        column for column in (edge, apart, inside, lost) if column
-    ]  # older logs lack some columns
+    # older logs lack some columns
+    kept = [column for column in (edge, apart, inside, lost) if column]
     if any(len(column) != robots for column in (*final, entered, errors, clearance, *kept)):
         raise ValueError("the result and the run have different numbers of robots")
     return Result(

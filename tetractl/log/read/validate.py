@@ -145,9 +145,8 @@ def check_result(result: Result) -> None:
     _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
     _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
     distances = (*verdict.clearance, *verdict.edge, *verdict.apart)
-    near = [
-        value for value in distances if value != math.inf
-    ]  # inf: without obstacles or other robots
+    # inf: without obstacles or other robots
+    near = [value for value in distances if value != math.inf]
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
     _counts("steps", [result.steps, result.deadline_misses])

@@ -137,7 +137,7 @@ class FieldSection(ActuatorSection):
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
     """Time without a command after which the driver switches the field off [s]; this value is
-    this value is this value is this value is built into the     driver.
+    this value is built into the driver.
     """
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""

@@ -127,9 +127,8 @@ def calibrated(
         usual, deviations = _fitted(points, spots, size[0], middle)
         plane = _posed(*_lens(usual, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
-        between = (
-            centres[:, None] + centres[None]
-        ) / 2  # places between the tags, where robots may be
+        # places between the tags, where robots may be
+        between = (centres[:, None] + centres[None]) / 2
         here = plane.locate(between, highest)
         for deviation in deviations:
             other = _posed(*_lens(usual + SURE * deviation, size[0], middle), points, spots)

@@ -66,7 +66,7 @@ class OptitrackSection(CameraSection):
     """Address of the multicast stream: IPv4."""
     version: VersionText | None = None
     """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, as
-    '2.10'; by     default, and always in multicast, the server's own.
+    '2.10'; by default, and always in multicast, the server's own.
     """
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""

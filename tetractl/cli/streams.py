@@ -21,9 +21,8 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-MESSAGES_S = (
-    1.0  # output is dropped once stderr has taken nothing for this long, until it takes some again
-)
+# output is dropped once stderr has taken nothing for this long, until it takes some again
+MESSAGES_S = 1.0
 TERMINAL_S = 10.0  # the same for stdout on a terminal; a pipe's reader may take any time,
 INTERRUPTED_S = 2.0  # but not once the command is to end
 PIECE = 4096  # bytes written at a time, so that slow progress is seen as progress
@@ -45,9 +44,8 @@ class PatientWriter(io.RawIOBase):
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
-        self._queued = (
-            b""  # queued by a write that a signal interrupted: the buffer repeats that write
-        )
+        # queued by a write that a signal interrupted: the buffer repeats that write
+        self._queued = b""
         self._moved_s = 0.0  # when the descriptor last took bytes, or the queue was empty
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()

@@ -79,9 +79,8 @@ class Ensemble:
         self._delay_ns = round(section.dead_time * SECOND)
         # time of effect [ns]; u, or None for no field
         self._acting: deque[tuple[int, float | None]] = deque()
-        self._phase: float | None = (
-            None  # direction of the rotating field [rad], None while it is off
-        )
+        # direction of the rotating field [rad], None while it is off
+        self._phase: float | None = None
         self._turned = 0.0  # angle since the field was switched on [rad]
         self._k = 0
 

@@ -211,9 +211,8 @@ class Mpc:
                     self.began, self.leaving = self.k, True
                     return self._given(problem, out, plan.searches)
                 if enters:
-                    self.stuck = (
-                        True  # the trial ends after a pause, in whose step the searches are logged
-                    )
+                    # the trial ends after a pause, in whose step the searches are logged
+                    self.stuck = True
                     return self._pause(problem, plan)
             rested = (self.k - self.began) * self.section.period
             if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:

@@ -43,9 +43,8 @@ class InnerLoop:
         emergency: threading.Event,
     ) -> None:
         self.guard, self.frames = guard, FrameBuffer()
-        self.idle: Callable[[int], float] | None = (
-            None  # direction u before robots are steered [rad]
-        )
+        # direction u before robots are steered [rad]
+        self.idle: Callable[[int], float] | None = None
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
         self._on_signal = getattr(camera, "steered", None)

@@ -31,13 +31,11 @@ from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from
-FINDING = (
-    1000  # spawn key of their random numbers, separate from the plant's, which `verify` repeats
-)
+# spawn key of their random numbers, separate from the plant's, which `verify` repeats
+FINDING = 1000
 SURVEYED = 0.03  # relative error of a and speed as known from a survey
-STOPS_MAX = (
-    3000  # largest number of repetitions of a stop that a robot has not received: one minute
-)
+# largest number of repetitions of a stop that a robot has not received: one minute
+STOPS_MAX = 3000
 POSES_MAX = 2_000_000  # largest number of poses in a control period, which are simulated together
 WHEELS_KEY = 2**32 - 1
 """Spawn key of the wheels' random numbers; disturbances use the keys from 4 on."""

@@ -145,9 +145,8 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         self.section, self.problem, self.warm = section, problem, warm
         self.kernels = multistart
-        self.many: Callable[[Floats], Floats] | None = (
-            None  # made when needed, as few warm starts need it
-        )
+        # made when needed, as few warm starts need it
+        self.many: Callable[[Floats], Floats] | None = None
         self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
         self.slack = SLACK * float(problem.speed.max()) * problem.period

@@ -158,9 +158,8 @@ class EmulatedRadio:
         self._on_wire = on_wire
         self._on_heard = on_heard
         self._module = EmulatedModule(settings, self._transmit, self._to_pc)
-        self._in_ns = self._out_ns = self._air_ns = (
-            0  # when UART in, UART out and air are free again
-        )
+        # when UART in, UART out and air are free again
+        self._in_ns = self._out_ns = self._air_ns = 0
 
     def readable(self) -> None:
         """Read the bytes that the PC wrote; they reach the module after their time on the UART."""

@@ -87,9 +87,8 @@ class SlaveDecoder:
 
     def __init__(self) -> None:
         self.ignored = 0
-        self._pending: tuple[Motor, int] | None = (
-            None  # motor and sign of a command that waits for its data byte
-        )
+        # motor and sign of a command that waits for its data byte
+        self._pending: tuple[Motor, int] | None = None
 
     def feed(self, data: bytes) -> list[MotorCount | Query]:
         """Take a chunk of bytes; return the commands it completes."""

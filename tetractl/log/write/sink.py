@@ -70,9 +70,8 @@ class Sink:
         self._part = path.with_name(path.name + part)
         self._digest, self._host_digest = ContentDigest(), ContentDigest(host=True)
         self._file: BinaryIO | None = None
-        self._chunk_since: float | None = (
-            None  # when the oldest message of the open chunk was added
-        )
+        # when the oldest message of the open chunk was added
+        self._chunk_since: float | None = None
         self._dirty_since: float | None = None  # time of the oldest write that is not yet synced
         copied = part != TRIAL_PART
         for name in (path,) if copied else (path, self._part):  # never overwrite a trial

@@ -142,9 +142,8 @@ class Driver:
         self._splitter = Splitter()
         self._lock = threading.Lock()
         self._sequence = 0
-        self._unanswered = (
-            0  # number of frames since the last reply, and when the first of them was sent
-        )
+        # number of frames since the last reply, and when the first of them was sent
+        self._unanswered = 0
         self._unanswered_ns = 0
 
     @property

@@ -18,9 +18,8 @@ from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
-ODD_SIZE = (
-    0.2  # a tag whose size differs by this fraction is a different tag, or at a different height
-)
+# a tag whose size differs by this fraction is a different tag, or at a different height
+ODD_SIZE = 0.2
 _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 
 

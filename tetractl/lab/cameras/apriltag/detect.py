@@ -15,9 +15,8 @@ from tetractl.core.poses import Floats, Grey
 
 MODULES = 8  # side of a tag in modules, including the black border
 ZERO = 0xD5D628584  # tag 0 as the AprilTag project prints it: its modules row by row, 1 is white
-ENLARGED_BELOW = (
-    1000  # columns; narrower pictures are enlarged, as a module is often too small to be read
-)
+# columns; narrower pictures are enlarged, as a module is often too small to be read
+ENLARGED_BELOW = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +44,8 @@ class Detector:
     def __init__(self) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = 9, 21
-        parameters.adaptiveThreshWinSizeStep = (
-            12  # two thresholds: OpenCV's third takes time and finds no more tags
-        )
+        # two thresholds: OpenCV's third takes time and finds no more tags
+        parameters.adaptiveThreshWinSizeStep = 12
         parameters.perspectiveRemovePixelPerCell = 8
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
         self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
@@ -100,9 +98,8 @@ def _zero() -> Grey:
 # positions along a side, away from the corners, which blur rounds
 ALONG = np.linspace(0.15, 0.85, 15)
 ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
-REACH = (
-    0.9  # modules to either side of an edge, so that nothing beyond border and margin is sampled
-)
+# modules to either side of an edge, so that nothing beyond border and margin is sampled
+REACH = 0.9
 ROUNDS = 2
 NOTHING = 1e-9
 

@@ -24,9 +24,8 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
-FILMS = (
-    1024  # most pictures queued with their crops, about 50 kB each, and a whole picture per second
-)
+# most pictures queued with their crops, about 50 kB each, and a whole picture per second
+FILMS = 1024
 SIGNALS = 4096  # number of directions that are remembered
 
 

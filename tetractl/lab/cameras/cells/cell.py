@@ -78,9 +78,8 @@ class FollowedCell:
     merged: bool = False
     question: Question | None = None
     place: int = 0  # index of this track in its question
-    begun: tuple[float, float, float] | None = (
-        None  # time [s] and x, y [um] of its first blob, until it swims
-    )
+    # time [s] and x, y [um] of its first blob, until it swims
+    begun: tuple[float, float, float] | None = None
     measured: tuple[float, ...] | None = None
     alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
     size: tuple[float, float] = (math.nan, math.nan)  # its length and width then

@@ -62,9 +62,9 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
     Of each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
     the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
-    positions and `history` the iterations and J of the chosen search, those of step k from `at[k]`
-    to `at[k + 1]`; both are thinned to points between which straight lines are as good. `dish` are
-    a microscope's pictures, for a trial with `plans`.
+    positions and `history` the iterations and J of the chosen search; entries `at[k]` to
+    `at[k + 1]` are those of step k. Both are thinned to the points which straight lines between
+    them need. `dish` holds a microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)

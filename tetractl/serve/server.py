@@ -35,10 +35,10 @@ BLOCK_BYTES = 1 << 16
 class LoopbackServer:
     """Serves from construction to `close`, in threads of its own; a context manager.
 
-    `page` is HTML, `layout` JSON, `logs` are files by name, and `live` is what WebSockets read;
-    pages of the viewer at the address `viewer` may read it too. Each is at an address of its own:
-    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be
-    used; port 0 takes any free port.
+    `page` is HTML, `layout` JSON, `logs` are files by name. `live` is streamed over WebSockets,
+    also to pages of the viewer at the address `viewer`. Each has its own address: `page_url`,
+    `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be used; port 0
+    takes any free port.
     """
 
     def __init__(

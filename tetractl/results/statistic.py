@@ -39,7 +39,7 @@ class Statistic:
 
 
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
-    """Return the statistic of a number of each trial: mean and 95 % interval of those that count.
+    """Return the statistic of one number per trial: mean and 95 % interval over complete trials.
 
     A trial for which it is not finite is left out of the mean; its column is empty.
     """

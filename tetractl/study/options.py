@@ -1,6 +1,6 @@
 """Which trials of a study are run and which logs they leave.
 
-Also the job script that runs its shares with Slurm, and one trial run again and checked against its
+Also the Slurm job script that runs its shares, and the check of one trial, run again, against its
 row.
 """
 

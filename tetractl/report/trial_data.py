@@ -175,8 +175,9 @@ def corners(curves: Sequence[Floats], error: float) -> "list[np.ndarray[Any, np.
     """Return the indices of some points of each curve, (n, N, 2) of N robots: in rising order, with
     the first and the last.
 
-    No point of the N robots is further than `error` from the straight line between the points kept
-    before and after it (Douglas and Peucker 1973). All spans of all curves are divided at once.
+    No point of the N robots is further than `error` from the straight line between its two
+    neighbouring kept points (Douglas and Peucker 1973). All spans of all curves are divided at
+    once.
     """
     lengths = np.array([len(curve) for curve in curves], dtype=np.intp)
     ends = np.cumsum(lengths)

@@ -195,7 +195,7 @@ class Verification:
     """The result of verifying one log.
 
     `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
-    log and this one. `checked` counts the steps whose decision came out as logged.
+    log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
     """
 
     path: str

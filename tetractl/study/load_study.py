@@ -159,7 +159,7 @@ def is_study(path: Path) -> bool:
 
 @cache
 def study_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of a study; not to be changed."""
+    """Return the JSON schema (draft 2020-12) of a study; callers must not change it."""
     return schema_of(Study)
 
 

@@ -60,7 +60,7 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
         ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
-        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, hgh: 1}}}\n", ["study.yaml:3:59: sweep.fields.plant.dead_time.high: is missing; add it: greatest value", "study.yaml:3:68: sweep.fields.plant.dead_time.hgh: unknown key; did you mean 'high'?"]),
+        (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, hgh: 1}}}\n", ["study.yaml:3:59: sweep.fields.plant.dead_time.high: is missing; add it: upper end of the range", "study.yaml:3:68: sweep.fields.plant.dead_time.hgh: unknown key; did you mean 'high'?"]),
         (HEAD + "sweep: {type: random, count: 2, fields: {plant.dead_time: {low: 2, high: 1}}}\n", ["study.yaml:3:74: sweep.fields.plant.dead_time.high: 1: must be greater than low"]),
         (HEAD + "sweep:\n  type: grid\n  fields:\n    plant.dead_tim: [0]\n    plant.a_error:\n      - 0\n      - -1\n", ["study.yaml:6:22: sweep.fields.plant.dead_tim.0: unknown key; did you mean 'dead_time'?", "study.yaml:9:9: sweep.fields.plant.a_error.1: -1: must be at least 0"]),
         (HEAD + "sweep: {type: list, points: [{robots.s.a: 1}]}\n", ["study.yaml:3:43: sweep.points.0.robots.s.a: robots: has no entry 's'; its entries are 0 to 0 or r"]),

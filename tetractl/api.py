@@ -275,7 +275,9 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
 
     experiment = spec.experiment
     if experiment.plant.type == "lab":
-        raise UsageError("the spec's plant is the lab", "drive it by `tetractl run`")
+        raise UsageError(
+            "the spec's plant is the lab, which only the command drives", "use `tetractl run`"
+        )
     check(experiment)
     warm_up(experiment, logging.getLogger("tetractl").info)
     interrupt = Interrupt()

@@ -50,7 +50,7 @@ def test_a_file_is_never_overwritten(tetractl, tmp_path):
     for name in ("mine", "mine.yaml"):
         result = tetractl("init", name)
         assert result.returncode == 2
-        assert result.stderr.startswith("error: mine.yaml: is there already\nhint: ")
+        assert result.stderr.startswith("error: mine.yaml: exists already\nhint: ")
     assert (tmp_path / "mine.yaml").read_text() == "my work\n"
     assert list(tmp_path.iterdir()) == [tmp_path / "mine.yaml"]
 
@@ -68,7 +68,7 @@ def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
     assert len(load_study(tmp_path / "experiments/studies/dead_time.yaml").arms) > 1
     again = tetractl("init", "--example", "experiments/three_m3pi.yaml")
     assert again.returncode == 2
-    assert "experiments/three_m3pi.yaml: is there already" in again.stderr
+    assert "experiments/three_m3pi.yaml: exists already" in again.stderr
     other = tetractl("init", "--example", "three_m3p")
     assert other.returncode == 2
     assert "there is no example 'three_m3p'; did you mean 'three_m3pi'?" in other.stderr

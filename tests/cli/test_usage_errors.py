@@ -94,7 +94,7 @@ kinds --set x=1 | --set needs --check
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
 init --lab --cells | --lab and --cells
 init no/first | no/first.yaml: cannot be written: No such file or directory
-init spec | spec.yaml: is there already | give another NAME
+init spec | spec.yaml: exists already | give another NAME
 init mine --example three_m3pi | --example cannot be combined with other options
 init --example three_m3p | there is no example 'three_m3p'; did you mean 'three_m3pi'?
 validate | SPEC

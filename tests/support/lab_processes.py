@@ -4,6 +4,7 @@ Nothing sleeps: the emulator says when things happen, and the stage waits for it
 """
 
 import json
+import math
 import queue
 import resource
 import signal
@@ -191,6 +192,11 @@ class Played:
         if not before or not before[-1]["moving"]:
             return 0.0
         return next(e["t_ns"] - since_ns for e in changes if e["t_ns"] >= since_ns) / 1e9
+
+    def moved_until(self, name, since_ns):
+        """Seconds from `since_ns` until a robot stood still for good, infinite if it drives."""
+        change = self.of("robot", name=name)[-1]
+        return math.inf if change["moving"] else (change["t_ns"] - since_ns) / 1e9
 
     def moves_after(self, name, since_ns):
         """Whether a robot, having come to rest after `since_ns`, moved again."""

@@ -25,7 +25,7 @@ def design(
     ] = 10.0,
     plant: Annotated[
         PlantChoice | None,
-        typer.Option(help="Drive the motion proposed, and identify the robots from it."),
+        typer.Option(help="Drive the proposed motion, and identify the robots from it."),
     ] = None,
     logs: Annotated[
         Path | None,

@@ -89,6 +89,6 @@ def _files(output: Path, table: str | None, kind: str | None) -> tuple[dict[str,
     if table is None:
         raise UsageError(f"{output}: one file holds one table", "name it with --table")
     if kind not in (None, ending):
-        raise UsageError(f"{output}: ends in .{ending}, and --format is {kind}")
+        raise UsageError(f"{output}: ends in .{ending}, but --format is {kind}")
     check_format(ending)
     return {table: output}, ending

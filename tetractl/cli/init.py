@@ -137,7 +137,7 @@ def _write(path: Path, text: str, hint: str) -> None:
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
     except FileExistsError:
-        raise UsageError(f"{path}: is there already", hint) from None
+        raise UsageError(f"{path}: exists already", hint) from None
     except OSError as error:
         raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
     print(path)

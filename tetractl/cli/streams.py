@@ -143,7 +143,8 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write the buffer as far as the descriptor takes it; OSError if the stream `tells`."""
+        """Write as much of the buffer as the descriptor takes; raise OSError if errors are reported
+        (`tells`)."""
         self.flush()
         self.writer.finish()
 

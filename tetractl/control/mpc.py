@@ -56,7 +56,7 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 RESTED_S = 2.0  # least time between a pause and the next one for lack of a safe plan
 NEXT = 2  # next signals of the present plan that must be safe if robots receive nothing
 UNSURE = 2  # last signals of a plan that need not be safe
-KEPT = 0.2  # clearance that robots keep then, as a fraction of their radius
+KEPT = 0.2  # clearance kept while robots receive nothing, as a fraction of their radius
 LATE = 2.0  # dead times after which a stop acts at the latest: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes of a leg after which the next leg begins."""

@@ -46,7 +46,7 @@ class StopReason(StrEnum):
     """Why a search ended; the value is what a log states."""
 
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
-    ITERATIONS = "iterations"  # as many as the optimiser may do
+    ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
     TARGET = "target"  # a cost that is good enough was found
     EVALUATIONS = "evaluations"  # the limit allows no further evaluation
     DEADLINE = "deadline"  # the time was up
@@ -166,8 +166,8 @@ class Plan:
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return the plan, made for the robots `left` (N,), with a path of all N: the others stay
-        where they were `seen`.
+        """Return the plan with a path of all N robots: it was made for those in the mask `left`
+        (N,), and the others stay where they were `seen`.
         """
         if left.all():
             return self

@@ -68,7 +68,8 @@ class Disturbance:
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return a command, or one of the repeated stops, as it will be received.
 
-        A command never acts on a robot before an earlier one: both then act together.
+        Commands do not overtake each other: a command that would arrive before an earlier one acts
+        together with it.
         """
         return command
 

@@ -1,5 +1,5 @@
-"""Which camera poses of a robot are accepted: those of a body that stands upright on the floor,
-if the robot can have driven since it was last seen; and the buffer of the frames with them.
+"""Decides which camera poses of a robot are accepted: those of a body that stands upright on the
+floor, at a place that the robot can have reached since it was last seen. Buffers their frames.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """

@@ -20,9 +20,9 @@ from tetractl.replay.dish_pictures import MOST, DishPictures
 FRAMES_HZ = 30.0
 """Largest rate of camera frames on the page [Hz]: that of a screen."""
 PLAN_ERROR = 1e-3
-"""Largest deviation of a plan on the page, as a fraction of the arena's longer side."""
+"""How far a plan on the page may be from the logged one, of the longer side of the arena."""
 HISTORY_ERROR = 5e-3
-"""Largest deviation of a search's curve of log J, as a fraction of the curve's extent."""
+"""How far a search's curve of log J over the iterations may be from the logged one, of its size."""
 MISSING = -32768
 """The 16-bit number for NaN."""
 LARGEST = 32767
@@ -36,8 +36,8 @@ def floats(values: ArrayLike) -> dict[str, Any]:
 def rounded(values: ArrayLike) -> dict[str, Any]:
     """Return an array in 16 bits: {"i2": base64, "scale": s, "offset": o}, value = o + s i.
 
-    The error of a value is at most 1/131,068 of the extent of all values. Values that are not
-    finite become `MISSING`.
+    The error of a value is at most 1/131,068 of the extent of all values. What is not finite
+    becomes `MISSING`.
     """
     wanted = np.asarray(values, dtype=float)
     finite = np.isfinite(wanted)
@@ -59,12 +59,12 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
     direction sent.
 
-    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`. Of
-    each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
+    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
+    Of each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
     the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
-    positions and `history` the iterations and J of the chosen search, those of step k from `at[k]`
-    to `at[k + 1]`; both are thinned to the points that straight lines need. With `plans`, `dish`
-    holds the microscope's pictures.
+    positions and `history` the iterations and J of the chosen search; entries `at[k]` to
+    `at[k + 1]` are those of step k. Both are thinned to the points which straight lines between
+    them need. `dish` holds a microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
@@ -165,7 +165,7 @@ def _histories(log: TrialLog) -> dict[str, Any]:
 
 
 def _on_log_axes(history: Floats) -> Floats:
-    """Return a curve (n, 2) of log J over the iterations, both scaled to 0 to 1."""
+    """Return the points (n, 2) of a curve of log J over the iterations, from 0 to 1 in both."""
     heights = np.log(np.clip(np.nan_to_num(history, posinf=np.inf), 1e-300, 1e300))
     size = float(np.ptp(heights)) or 1.0
     return np.column_stack([np.linspace(0, 1, len(history)), heights / size])
@@ -175,9 +175,8 @@ def corners(curves: Sequence[Floats], error: float) -> "list[np.ndarray[Any, np.
     """Return the indices of some points of each curve, (n, N, 2) of N robots: in rising order, with
     the first and the last.
 
-    No point of the N robots is further than `error` from the straight line between its two
-    neighbouring kept points (Douglas and Peucker 1973). All spans of all curves are divided at
-    once.
+    No point of the N robots is further than `error` from the straight line between the points kept
+    before and after it (Douglas and Peucker 1973). All spans of all curves are divided at once.
     """
     lengths = np.array([len(curve) for curve in curves], dtype=np.intp)
     ends = np.cumsum(lengths)

@@ -100,10 +100,10 @@ class Tail:
 
 @dataclass(frozen=True, slots=True)
 class Distribution:
-    """n values described: mean, standard deviation (n - 1), median, range, interval of the mean,
-    and the tail.
+    """Summary of n values: mean, standard deviation (n - 1), median, range, confidence interval of
+    the mean, and the number of values above a bound.
 
-    For n = 0 everything is NaN, for n = 1 the deviation.
+    With n = 0 every field is NaN, with n = 1 only the deviation.
     """
 
     n: int

@@ -1,4 +1,4 @@
-"""Outcomes of the trials of a batch, least distances of their robots, and solve times.
+"""Outcomes of the trials of a batch, least distances between robots, and solve times.
 
 Distances are of the true paths of the robots' centres; percentiles are over every step of every
 trial.

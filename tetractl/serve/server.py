@@ -1,10 +1,10 @@
 """The server on the loopback address: a page, logs, a layout, and a live WebSocket for log viewers.
 
 Everything is below a path that begins with a random token, which keeps other users of this machine
-out: they can reach the port but do not know the link. Requests with a foreign `Host` (DNS
-rebinding) or a foreign `Origin` (a page of another site in the operator's browser) are refused,
-since browsers do not restrict WebSockets. Parts of a file (RFC 9110, section 14) and pages of
-another origin (CORS) are answered, since a log viewer reads a log piece by piece.
+out: they can reach the port but do not know the link. A foreign `Host` is another site's name that
+points at this machine (DNS rebinding); a foreign `Origin` is a page of another site in the
+operator's browser, which a WebSocket does not keep out. Parts of a file (RFC 9110, section 14) and
+pages of another origin (CORS) are answered, since a log viewer reads a log piece by piece.
 """
 
 import hmac
@@ -26,19 +26,19 @@ if TYPE_CHECKING:
     from tetractl.serve.live import Viewers
 
 ADDRESS = "127.0.0.1"
-TOKEN_BYTES = 12  # 96 random bits; the link fits next to the arena in a terminal of 80 columns
+TOKEN_BYTES = 12  # 96 random bits; a link fits next to the arena on a terminal of 80 columns
 FOXGLOVE = "https://app.foxglove.dev"
 """Foxglove in the browser."""
 BLOCK_BYTES = 1 << 16
 
 
 class LoopbackServer:
-    """Serves from construction to `close`, in its own threads; a context manager.
+    """Serves from construction to `close`, in threads of its own; a context manager.
 
-    `page` is HTML, `layout` JSON, `logs` are files by name, and `live` is the source for
-    WebSockets; pages of the viewer at the address `viewer` may read it too. The addresses are
-    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be
-    used; port 0 takes any free port.
+    `page` is HTML, `layout` JSON, `logs` are files by name. `live` is streamed over WebSockets,
+    also to pages of the viewer at the address `viewer`. Each has its own address: `page_url`,
+    `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be used; port 0
+    takes any free port.
     """
 
     def __init__(
@@ -118,7 +118,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(body=False)
 
     def do_OPTIONS(self) -> None:
-        """Answer the CORS request that precedes reading part of a file."""
+        """Allow what a viewer asks for before it reads a part of a file."""
         if self._wanted() is None:
             self._refuse(HTTPStatus.NOT_FOUND)
             return
@@ -130,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
-        """Pass the WebSocket and the request, which was read here, to `converse`."""
+        """Hand the WebSocket to `converse`, with the request, which was read here."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):
@@ -173,7 +173,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._refuse(HTTPStatus.NOT_FOUND)
 
     def _wanted(self) -> bytes | Path | None:
-        """Return the page, the layout or the file of a log; None for any other path."""
+        """Return the page, the layout, the file of a log, or None for what is not served."""
         _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
         if not self._let_in(token):
             return None
@@ -209,7 +209,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(block)
             left -= len(block)
         if left > 0:
-            self.close_connection = True  # the file was truncated meanwhile
+            self.close_connection = True  # the file was cut meanwhile
 
     def _allow(self) -> None:
         self.send_header("Access-Control-Allow-Origin", "*")
@@ -230,7 +230,7 @@ class _Handler(BaseHTTPRequestHandler):
 def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
     """Whether a request comes from a program, a desktop viewer or the page of a known viewer.
 
-    Known viewers are Foxglove's, pages served by this machine, and the one at the address `viewer`.
+    Known are Foxglove's, any page served by this machine, and the viewer at the address `viewer`.
     """
     if origin is None or origin in (FOXGLOVE, "file://"):
         return True

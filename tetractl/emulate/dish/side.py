@@ -28,9 +28,9 @@ class MicroscopeSettings(StreamSettings):
     """Properties of the emulated microscope; scale and `latency` are the spec's."""
 
     width: int = Field(default=0, ge=0, le=8192)
-    """Columns of a picture [px]; 0: as many as show the arena."""
+    """Columns of a picture [px]; 0 means as many as show the whole arena."""
     height: int = Field(default=0, ge=0, le=8192)
-    """Rows of a picture [px]; 0: as many as show the arena."""
+    """Rows of a picture [px]; 0 means as many as show the whole arena."""
     noise: NonNegative = 3.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.01

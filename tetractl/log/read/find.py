@@ -1,4 +1,4 @@
-"""Finds the logs, and the rows of studies, in file names, folders and patterns."""
+"""Finds the logs, and the rows of studies, that names of files, folders and patterns mean."""
 
 import glob
 import re

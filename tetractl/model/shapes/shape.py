@@ -11,19 +11,19 @@ from tetractl.core.poses import Floats
 
 
 class PackedShapes(Protocol):
-    """M obstacles of one shape; `p` of the functions is the row of one of them.
+    """M obstacles of one shape; the argument `p` of a function is the row of one obstacle.
 
     Each class is a type of its own to the compiler. The functions are compiled where a kernel calls
     them, with the functions of the same file that they call; they may use arithmetic, `math` and
-    loops. A gap is a number that is at most 0 exactly where an obstacle is met. Comparing a
-    difference with 0 is the same as comparing its terms, and faster in vector code.
+    loops. A gap is 0 or negative if and only if the point touches or lies inside the obstacle.
+    To compare two terms, compare their difference with 0: vector code is faster then.
     """
 
     rows: Floats
     """The numbers of the obstacles (M, K), each row from the section's `row`."""
     size: int | None
     """K if it is the same for every obstacle, in which case `p` is a tuple. None if rows differ in
-    length;     `p` is then an array, padded with zeros.
+    length; `p` is then an array, padded with zeros.
     """
 
     @staticmethod

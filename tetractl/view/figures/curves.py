@@ -128,7 +128,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
         whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
         robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
         draw_curves(total, time_s, [whole])
-        for curve in robots:  # the last value is that of the result
+        for curve in robots:  # the curve ends before the result, the last value
             each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
         if tolerance := log.experiment.controller.arrival_tolerance:
             label = f"arrival within {tolerance:g} {unit}"

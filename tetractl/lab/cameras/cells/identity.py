@@ -15,7 +15,7 @@ import numpy as np
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.helix import HelixFilter
 
-MOST = 4  # largest number of cells in a question: 24 assignments
+MOST = 4  # most cells whose identities are resolved jointly: 4! = 24 assignments
 SURE = 0.998  # probability at which a question is closed
 LEAST_S = 0.25  # before which it is not
 PATIENCE_S = 10.0  # time after which it is closed unanswered: the cells are indistinguishable

@@ -1,4 +1,4 @@
-"""Splits a multipart/x-mixed-replace stream into parts, for any bytes; without sockets.
+"""Splits the bytes of a multipart/x-mixed-replace stream into parts; accepts any bytes.
 
     --boundary CRLF  header lines CRLF  CRLF  body CRLF   --boundary CRLF ...
 

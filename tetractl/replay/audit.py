@@ -21,9 +21,9 @@ from tetractl.replay.recompute import ROUNDING
 
 REST = 1e-6  # tolerance for the position of a robot at rest, relative to a coordinate
 STOPPING_S = 1.0  # longest time until a stop is sent on a busy host
-STOPPING_NS = 500_000_000  # a stop's first repetition was sent at most this time before its end
+STOPPING_NS = 500_000_000  # longest time from a stop's first repetition to its end
 LAST_FRAMES = 120  # number of a lab trial's last frames, one of which shows the final poses
-SLACK = 2.0  # factor on the lab's limits, as a few frames follow the lab's last check
+SLACK = 2.0  # factor on the lab's limits for the frames after its last check
 
 
 @dataclass(slots=True)
@@ -89,7 +89,7 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
 
 
 def _steps(log: TrialLog) -> Iterator[Difference]:
-    """Check that each step has a frame and a command of the log, in order, and its own plan's
+    """Check that each step has a logged frame and command, in order, and sends its plan's
     signal."""
     rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}

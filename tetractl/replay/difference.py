@@ -118,7 +118,7 @@ def trial_difference(
 ) -> Difference | None:
     """Return the first difference of two trials except in solve times, None if they agree.
 
-    Commands, frames and steps that both have are compared before their numbers.
+    Common commands, frames and steps are compared first, then their numbers.
     """
     counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
     common = tuple(map(min, *counts))
@@ -135,8 +135,8 @@ def trial_difference(
 
 
 def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return the parts of a trial that are compared, in that order, with a given number of
-    commands, frames, steps."""
+    """Return the compared parts of a trial, in order, with a given number of commands, frames and
+    steps."""
     commands, frames, steps = common
     result = trial.result
     return {

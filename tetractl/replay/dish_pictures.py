@@ -12,7 +12,7 @@ from tetractl.log.read.trial_log import TrialLog
 PIXELS_MAX = 8192  # longest side of a picture [px]
 SHOWN = 720  # longer side as shown [px]
 QUALITY = 60  # as JPEG counts
-MOST = 120  # most pictures of a trial in a report
+MOST = 120  # largest number of pictures per trial in a report
 
 
 class DishPictures:

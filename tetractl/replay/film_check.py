@@ -27,7 +27,7 @@ NEAR_UM = 25.0  # half a body: largest distance of a followed cell from its blob
 
 
 class FilmCheck:
-    """The film of one log; `notes` says what could not be compared."""
+    """The film of one log; `notes` lists comparisons that were not possible."""
 
     def __init__(self, raw: RawLog, log: TrialLog, same_host: bool) -> None:
         self._log, self._tolerance = log, 0.0 if same_host else SAME

@@ -1,4 +1,4 @@
-"""A recorded trial as a sequence of instants, and its player: keys change the time shown."""
+"""A recorded trial as a sequence of instants, and a player controlled by keys."""
 
 import math
 from bisect import bisect_right
@@ -167,7 +167,7 @@ class PlayerClock:
         self._paused = False
 
     def jump(self, time_ns: int) -> None:
-        """Set the time, paused or not."""
+        """Set the time; a paused clock stays paused."""
         self._anchor, self._anchor_wall = time_ns, self._wall.now()
 
 

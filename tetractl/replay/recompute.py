@@ -3,8 +3,8 @@
 There are two ways. *Re-computed*: every search is run again and every number must come out with the
 same bits, which holds on the machine and versions that wrote the log. *Re-evaluated*: the searches
 are taken as logged, and J of what they found, the choice among them and the predicted path are
-computed again, to TOLERANCE and ROUNDING. The searches cannot be repeated on another processor: a
-last bit that differs in one cost changes which particle leads, and soon everything.
+computed again, to TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
+difference in the last bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -55,10 +55,10 @@ class _TooLongError(Exception):
 
 
 class Rerun:
-    """Does the logged searches of a trial again, in place of a controller's optimisers.
+    """Repeats the logged searches of a trial, in place of a controller's optimisers.
 
-    A search that the deadline cut short is run with as many readings of the clock as spend the
-    logged evaluations: only a reading can end a search, so their number suffices. With
+    A search that ended at the deadline is repeated with the number of clock readings that spends
+    the logged evaluations: only a reading can end a search, so this number suffices. With
     `search_again` False the logged searches are returned, and their contradictions are in `wrong`.
     From `start` on, `limit_s` may pass on `cpu`, the processor time of the thread [s].
     """
@@ -103,7 +103,7 @@ class Rerun:
 
 
 class _Repeated:
-    """An `Optimizer` for verification: what the log says this one found, found again."""
+    """An `Optimizer` for verification, which repeats or returns the logged searches."""
 
     def __init__(self, optimizer: OptimizerSection, rerun: Rerun) -> None:
         self._optimizer, self._rerun = optimizer, rerun
@@ -132,7 +132,7 @@ class _Repeated:
             self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
-        few, many = 1, 2  # readings: the fewest that spend as many evaluations
+        few, many = 1, 2  # the least number of readings that spends the logged evaluations
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
                 return found  # the search ends without the deadline
@@ -183,7 +183,7 @@ class _Countdown:
 
 
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
-    """Raise _TooLongError if a round of a search takes more than a log may ask for."""
+    """Raise _TooLongError if a round of a search exceeds the limit for logs."""
     robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
     if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError
@@ -195,8 +195,8 @@ def recompute(
     """Decide every step of a log once more; return the first difference, None for none.
 
     `search_again` True runs the searches again and compares bits, False takes them as logged. Steps
-    behind a gap are not checked: what the controller knew by then is lost. Steps for which the
-    processor time of the thread, `cpu` [s], exceeds the limit count as a difference.
+    after a gap are not checked, since the controller's state is lost. Steps for which the processor
+    time of the thread, `cpu` [s], exceeds the limit count as a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
@@ -232,7 +232,7 @@ def recompute(
             text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
-            # the log has none: lost, or written by an earlier version
+            # missing in the log: lost, or of an earlier version
             decision = replace(decision, estimate=None)
         found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:
@@ -258,7 +258,7 @@ def plan_again(
 def first_steps(log: TrialLog) -> list[Step]:
     """Return the steps up to the first gap, of steps or, in a damaged log, of camera frames."""
     lost = log.damage.lost if log.damage else ()
-    torn = len(lost) > (log.result is None)  # more than the end is lost
+    torn = len(lost) > (log.result is None)  # not only the end is lost
     gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
     return [
         step for k, step in enumerate(log.steps) if step.k == k and step.observation.frame < gap
@@ -270,8 +270,8 @@ def _outcome(
 ) -> Difference | None:
     """Check that the controller ends the trial as logged, on a frame of the last period.
 
-    The frame it ended on is not logged as such: in a simulation it is the newest a control period
-    after the last command, in the lab one of the newest. The stop may have been sent later.
+    The log does not mark the frame of the end: in a simulation it is the newest frame one control
+    period after the last command, in the lab one of the newest. The stop may have been sent later.
     """
     result, stop = log.result, log.stop
     if result is None or stop is None:
@@ -313,10 +313,9 @@ def _outcome_text(decision: Outcome | End) -> str:
 
 
 def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
-    """Return whether a trial that is said to be cut short may have ended by its controller.
-
-    In the lab a fault may come in the same instant; and robots that did not come to rest make a
-    trial aborted that had ended.
+    """Return whether the controller may have ended a trial that is logged as aborted or
+    interrupted. In the lab a fault may occur at the same time, and a trial also counts as aborted
+    if the robots did not come to rest after its end.
     """
     told = any(note.level == "error" and note.text == result.reason for note in log.notes)
     return log.start.plant.simulated and not told

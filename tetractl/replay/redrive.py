@@ -1,8 +1,8 @@
 """Drives a plant again with the recorded commands of a trial, open loop, and measures the distance
 between both paths.
 
-The directions are sent by a controller of kind `sequence` in a trial of its own, which is run,
-logged and, in the lab, guarded as any other.
+A controller of kind `sequence` sends the directions in a separate trial, which is run, logged and,
+in the lab, guarded like any other.
 """
 
 from dataclasses import dataclass, replace
@@ -23,9 +23,9 @@ EARLY = 0.25  # fraction of a control period by which a stop may precede its end
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction in force in each control period of a log [rad], and a remainder [s].
 
-    Periods count from the first direction sent, that of a square too. A direction sent within the
-    first half of a period counts for all of it. The remainder is how much longer than a period the
-    last one was held. UsageError if none was sent, and if the field was off at times.
+    Periods count from the first direction sent, also that of a square. A direction sent within the
+    first half of a period counts for all of it. The remainder is the time beyond a period for which
+    the last one was held. UsageError if no direction was sent, or if the field was off at times.
     """
     require_field(log)
     sent = sorted(

@@ -1,10 +1,10 @@
 """The simulation of a trial run again, by the plant rebuilt from the spec and the seed.
 
-The controller of the repeated trial gives the logged plans. Commands, frames, true poses, operator
-messages, verdict and the plant's facts must come out as logged.
+The controller of the repeated trial returns the logged plans. Commands, frames, true poses,
+operator messages, verdict and the plant's facts must come out as logged.
 
-On the machine and versions that wrote the log they must come out with the same bits; elsewhere to
-`ROUGHLY`, since a sine may differ in its last bit.
+On the machine and versions that wrote the log they must come out with the same bits; elsewhere
+within `ROUGHLY`, since a sine may differ in its last bit.
 """
 
 import copy
@@ -87,8 +87,8 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a repeated trial with the log's own values wherever a last bit decides: facts, which
-    are text, and whether a robot that just touches an obstacle entered it."""
+    """Return a repeated trial with the log's values where the last bit matters: facts, which are
+    text, and whether a robot that just touches an obstacle entered it."""
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict
@@ -108,7 +108,7 @@ ENDED = "the log ends here"
 
 @dataclass
 class _Ending:
-    """When to stop a trial run again so that the stop is sent at the logged time."""
+    """Computes when to stop a repeated trial so that the stop is sent at the logged time."""
 
     plant: Plant
     clock: Clock
@@ -119,7 +119,7 @@ class _Ending:
     def delay_ns(self) -> int:
         """How much later than now the stop was decided [ns]."""
         now = self.clock.now()
-        if self.plans:  # the stop draws the time until it is sent; a copy of the plant shows it
+        if self.plans:  # the time until the stop is sent is random; a copy of the plant draws it
             now = copy.deepcopy(self.plant).stop().sent_ns
         return self.sent_ns - now
 
@@ -154,7 +154,7 @@ class _LoggedPlans:
 class _Recorder(Recorder):
     """Records a trial run again, and ends it if the log was ended between two control steps."""
 
-    failure = ""  # why the trial could not be run to its end
+    failure = ""  # reason why the trial did not run to its end
 
     def __init__(self, log: TrialLog, ending: _Ending) -> None:
         self._log, self._ending = log, ending

@@ -45,7 +45,7 @@ class SwarmHistory:
 
     `path` (Z + 1, 2) is the course of the first particle and `path_best` (2,) its local best at the
     end. `costs` (GRID, GRID) is J on a grid over (12) in the two dimensions, row by row upwards,
-    the other signals being those of u_gb. `repeated` tells whether J(u_gb) came out as logged in
+    the other signals being those of u_gb. `repeated` is whether J(u_gb) agrees with the log in
     every iteration.
     """
 
@@ -115,7 +115,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
         rerun.timer,
     )
     rerun.begin(step.plan.searches)
-    with suppress(TetractlError, NoSearchError):  # the searches so far are recorded
+    with suppress(TetractlError, NoSearchError):  # the searches until here are recorded
         controller.plan(step.observation)
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(

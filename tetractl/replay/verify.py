@@ -44,9 +44,8 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference of each topic, and of the operator messages that must follow.
-
-    Yields nothing for a damaged log, or for format 1, which no encoder writes any more.
+    """Yield the first difference of each topic and of the required operator messages. Yields
+    nothing for a damaged log, or for format 1, which is no longer written.
     """
     if log.damage or raw.run.version == 1:
         return
@@ -98,7 +97,7 @@ def _messages(
 
 
 def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
-    """Yield the encoded messages of a trial, in order within a topic; for /log those that follow.
+    """Yield the encoded messages of a trial, in order within a topic; for /log only required ones.
 
     Camera frames are grouped as in the log, since their original groups are unknown.
     """
@@ -196,7 +195,7 @@ class Verification:
     """The result of verifying one log.
 
     `method` is REEVALUATED only if `elsewhere` names differences between the host that wrote the
-    log and this one. `checked` counts the steps whose decision came out as logged.
+    log and this one. `checked` is the number of steps whose repeated decision agrees with the log.
     """
 
     path: str

@@ -1,8 +1,8 @@
 """Computes what another controller would have decided on the observations of a recorded trial.
 
-The other controller is given each recorded observation and the directions that were really sent,
-not its own: so every step starts from the true situation. This is not closed loop: under its own
-decisions, the robots would have been elsewhere at the next step.
+The other controller receives each recorded observation and the directions that were sent, not its
+own, so every step starts from the recorded state. This is not closed loop: under its own decisions,
+the robots would have been elsewhere at the next step.
 """
 
 import time
@@ -48,9 +48,7 @@ class StepPrediction:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """The predictions for a trial; `ended` is why later steps have none, "" if all steps
-    have one.
-    """
+    """The predictions for a trial; `ended` is the reason if later steps have none, otherwise ""."""
 
     unit: str
     steps: tuple[StepPrediction, ...]

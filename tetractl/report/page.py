@@ -28,7 +28,8 @@ from tetractl.results.tables import page_trials, tables
 ASSETS = files("tetractl.report") / "assets"
 TOTAL = "the sum over the robots of the distance to the target"
 MANY = 100
-"""More trials than this are shown without their plans and searches: a page stays below 20 MB."""
+"""Above this number, trials are shown without plans and searches, so that a page stays below 20
+MB."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 
 
@@ -37,8 +38,8 @@ def report(
 ) -> tuple[str, list[str]]:
     """Return the page of some logs, folders or patterns, and the logs that could not be read.
 
-    Each folder is a group, as is each arm of a study; logs named one by one are a group together.
-    Trials of a study without a log are in the tables alone. `progress` is called with the number of
+    Each folder and each arm of a study is a group; logs given one by one are one group together.
+    Trials of a study without a log are only in the tables. `progress` is called with the number of
     logs read and of all. Raises UsageError if there is no log, or if the trials of a group belong
     to several experiments.
     """
@@ -90,16 +91,14 @@ def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
 
 
 def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
-    """Return the name of a study by its folder, else those of the experiments."""
+    """Return the name of a study from its folder, or the names of the experiments."""
     if len(paths) == 1 and len(groups) > 1:
         return paths[0].resolve().name
     return ", ".join(dict.fromkeys(group.experiment.name for group in groups))
 
 
 def _page(title: str, body: str, scripts: str) -> str:
-    """Return the whole page, whose security policy allows only this style and script, and no
-    address.
-    """
+    """Return the whole page; its security policy allows only this style and script."""
     style = (ASSETS / "page.css").read_text()
     program = f'"use strict";\n{scripts}'
     allowed = b64encode(hashlib.sha256(program.encode()).digest()).decode()
@@ -253,7 +252,7 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
 
 
 def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
-    """Return every total error as inline SVG, its dot a link to its trial, "" without any error.
+    """Return all total errors as inline SVG, each dot a link to its trial; "" without any error.
 
     `numbers` are those of the trials on the page by path.
     """

@@ -1,4 +1,4 @@
-"""Compares the total errors of groups, two by two: of two folders, or of the arms of a study."""
+"""Compares the total errors of pairs of groups, such as two folders or the arms of a study."""
 
 import math
 from collections.abc import Sequence
@@ -44,12 +44,12 @@ class Contrast:
     With `pairs`, trials with the same disturbances, `difference` is that of the paired t test and
     `standardised` is of the pairs; else `difference` is Welch's, and `both` the interval from those
     of the two means. The interval and the p of `difference` are of one test, of the means. `rank_p`
-    answers another question, which group errs more often: it is Wilcoxon's signed-rank or rank-sum
-    test. `why_unpaired` is "" with pairs. Each `..._holm` is corrected for all contrasts that are
+    is of Wilcoxon's signed-rank or rank-sum test, which asks which group has larger errors more
+    often. `why_unpaired` is "" with pairs. Each `..._holm` is corrected for all contrasts that are
     tested. `detects` is the difference, in standard deviations (of the differences, or of the
     values), that these numbers of trials show in 80 % of all studies. `verdict` is "lower",
-    "higher" or "undecided", None for the `reason`. Groups of unlike plants, `alike` False, are not
-    tested: their p is NaN.
+    "higher" or "undecided", or None with a `reason`. Groups with different plants (`alike` False)
+    are not tested; their p is NaN.
     """
 
     one: Group
@@ -91,7 +91,7 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True)
 class GroupComparison:
-    """Groups, and the contrasts of every two of them or of each with a baseline."""
+    """Groups, and their contrasts: of each pair, or of each group with a baseline."""
 
     groups: tuple[Group, ...]
     contrasts: tuple[Contrast, ...] = ()
@@ -108,7 +108,7 @@ class GroupComparison:
 
 
 def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
-    """Compare every two groups or, with a baseline, each group with that; one group with none.
+    """Compare each pair of groups or, with a baseline, each group with the baseline.
 
     Raises UsageError if they do not share the unit of length.
     """
@@ -159,10 +159,9 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return one minus other of trials of the same seed and number, if their disturbances match.
-
-    If there are no pairs the text says why; it is "" if there are. A simulation draws its
-    disturbances from the seed and the spec without the controller.
+    """Return the paired differences, one minus other, if the disturbances of the trials match.
+    Pairs have the same seed and number. Without pairs the text gives the reason; otherwise it is
+    "". A simulation draws its disturbances from the seed and the spec without the controller.
     """
     if not (one.origin.simulated and other.origin.simulated):
         return np.zeros(0), "no two trials in a lab are alike"

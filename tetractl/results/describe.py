@@ -54,8 +54,8 @@ class Group:
 
     `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
     outcome the controller decided. `statistics` are the values of `results.kinds`, over all trials.
-    `published` and `scaled` are None if the spec asks for none; `scaled` too for a simulation
-    without disturbances and an emulated lab.
+    `published` and `scaled` are None if the spec requests none; `scaled` is also None for a
+    simulation without disturbances and for an emulated lab.
     """
 
     name: str
@@ -77,7 +77,7 @@ class Group:
 
     @property
     def counted(self) -> int:
-        """Number of trials behind the means."""
+        """Number of trials in the means."""
         return self.total.n
 
     @property
@@ -94,7 +94,7 @@ class Group:
 def describe(batch: Batch, name: str = "") -> Group:
     """Describe the trials of one experiment.
 
-    Raises UsageError if they belong to several, or if a simulated trial occurs twice.
+    Raises UsageError if they belong to several experiments, or if a simulated trial occurs twice.
     """
     experiment = experiment_of(batch)
     origin = batch.trials[0].origin
@@ -153,8 +153,8 @@ def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
     A trial is flagged if it does not count, its log is damaged, a robot entered an obstacle, it
-    ended at `steps max`, or in a lab its log holds warnings. In a simulation warnings come from the
-    disturbances that the spec asks for.
+    ended at `steps max`, or in a lab its log holds warnings. In a simulation warnings are no
+    reason, since the spec requests the disturbances.
     """
     found = []
     for trial in batch.trials:

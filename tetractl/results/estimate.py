@@ -1,7 +1,7 @@
 """Estimates with intervals: a mean and a share. Differences are in `difference`.
 
-All are closed formulas: the same values always give the same interval, and none is resampled. An
-estimate that needs more data than there is, is NaN with a reason.
+All are closed formulas without resampling, so the same values always give the same interval. An
+estimate from too few values is NaN, with a reason.
 """
 
 import math
@@ -17,7 +17,7 @@ from tetractl.core.table.table import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # multiple of the median above which a value counts as far off without a stated bound
+FAR = 10  # multiple of the median that is the bound of the tail if the spec has none
 _FEWEST = 3  # least number of values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
@@ -40,16 +40,16 @@ class Interval:
 
     @classmethod
     def none(cls, reason: str) -> Self:
-        """Return an `Interval` that states why there is none."""
+        """Return an `Interval` without ends, with the reason."""
         return cls(_NAN, _NAN, None, reason)
 
     @property
     def known(self) -> bool:
-        """Whether there is an interval."""
+        """Whether the interval has finite ends."""
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def text(self, show: Callable[[float], str]) -> str:
-        """Return both ends by a format, or the reason why there is none."""
+        """Return both ends in a format, or the reason why there is no interval."""
         if self.known:
             return f"{show(self.low)} to {show(self.high)}"
         return f"none: {self.reason}" if self.reason else NONE
@@ -68,9 +68,10 @@ class Interval:
 class Tail:
     """How many of n values lie above a `bound`, and Wilson's interval of their share.
 
-    A mean of a few values says little of rare large ones: of 20 trials, two of three batches show
-    none of what happens in 2 %. `stated` is whether the spec states the bound; else it is 10
-    medians. Without values, or with a median that is not positive, the fields are None.
+    The mean of a few values says little about rare large ones: an event with a probability of 2 %
+    is missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
+    otherwise it is 10 medians. Without values, or with a median that is not positive, the fields
+    are None.
     """
 
     bound: float
@@ -80,7 +81,7 @@ class Tail:
     ci95: Interval
 
     def text(self, unit: str = "") -> str:
-        """Return such as "2 of 100 above 85.0 mm (1 to 7 %)"."""
+        """Return a text such as "2 of 100 above 85.0 mm (1 to 7 %)"."""
         if not math.isfinite(self.bound):
             return NONE
         bound = f"{lengths(self.bound)(self.bound)} {unit}".strip()
@@ -115,7 +116,7 @@ class Distribution:
     tail: Tail
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the items of JSON that describe the values; what is not known is None."""
+        """Return the items of JSON that describe the values; None for unknown ones."""
         return {
             "n": self.n,
             "mean": finite(self.mean),
@@ -133,7 +134,7 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
     count, n = rows.shape
     if n == 0:
         return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * count
-    rows = np.sort(rows, axis=1)  # makes every number independent of the order of the trials
+    rows = np.sort(rows, axis=1)  # so that no result depends on the order of the trials
     low, high = rows[:, 0], rows[:, -1]
     mean = np.clip(rows.mean(axis=1), low, high)
     std = np.where(high > low, rows.std(axis=1, ddof=1), 0.0) if n > 1 else np.full(count, _NAN)
@@ -147,7 +148,7 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe values of which only these figures are known."""
+    """Describe values from their n, mean and standard deviation only."""
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 
@@ -163,7 +164,7 @@ def _tail(values: Floats, median: float, bound: float | None) -> Tail:
 
 
 def published_distribution(n: int, mean: float, std: float) -> Distribution:
-    """Describe a published result of which only n, mean and deviation are known; the interval is
+    """Describe a published result from its n, mean and standard deviation; the interval is
     Student's on a logarithmic scale."""
     if mean <= 0 or std <= 0:
         return known_distribution(n, mean, std, Interval.none("nothing varies"))
@@ -178,8 +179,9 @@ def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
 def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
     """Return the interval of the mean of sorted values (n,).
 
-    Of values that are never negative, such as distances, both ends are positive: Student's on a
-    logarithmic scale, its upper end moved out for skewness. Of others it is Student's.
+    For values that are never negative, such as distances, it is Student's on a logarithmic scale,
+    with a higher upper end for skewed values; both ends are positive. For other values it is
+    Student's.
     """
     n = len(values)
     if n == 1:

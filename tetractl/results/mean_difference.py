@@ -1,9 +1,9 @@
 """Differences of two batches: of means, effect sizes, standard deviations, and ranks.
 
 Tests by ranks assume no distribution. Their p-values are two-sided and exact as long as there are
-at most EXACT values: the distribution of the sum of ranks is counted out over all equally probable
-cases, tied values sharing their mean rank. With more values it is taken as normal, with the
-variance that the ties leave.
+at most EXACT values: the distribution of the sum of ranks is enumerated over all equally probable
+cases, and tied values share their mean rank. With more values it is approximated as normal, with
+the variance corrected for ties.
 """
 
 import math
@@ -137,12 +137,12 @@ def _root(function: Callable[[float], float], low: float, high: float) -> float:
 
 
 POWER = 0.8
-_FEWEST = 5  # values a side for a ratio of deviations
+_FEWEST = 5  # least number of values per side for a ratio of standard deviations
 
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A ratio of two standard deviations, the first over the second, and p for its being 1."""
+    """A ratio of two standard deviations, the first over the second; p tests that it is 1."""
 
     value: float
     ci95: Interval
@@ -173,7 +173,8 @@ def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
     pseudo-value n ln s^2 - (n - 1) ln s_i^2, with the variance s_i^2 of the others; the difference
     of their means, by Welch's t, is that of the two ln s^2.
     """
-    sides = [np.sort(ours), np.sort(theirs)]  # the order of the trials must not matter
+    # the result must not depend on the order of the trials
+    sides = [np.sort(ours), np.sort(theirs)]
     if min(map(len, sides)) < _FEWEST:
         return Ratio(math.nan, Interval.none(f"needs {_FEWEST} values on each side"), math.nan)
     one, other = (float(side.std(ddof=1)) for side in sides)
@@ -194,7 +195,8 @@ def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
 def _pseudo_values(values: Floats) -> Floats:
     n = len(values)
     squares = (values - values.mean()) ** 2
-    without = squares.sum() - squares * n / (n - 1)  # of the others about their own mean
+    # sum of squares of the other values about their own mean
+    without = squares.sum() - squares * n / (n - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         every = np.log(squares.sum() / (n - 1))
         return n * every - (n - 1) * np.log(without / (n - 2))
@@ -210,8 +212,8 @@ def detectable(pairs: int, tests: int = 1) -> float:
 
 
 def detectable_between(m: int, n: int, tests: int = 1) -> float:
-    """Return, as `detectable`, the difference of two means, in deviations of the values, that m and
-    n values show."""
+    """Return the same as `detectable` for two means of m and n unpaired values, in standard
+    deviations."""
     if min(m, n) < 2:
         return math.nan
     return _detectable(m + n - 2, math.sqrt(m * n / (m + n)), tests)
@@ -224,7 +226,8 @@ def _detectable(degrees: int, root: float, tests: int) -> float:
 
     def missing(size: float) -> float:
         low, high = special.nctdtr(degrees, size * root, [-bound, bound])
-        return float(1 - high + np.nan_to_num(low)) - POWER  # NaN far out, where it is 0
+        # it is NaN in the far tail, where the power is 0
+        return float(1 - high + np.nan_to_num(low)) - POWER
 
     found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
     return float(found.root)
@@ -234,7 +237,7 @@ EXACT = 60  # values
 
 
 def signed_rank(differences: Floats) -> float:
-    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) lie round 0.
+    """Return the p-value of Wilcoxon's signed-rank test that differences (n,) are centred at 0.
 
     Differences of exactly 0 are left out. NaN if none is left.
     """
@@ -242,12 +245,13 @@ def signed_rank(differences: Floats) -> float:
     n = len(kept)
     if n == 0:
         return math.nan
-    double = _double_ranks(np.abs(kept))  # whole numbers, though mean ranks may be halves
+    # twice the ranks are whole numbers, since mean ranks may be halves
+    double = _double_ranks(np.abs(kept))
     positive, total = int(double[kept > 0].sum()), int(double.sum())
     if n > EXACT:
         variance = float((double.astype(float) ** 2).sum()) / 4
         return _normal(positive - total / 2, variance)
-    ways = np.zeros(total + 1)  # of reaching each sum, as probabilities
+    ways = np.zeros(total + 1)  # probability of each sum
     ways[0] = 1.0
     for rank in double.tolist():
         ways[rank:] = (ways[rank:] + ways[: total + 1 - rank]) / 2
@@ -256,8 +260,8 @@ def signed_rank(differences: Floats) -> float:
 
 
 def rank_sum(ours: Floats, theirs: Floats) -> float:
-    """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) that values (m,) are as
-    large as values (n,). NaN if a side is empty."""
+    """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of values (m,) and (n,).
+    NaN if a side is empty."""
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
         return math.nan
@@ -269,7 +273,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
         variance = m * n * spread / ((m + n) * (m + n - 1)) if m + n > 1 else 0.0
         return _normal(mine - expected, variance)
     total = int(double.sum())
-    ways = np.zeros((m + 1, total + 1))  # of reaching each sum with a number of ranks
+    ways = np.zeros((m + 1, total + 1))  # number of cases for each sum and number of ranks
     ways[0, 0] = 1.0
     for rank in double.tolist():
         ways[1:, rank:] += ways[:-1, : total + 1 - rank]
@@ -277,7 +281,7 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
 
 
 def holm(p_values: Sequence[float]) -> list[float]:
-    """Return p-values corrected for being several, by Holm (Scand. J. Statist. 6, 1979).
+    """Return p-values corrected for multiple comparisons, by Holm (Scand. J. Statist. 6, 1979).
 
     The i-th smallest of k is multiplied by k - i + 1, and is at least the one before. NaN stays,
     and does not count.
@@ -298,7 +302,7 @@ def _double_ranks(values: Floats) -> NDArray[np.int64]:
 
 
 def _two_sided(probability: Floats, seen: int) -> float:
-    """Return the probability of a sum at least as far out as the one seen, on either side."""
+    """Return the two-sided probability of a sum at least as extreme as the observed one."""
     tails = probability[: seen + 1].sum(), probability[seen:].sum()
     return min(1.0, 2 * float(min(tails)))
 

@@ -1,4 +1,4 @@
-"""Opens batches: the results of trials from logs and from the rows of studies, each once."""
+"""Opens batches: reads each trial's result once, from its log or its row in a study."""
 
 import json
 import math
@@ -20,7 +20,7 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log from which no trial could be read, or a damaged row, and why."""
+    """A log without a readable trial, or a damaged row, and the reason."""
 
     path: str
     problem: str
@@ -33,12 +33,11 @@ class Damaged:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Trials that were read together.
+    """Trials that form one batch.
 
-    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete if a
-    complete log of the trial exists, whatever they are called. `damaged` are logs and rows that no
-    trial could be read from, attempts among them. The path of a trial from a study's row is the
-    file and line of the row.
+    `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
+    complete log of the trial exists. `damaged` are logs and rows that no trial could be read from,
+    attempts among them. The path of a trial from a study's row is the file and line of the row.
     """
 
     trials: tuple[ResultSummary, ...]
@@ -47,7 +46,7 @@ class Batch:
 
     @classmethod
     def of(cls, found: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
-        """Return the trials as a batch, separated from earlier attempts at them."""
+        """Return the trials as a batch, with earlier attempts separated."""
         found = list(found)
         done = {_key(trial) for trial in found if trial.outcome.complete}
         trials: list[ResultSummary] = []
@@ -65,7 +64,7 @@ class Batch:
 
     @property
     def lost(self) -> tuple[Damaged, ...]:
-        """Logs and rows whose trials the batch lacks."""
+        """Damaged logs and rows, whose trials are missing in the batch."""
         return tuple(log for log in self.damaged if not log.set_aside)
 
     @property
@@ -111,7 +110,7 @@ class Source:
         return cls(name + more, logs, [file for found in kept.values() for file in found])
 
     def by_arm(self, folder: Path) -> "list[Source]":
-        """Return the source of each arm if `folder` is a study's and holds nothing else."""
+        """Return the source of each arm if `folder` contains a study and nothing else."""
         logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
@@ -120,7 +119,7 @@ class Source:
         return [Source(rows.parent.name, logs[rows.parent], [rows]) for rows in self.rows]
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
-        """Read every result; `on_log` is called with the numbers of logs read and of all."""
+        """Read every result; `on_log` is called with the number of logs read and of all logs."""
         trials: list[ResultSummary] = []
         damaged: list[Damaged] = []
         for done, log in enumerate(self.logs, start=1):
@@ -155,7 +154,7 @@ def sources(paths: Sequence[str]) -> list[Source]:
 
 
 def one_source(paths: Sequence[str]) -> Source:
-    """Return all paths as one batch; UsageError for the folder of a study with several arms."""
+    """Return all paths as one batch; UsageError if one is a study with several arms."""
     source = Source.of(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
         listed = source if len(paths) == 1 else Source.of([folder])
@@ -169,8 +168,9 @@ def _add_unlogged(
 ) -> None:
     """Add the trials of files of rows to those read from logs, each once.
 
-    A log precedes the row of its trial, unless the log has lost its end: then it is damaged, and
-    the row counts. Logs that were set aside are attempts, and no reason to leave the row out.
+    A log takes precedence over the row of its trial, unless the end of the log is lost: then the
+    log counts as damaged and the row is used. Logs that were set aside are attempts and do not
+    replace a row.
     """
     logs: dict[tuple[Path, int], list[ResultSummary]] = defaultdict(list)
     for trial in trials:
@@ -204,9 +204,9 @@ _BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not ch
 def experiment_of(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts share.
 
-    Raises UsageError if they do not share one, if some are of an emulated lab and some are
-    not, or if a trial occurs twice: copies of a log, or a simulation run again, would make n
-    larger than it is.
+    Raises UsageError if the experiments differ, if only some trials are of an emulated lab, or if a
+    trial occurs twice: copies of a log, or a simulation run again, would count as independent
+    trials.
     """
     if not batch.trials:
         if batch.attempts:
@@ -237,7 +237,7 @@ def experiment_of(batch: Batch) -> Experiment:
 def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
     seen: dict[object, ResultSummary] = {}
     for trial in trials:
-        # A trial in the lab is repeated under the same number and seed, and is then another one.
+        # Two trials in the lab may have the same number and seed, and are different trials.
         key = (trial.seed, trial.trial) if trial.simulated else trial.digest or id(trial)
         twin = seen.setdefault(key, trial)
         if twin is not trial:
@@ -251,8 +251,8 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
-    What does not change a trial is left out: the description, the trials' count and seed, and the
-    bound of the tables; so are robots that each trial found by itself, by the same rule.
+    Fields that do not change a trial are left out: the description, the number and seed of the
+    trials, and the bound of the tables; also robots that each trial chose by the same rule.
     """
     found = one.chosen is not None and one.chosen == two.chosen
     left_out = _BOOKKEEPING | ({"robots"} if found else set())

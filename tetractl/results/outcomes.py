@@ -91,7 +91,7 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's share of the hold's time inside; None if no whole hold was held."""
+    """Return each robot's share of the hold's time inside; None without a complete hold."""
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
@@ -101,15 +101,15 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _lost(trial: ResultSummary) -> dict[str, Any]:
-    """Return how many robots were lost, in a trial that goes on without them."""
+    """Return how many robots were lost, in a trial that continues without them."""
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
 
 def mean_of_each(
     of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return the mean of each column of the trials, a row a column, as a statistic; none if the
-    spec asks for none."""
+    """Return the mean of each column of the trials as a statistic, one row per column; none if the
+    spec requests none."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         columns = [of(trial) for trial in trials]

@@ -39,7 +39,7 @@ class Statistic:
 
 
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
-    """Return the statistic of a number of each trial: mean and 95 % interval of those that count.
+    """Return the statistic of one number per trial: mean and 95 % interval over complete trials.
 
     A trial for which it is not finite is left out of the mean; its column is empty.
     """
@@ -62,7 +62,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
 
 
 def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the number of trials for which something holds, as a statistic."""
+    """Return the number of trials that fulfil a condition, as a statistic."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
@@ -72,8 +72,8 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
 
 def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the number of trials for which something holds, with the 95 % interval of its share
-    (Wilson), as a statistic."""
+    """Return the number of trials that fulfil a condition, with Wilson's 95 % interval of their
+    share, as a statistic."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))

@@ -1,4 +1,4 @@
-"""Lays groups and their contrasts out as tables for readers."""
+"""Formats groups and their comparisons as tables for readers."""
 
 import math
 from collections import Counter
@@ -13,9 +13,9 @@ from tetractl.results.describe import Group, flagged
 from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
 from tetractl.results.open_batch import listing
 
-_SHOWN = 20  # flagged trials listed in a table
-_OTHER_SCALE = 100.0  # multiple of the least mean from which an error is printed with six digits
-_ABREAST = 3  # groups in one table of figures
+_SHOWN = 20  # largest number of flagged trials in a table
+_OTHER_SCALE = 100.0  # multiple of the smallest mean from which an error has six digits
+_ABREAST = 3  # largest number of groups in one table
 
 Show = Callable[[float], str]
 
@@ -37,13 +37,13 @@ def error_table(
     scale: float | None = None,
     finest: int = 9,
 ) -> Table:
-    """Return one row per named distribution of errors, with three digits of the least mean, or of
-    `scale`, but no more than `finest` decimals."""
+    """Return one row per named distribution of errors. The decimals show three digits of the least
+    mean, or of `scale`, and are at most `finest`."""
     means = [values.mean for _, values in named if values.mean > 0]
     least = min(means, default=0.0) if scale is None else scale
     decimals = lengths(least, finest)
 
-    def show(value: float) -> str:  # a result many times as large keeps its own digits
+    def show(value: float) -> str:  # a much larger result has its own number of digits
         return f"{value:g}" if value > _OTHER_SCALE * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
@@ -108,7 +108,7 @@ def processors_note(types: Iterable[str]) -> str:
 
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
-    """Return how the trials of a few groups ended: a row per figure, a named column per group."""
+    """Return how the trials of some groups ended: a row per statistic, a named column per group."""
     columns = [dict(_figures(group)) for group in groups]
     labels = list(dict.fromkeys(label for column in columns for label in column))
     return Table(
@@ -170,7 +170,7 @@ def tail_label(values: Distribution) -> str:
 
 
 def _contrasts(found: Sequence[Contrast]) -> list[Table]:
-    """Return the differences of the means, how large they are, and what the tests rest on."""
+    """Return the differences of the means, the effect sizes, and a note on the tests."""
     if not found:
         return []
     first = found[0].one
@@ -244,7 +244,7 @@ def _flagged(groups: Sequence[Group]) -> Table:
 
 
 def finest(experiment: Experiment) -> int:
-    """Return the decimals of about a millionth of the arena, below which an error means nothing."""
+    """Return the decimals of about a millionth of the arena; smaller errors have no meaning."""
     extent = max(experiment.arena.width, experiment.arena.height)
     return min(max(6 - math.floor(math.log10(extent)), 0), 9)
 

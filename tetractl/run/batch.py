@@ -22,7 +22,7 @@ class TrialStore(Protocol):
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Record how a trial finished, if its log does not say so already."""
+        """Record how a trial finished, unless its log already does."""
         ...
 
 
@@ -31,7 +31,7 @@ class Ending:
     """How a trial ended, and the estimated time [s] of the remaining trials.
 
     `result` is None if something kept the trial from an outcome; `failure` says in one line why
-    it was aborted or has no result. `every_arm`: whether a trial of each arm has shown its time.
+    it was aborted or has no result. `every_arm` is whether the time of each arm's trials is known.
     """
 
     task: Task
@@ -44,7 +44,7 @@ class Ending:
 class TimeLeft:
     """Estimates the time of the remaining trials: in each arm the mean time of its trials so far.
 
-    Arms differ: one ends after ten steps, another runs to the last. Compiling does not count.
+    Arms may differ: some end after ten steps, others run to the last. Compilation does not count.
     """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
@@ -75,7 +75,8 @@ class TimeLeft:
             self._unknown += self._left[arm]
 
     def of(self, workers: int) -> float | None:
-        """Return the time [s] with a number of trials at a time, None before the first."""
+        """Return the remaining time [s] for a number of parallel trials; None before the first
+        trial."""
         if not self._spent:
             return None
         mean_s = 0.0
@@ -126,8 +127,8 @@ def run_batch(
 ) -> Report:
     """Run trials and store their logs and records.
 
-    With `fail_fast` the first trial that is aborted or has no outcome ends the run, without it the
-    others go on. Raises OtherCodeError of a worker.
+    With `fail_fast` the first trial that is aborted or has no outcome ends the run; otherwise the
+    others continue. Raises OtherCodeError of a worker.
     """
     report, time_left = Report(left=len(tasks)), TimeLeft(tasks)
 

@@ -28,11 +28,10 @@ MOST = 200  # most trials in one Dask task, whose logs are returned together
 
 
 class Cluster:
-    """Hands trials to the workers of the scheduler at `address`; a context manager.
-
-    A Dask task is some seconds of trials, by the time that those before took. The scheduler gives
-    the task of a lost worker to another, three times at most; after that its trials are handed out
-    one by one. Logs come back with the results, so that workers need no folder in common.
+    """Submits trials to the scheduler at `address`; a context manager. A Dask task has a few
+    seconds of trials, estimated from previous trials. The scheduler gives the task of a lost worker
+    to another worker, at most three times; then its trials are submitted one by one. Logs come back
+    with the results, so that workers need no folder in common.
 
     Raises UsageError if distributed is not installed or no scheduler answers.
     """
@@ -52,10 +51,12 @@ class Cluster:
                 "--cluster needs Dask's distributed, which is not installed",
                 "pip install 'tetractl[dask]'",
             ) from None
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of its end
+        # it logs tracebacks when it ends
+        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
-            get_address_host_port(self._address)  # else an address without a port is waited for
-            security = Security()  # of Dask's own configuration
+            # without a port, distributed would wait for the address
+            get_address_host_port(self._address)
+            security = Security()  # errors in Dask's own configuration
             context = security.get_connection_args("client").get("ssl_context")
             if self._address.startswith("tls:") and context is None:
                 raise UsageError(
@@ -84,7 +85,7 @@ class Cluster:
         """The number of trials that run at a time, at least 1; read occasionally."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
-            with suppress(OSError):  # the scheduler is gone: `run` reports it
+            with suppress(OSError):  # the connection is lost: `run` reports this
                 threads: Any = self._client.nthreads()
                 self._workers = max(sum(threads.values()), 1)
             self._count_at_s = now + COUNT_S
@@ -92,7 +93,7 @@ class Cluster:
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
-        # retried alone: these were lost together with others
+        # tasks lost together with others, retried alone
         waiting, alone = deque(tasks), deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -127,7 +128,7 @@ class Cluster:
             self._client.cancel(list(running))
 
     def end(self) -> None:
-        """Start no further trial, and give up those that run."""
+        """Start no further trial, and abandon the running ones."""
         self._ended = True
 
     @property
@@ -171,7 +172,7 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
     """Return how many trials of `mean_s` on average make a Dask task.
 
     Fewer when not many are `waiting`, so that all `window` places for tasks are filled to the end;
-    one while no trial has shown its time.
+    one while the time of a trial is unknown.
     """
     if mean_s is None:
         return 1
@@ -188,7 +189,7 @@ def _run(task: Task) -> tuple[Finished | Exception, bytes | None]:
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             found = run_task(task, Path(name), Interrupt())
-        except Exception as error:  # with the log that may have been kept of it
+        except Exception as error:  # with its log, if one was kept
             found = error
         path = log_path(Path(name), task.trial)
         return found, path.read_bytes() if path.exists() else None

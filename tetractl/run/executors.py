@@ -21,7 +21,7 @@ from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 SIGNAL_AGAIN_S = 1.0
-ORPHAN_S = 5.0  # time for a worker without a parent to close its log
+ORPHAN_S = 5.0  # time for a worker to close its log after its parent has ended
 KILLED = "a trial's process was killed twice, perhaps for want of memory"
 
 Ended = tuple[Task, Finished | Exception]
@@ -31,7 +31,7 @@ Ready = Callable[[Task], Path]
 """Called in this process before a task starts; returns the folder for its log."""
 
 InLab = Callable[[int], AbstractContextManager[LabSupervision | None]]
-"""Returns the supervision of a trial in the lab, for as long as it runs, by the trial's number."""
+"""Returns the context manager that supervises a lab trial, from the trial's number."""
 
 
 class Executor(Protocol):
@@ -47,7 +47,7 @@ class Executor(Protocol):
         ...
 
     def end(self) -> None:
-        """Start no further trial, and let those that run end early."""
+        """Start no further trial, and end the running ones early."""
         ...
 
 
@@ -90,22 +90,23 @@ class Here:
 
 
 class Processes:
-    """Runs `workers` trials at a time, each in its process.
+    """Runs `workers` trials at a time, each in a process.
 
-    The first request of `interrupt` ends the running trials after their control step; the second
-    at once. When a process is killed, the trials that ran are run
-    again, each by itself; one whose process is killed again has failed.
+    The first request of `interrupt` ends the running trials after their control step; the second at
+    once. If a process is killed, the running trials are repeated one by one; a trial whose process
+    is killed again has failed.
     """
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
         self.workers, self._interrupt = workers, interrupt
-        self._context = multiprocessing.get_context("spawn")  # a fork would copy threads half-way
+        # a fork would copy threads in an undefined state
+        self._context = multiprocessing.get_context("spawn")
         self._ending: Event | None = None
         self._again = 0.0  # when SIGTERM may be sent to the workers again
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
-        with _signals_held_back():  # the process that looks after semaphores starts here
+        with _signals_held_back():  # starts the process that tracks semaphores
             self._ending = self._context.Event()
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
@@ -122,7 +123,7 @@ class Processes:
                     yield task, AbortError(KILLED, hint) if lost else found
 
     def end(self) -> None:
-        """Start no further trial, and let those that run end early."""
+        """Start no further trial, and end the running ones early."""
         assert self._ending is not None
         self._ending.set()
 
@@ -155,7 +156,7 @@ class Processes:
             for process in multiprocessing.active_children():
                 if process.pid:
                     os.kill(process.pid, signal.SIGTERM)
-            # once is not always enough: an exception raised in a finaliser is lost
+            # may be needed twice: an exception raised in a finaliser is lost
             self._again = time.monotonic() + SIGNAL_AGAIN_S
 
 
@@ -163,7 +164,7 @@ def _submitted(pool: ProcessPoolExecutor, task: Task, folder: Path) -> "Future[F
     try:
         with _signals_held_back():  # a worker starts inside submit
             return pool.submit(_work, task, folder)
-    except BrokenProcessPool as error:  # a worker was killed just now
+    except BrokenProcessPool as error:  # a worker was killed in the meantime
         lost: Future[Finished] = Future()
         lost.set_exception(error)
         return lost
@@ -204,9 +205,8 @@ _interrupt: Interrupt = Interrupt()  # of this process, if it is a worker
 
 
 def _start_worker(ending: Event) -> None:
-    """Prepare a worker: the parent alone acts on signals, and the worker ends when the parent does.
-
-    A terminal sends its signals to every process; SIGTERM here is the parent's.
+    """Prepare a worker: only the parent handles signals, and the worker ends when the parent does.
+    A terminal sends its signals to every process; a SIGTERM comes from the parent.
     """
     global _interrupt
     _interrupt = interrupt = _SharedInterrupt(ending)
@@ -214,12 +214,12 @@ def _start_worker(ending: Event) -> None:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
     sys.unraisablehook = interrupt.on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers the signals that were held back
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers the blocked signals
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 
 def _end_with_parent() -> None:
-    """Wait for the end of the parent process, then end the trial, and this process soon after."""
+    """Wait for the parent process to end, then end the trial and shortly after this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

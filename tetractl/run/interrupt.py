@@ -1,8 +1,8 @@
 """Signals: the first stops the robots after the control step, the second at once.
 
 Every signal whose default ends the process counts: Ctrl-C, SIGTERM, SIGHUP of a closed terminal,
-SIGQUIT, SIGUSR1, SIGALRM and the others that can be caught. The exceptions are those by which the
-processor reports a fault of the program, and SIGPIPE and SIGXFSZ, which Python turns into errors.
+SIGQUIT, SIGUSR1, SIGALRM and the others that can be caught. Exceptions are the signals of a program
+fault, such as SIGSEGV, and SIGPIPE and SIGXFSZ, which Python turns into errors.
 """
 
 import os
@@ -74,7 +74,8 @@ class Interrupt:
             self._breakable = False
 
     def _break(self) -> None:
-        """Raise KeyboardInterrupt if the running code is breakable; handlers of it then are not."""
+        """Raise KeyboardInterrupt if the running code is breakable; its handlers are not
+        breakable."""
         if self._breakable:
             self._breakable, self.broke = False, True
             raise KeyboardInterrupt
@@ -83,7 +84,7 @@ class Interrupt:
         self.request()
 
     def on_unraisable(self, lost: "sys.UnraisableHookArgs", /) -> None:
-        """Where a finaliser swallowed KeyboardInterrupt, let the next request raise it again."""
+        """If a finaliser discarded the KeyboardInterrupt, let the next request raise it again."""
         if issubclass(lost.exc_type, KeyboardInterrupt):
             self._breakable = True
         else:
@@ -103,7 +104,7 @@ class _OneInterrupt(Interrupt):
 
 @contextmanager
 def interrupted_once(robots: bool = False) -> Iterator[None]:
-    """Raise KeyboardInterrupt in the block at the first signal; those after it do nothing.
+    """Raise KeyboardInterrupt in the block at the first signal; ignore later signals.
 
     So nothing interrupts the `finally` clauses that stop robots or restore a terminal. `robots` is
     as in `Interrupt.watch`; main thread only.
@@ -115,8 +116,8 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
 def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
     """End the process at the next signal, at once: call `say`, exit with `code`.
 
-    For when there is nothing to stop or to close. A KeyboardInterrupt in its place could be raised
-    in the middle of an import, which prints a traceback of it and goes on.
+    For when there is nothing to stop or to close. A KeyboardInterrupt during an import could be
+    printed as a traceback and then ignored.
     """
 
     def leave(number: int, frame: FrameType | None) -> None:
@@ -128,7 +129,7 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
 
 
 def ignore_signals() -> None:
-    """Ignore all signals: for the end of the interpreter, which gives up every other handler."""
+    """Ignore all signals while the interpreter ends, which removes every other handler."""
     _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
 
 

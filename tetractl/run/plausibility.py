@@ -1,7 +1,6 @@
-"""Warns of problems in a valid spec: whether it can work, and as intended.
-
-Each check is a function in `CHECKS`, and yields a `SpecWarning`, with the number that shows it, for
-each thing it finds. What each means is in docs/reference/warnings.md.
+"""Warns of problems in a valid spec that may prevent a trial from working as intended. Each check
+is a function in `CHECKS` that yields a `SpecWarning` with a number for each problem.
+docs/reference/warnings.md explains the warnings.
 """
 
 import math
@@ -43,9 +42,9 @@ class SpecWarning:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """An experiment, with the data of its controller for the checks.
-    Controllers of other kinds may lack some: `signals_max` is None if no plan has a
-    longest length, `motion` is "" if none is named.
+    """An experiment, with the data of its controller for the checks. Controllers of other kinds may
+    lack some: `signals_max` is None if the length of plans has no limit, `motion` is "" if the
+    controller has none.
     """
 
     experiment: Experiment
@@ -103,7 +102,7 @@ def angles(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield every number of a section, and of those in it, whose description says [rad]."""
+    """Yield every number of a section and its subsections whose description contains [rad]."""
     for name, field in type(part).model_fields.items():
         value = getattr(part, name)
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
@@ -243,7 +242,7 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _and(names: Sequence[str]) -> str:
-    """Return names as in a sentence, very many cut short."""
+    """Return names as a list in a sentence, shortened if there are very many."""
     shown = list(names) if len(names) < 4 else [*names[:2], f"{len(names) - 2} more"]
     return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
 
@@ -369,10 +368,10 @@ class PlacedWarning(SpecProblem):
         return f"{SpecProblem.__str__(self)}; {self.hint}"
 
 
-@np.errstate(all="ignore")  # absurd numbers may overflow
+@np.errstate(all="ignore")  # very large numbers may overflow
 def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
     """Return the warnings of a spec that was loaded with `sets`, in the order of its lines."""
-    if loaded.experiment.open:  # its robots are stand-ins
+    if loaded.experiment.open:  # its robots are placeholders
         return ()
     context = CheckContext.of(loaded.experiment)
     document = document_of(loaded.text, str(loaded.path or loaded.name), sets)

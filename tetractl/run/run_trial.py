@@ -43,7 +43,8 @@ class Trial:
     _began_ns: int | None = None  # when the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
     _tour: TourMeasure = field(init=False)
-    _between: list[Observation] = field(default_factory=list)  # frames since that of the last step
+    # frames since the frame of the last step
+    _between: list[Observation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         setup = self.start.setup
@@ -129,7 +130,7 @@ class Trial:
         raise AssertionError("unreachable: the loop ends by returning")
 
     def _frames_between(self, last: Observation, now: Observation) -> list[Observation]:
-        """Return the frames exposed between those of two control steps, oldest first."""
+        """Return the frames exposed between two control steps, oldest first."""
         self._take_samples()
         frames = self._between
         self._between = [one for one in frames if one.sampled_ns > now.sampled_ns]
@@ -236,9 +237,9 @@ class Trial:
             _pass_news(observer, news)
 
     def _end(self, outcome: Outcome, reason: str, bug: Exception | None, opened_ns: int) -> Result:
-        """Stop the robots, wait for rest, and call every observer, one that failed before too.
+        """Stop the robots, wait for rest, and call every observer, also those that failed before.
 
-        An exception of one observer does not keep the others from being called; a bug is raised
+        If an observer raises an exception, the others are called all the same; bugs are raised
         again at the end.
         """
         stop = self.plant.stop()

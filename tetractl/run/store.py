@@ -1,4 +1,4 @@
-"""The folder of a batch: its lock, its logs, and the trials that an interrupted batch lacks."""
+"""The folder of a batch: its lock, its logs, and the missing trials of an interrupted batch."""
 
 import fcntl
 import getpass
@@ -25,9 +25,9 @@ OWNER_BYTES = 300
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder, a flock(2) on its file `.tetractl-lock`, which names the owner.
 
-    The kernel releases the lock when the process that holds it ends, however it ends, so a file
-    that is left behind on this host does not lock the folder. A file that a process of another
-    host left does, because not every network file system passes locks on between hosts.
+    The kernel releases the lock when its process ends for any reason, so a remaining file from this
+    host does not lock the folder. A file from another host does, because not every network file
+    system shares locks between hosts.
 
     Raises UsageError if another run holds the lock, LogError if the file cannot be written.
     """
@@ -39,7 +39,7 @@ def locked(folder: Path) -> Iterator[None]:
     try:
         yield
     finally:
-        with suppress(OSError):  # the folder may be gone
+        with suppress(OSError):  # the folder may have been removed
             path.unlink()
         os.close(file)
 
@@ -127,7 +127,7 @@ class LogStore:
 
         Raises the errors of `lacking` and `made_and_locked`.
         """
-        self.lacking(resume)  # nothing is made for a batch that is refused
+        self.lacking(resume)  # a refused batch leaves no folder
         with made_and_locked(self.folder):
             yield self.lacking(resume)
 
@@ -172,13 +172,13 @@ class LogStore:
         return self.folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Do nothing: the log is the record."""
+        """Do nothing, since the log is the record."""
 
 
 def set_aside(folder: Path, trial: int) -> None:
     """Rename the logs of a trial that is to be run to trial-003.attempt-1.mcap and so on.
 
-    An attempt is never overwritten. A recovered log keeps the number of the log it comes from.
+    An attempt is never overwritten. A recovered log keeps the number of its source.
     """
     path = log_path(folder, trial)
     recovered = path.with_suffix(RECOVERED_SUFFIX)

@@ -1,5 +1,5 @@
-"""One trial as an executor runs it: its log, its digest, its result; its observers called from a
-background thread, so that a slow screen never delays the loop.
+"""One trial as an executor runs it, with its log, digest and result. A background thread calls the
+observers, so that a slow screen never delays the loop.
 """
 
 import gc
@@ -56,7 +56,7 @@ class Relay:
         self._worker.close()
 
     def on_start(self, start: Start) -> None:
-        """Call the observer at once: nothing moves yet."""
+        """Call the observer at once, since no robot moves yet."""
         self._observer.on_start(start)
 
     def on_samples(self, samples: list[Sample]) -> None:
@@ -83,11 +83,11 @@ class Relay:
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """Trial number `trial` of `count`, counted from 0; of a study, that of the arm named `arm`.
+    """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
     `spec` is the pickled LoadedSpec. The log is kept if `log`, or if the trial fails and
     `log_if_failed`. With `digest`, the trial's digest is computed, with a log or without. `code` is
-    the `code_of` that the process which runs the trial must have, "" for any.
+    the required `code_of` of the process that runs the trial, "" for any.
     """
 
     trial: int
@@ -123,7 +123,7 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker has other code, with which trials would differ."""
+    """A worker has different code, so its trials would differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -140,8 +140,8 @@ def code_of(spec: LoadedSpec) -> str:
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
     """Return the key of the controller's random numbers and the seed of the plant's disturbances.
 
-    Children of SeedSequence(root) by spawn key (trial, purpose): a trial's numbers depend on
-    neither the number of trials nor the order in which they run.
+    Children of SeedSequence(root) by spawn key (trial, purpose): the random numbers of a trial
+    depend on neither the number nor the order of the trials.
     """
     controller = np.random.SeedSequence(root, spawn_key=(trial, 0))
     plant = np.random.SeedSequence(root, spawn_key=(trial, 1))
@@ -162,12 +162,12 @@ def run_task(
 ) -> Finished:
     """Run a trial, its log in `folder` if one is kept.
 
-    Raises OtherCodeError in a process with other code than the task's, and whatever keeps the trial
-    from an outcome, such as a camera that does not answer. A log that is kept because of a failure
-    is written by running the trial again: it repeats.
+    Raises OtherCodeError in a process with other code than the task's, and any error that leaves
+    the trial without an outcome, such as a camera that does not answer. For the log of a failed
+    trial the trial is run again, with the same result.
     """
     if task.log_if_failed and not task.log:
-        with suppress(Exception):  # it comes again
+        with suppress(Exception):  # the repeated trial raises it again
             finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
             if finished.result.outcome is not Outcome.ABORTED:
                 return finished
@@ -181,7 +181,7 @@ def run_task(
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     if digest is None:
         return Finished(result, task.log, wall_s, cpu_s)
-    if log and log.failure:  # the digest would be that of another outcome
+    if log and log.failure:  # an interrupted trial has another digest
         raise log.failure
     type_ = processor(host())
     return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings, type_)
@@ -199,7 +199,7 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
     with suppress(TetractlError):  # the trial raises it again
         warm_up(loaded.experiment, lambda text: None)
     gc.collect()
-    gc.freeze()  # so that collecting what was loaded never delays a control step
+    gc.freeze()  # keeps the garbage collection of loaded objects out of control steps
     return loaded
 
 

@@ -1,6 +1,6 @@
 """The messages of the protocol `foxglove.sdk.v1` that show a trial and control a playback.
 
-As https://github.com/foxglove/ws-protocol specifies them; the messages that control a playback are
+https://github.com/foxglove/ws-protocol specifies them; the messages that control a playback are
 those of foxglove-sdk 0.30. Topics, schemas and messages are those of a log.
 """
 

@@ -2,9 +2,8 @@
 
 The protocol is spoken by `websockets` (the extra `serve`); each viewer has two threads. Nothing
 waits for a viewer: each has a queue of `BACKLOG` messages, of which the oldest are dropped. A
-viewer can publish nothing and call nothing; it can play a recording.
-
-Viewers are fed with a recorded trial that they can play, or with running trials.
+viewer cannot publish messages or call services; it can only control the playback of a recording.
+The source is a recorded trial or running trials.
 """
 
 import json
@@ -44,7 +43,7 @@ REQUEST_BYTES = 1 << 16
 CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # which `websockets` answers
 
 _QUIET = logging.getLogger(__name__)
-_QUIET.addHandler(logging.NullHandler())  # or errors of viewers are printed to stderr
+_QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr
 _QUIET.propagate = False
 
 
@@ -67,23 +66,24 @@ class Viewers:
         self._lock = threading.Lock()
         self._clients: set[_Client] = set()
         self._newest: dict[str, Entry] = {}
-        self._time_ns = 0  # until there is any
+        self._time_ns = 0  # 0 until a message was sent
         self._state: PlaybackState | None = None
 
     @property
     def watched(self) -> bool:
-        """Whether any viewer reads any topic."""
+        """Whether a viewer has subscribed to a topic."""
         with self._lock:
             return any(client.subscriptions for client in self._clients)
 
     def publish(self, entries: Iterable[Entry]) -> None:
-        """Send messages, each after the time at which it was logged; never waits."""
+        """Send messages, each preceded by its log time; never waits."""
         with self._lock:
             for entry in entries:
                 self._publish(entry)
 
     def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
-        """Go to another time [Unix ns]; `entries` are the newest messages of all topics then."""
+        """Jump to another time [Unix ns]; `entries` are the newest message of each topic at that
+        time."""
         with self._lock:
             self._newest.clear()
             self._go_to(time_ns)
@@ -112,9 +112,8 @@ class Viewers:
             client.link.cut()
 
     def converse(self, connection: socket.socket, request: bytes) -> None:
-        """Serve a viewer whose HTTP request was read already, until its connection ends.
-
-        An invalid message ends its connection and no other.
+        """Serve a viewer whose HTTP request was read already, until its connection ends. An invalid
+        message ends only its own connection.
         """
         client = _Client(link := _Link(connection, request))
         with self._lock:
@@ -154,7 +153,8 @@ class Viewers:
                 for one in asked["subscriptions"]:
                     topic = foxglove_protocol.TOPICS[one["channelId"]]
                     client.subscriptions[topic] = foxglove_protocol.subscription(one["id"])
-                    if topic in self._newest and topic != LOG:  # viewers would show a text twice
+                    # otherwise viewers show a text twice
+                    if topic in self._newest and topic != LOG:
                         client.message(self._newest[topic])
             elif asked["op"] == "unsubscribe":
                 ended = set(map(foxglove_protocol.subscription, asked["subscriptionIds"]))
@@ -200,7 +200,7 @@ class _Client:
             self._some.notify()
 
     def end(self) -> None:
-        """Close the connection once the queue is sent."""
+        """Close the connection after the queue was sent."""
         with self._some:
             self._ending = True
             self._some.notify()
@@ -290,7 +290,7 @@ class ServedReplay:
     """Sends the messages of a log to `viewers` as the time of `player` passes them.
 
     After a jump in time the newest message of each topic is sent again. Requests of viewers are
-    answered at once and obeyed by the next `follow`.
+    answered at once and applied by the next `follow`.
     """
 
     def __init__(self, contents: RawLog, player: Player) -> None:
@@ -308,7 +308,7 @@ class ServedReplay:
         self.viewers = Viewers(name, span_ns, self._asked)
 
     def follow(self) -> None:
-        """Obey the viewers, and send what has come since the last call."""
+        """Apply the viewers' requests, and send the messages since the last call."""
         player = self.player
         while not self._requests.empty():
             request = self._requests.get()
@@ -344,7 +344,7 @@ class ServedReplay:
 
 
 class ServedRun:
-    """Sends what a log would hold of one trial after another: an `Observer` of each.
+    """Sends the messages of a log for one trial after another: an `Observer` of each.
 
     A simulated trial, which would end before it is seen, is slowed to the pace of `wall`.
     """
@@ -360,7 +360,7 @@ class ServedRun:
         self._viewers.jump(start.start_unix_ns, self._messages.start())
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Send camera frames; while no viewer reads, only the newest, for those that come."""
+        """Send camera frames; without a viewer, keep only the newest for later ones."""
         for sample in samples if self._viewers.watched else samples[-1:]:
             if self._paced:
                 self._wall.sleep_until(self._began_ns + sample.observation.received_ns)

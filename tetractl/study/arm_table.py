@@ -23,7 +23,7 @@ from tetractl.study.row_store import Store
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
 """Columns of `export` that differ between two runs of a trial; `times.csv` has them."""
-MOST = 100  # arms that are printed
+MOST = 100  # largest number of arms that are printed
 
 
 def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]:
@@ -84,7 +84,7 @@ def _times(row: Row) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class FieldValue:
-    """The arms in which a field has one value, and the total error over their seeds."""
+    """The arms with one value of a field, and their total error over the seeds."""
 
     value: Any
     arms: int
@@ -114,7 +114,7 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
 def field_values(
     loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
 ) -> list[FieldValue]:
-    """Return the arms that set a field, grouped by its value: numbers rising, others in order."""
+    """Return the arms that set a field, grouped by its value, numbers in rising order."""
     found: dict[str, list[Arm]] = {}
     for arm in arms:
         if path in arm.values:

@@ -16,10 +16,10 @@ from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
 
-DECADES = 1.5  # that positive values must span to be drawn on a logarithmic axis
-TICKS = 8  # most values that are ticks themselves
-ASIDE_IN = 0.06  # between the same value of two controllers
-LABEL = 24  # characters of a value that is not a number
+DECADES = 1.5  # least span of positive values for a logarithmic axis
+TICKS = 8  # largest number of values that each have a tick
+ASIDE_IN = 0.06  # offset between two controllers at the same value
+LABEL = 24  # longest text of a value that is not a number
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
@@ -37,7 +37,7 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field; None without any error.
 
-    If several arms share a value, the mean is over them too, trial by trial.
+    If several arms share a value, each trial counts with its mean over these arms.
     """
     names = dict.fromkeys(arm.controller for arm in loaded.arms)
     curves = {
@@ -61,7 +61,8 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
-            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)  # so that no curve hides another
+            # the offset keeps all curves visible
+            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
             )
@@ -93,7 +94,7 @@ def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
 
 
 def _alike(found: Sequence[FieldValue], fields: int) -> bool:
-    """Whether neighbouring values differ in the field alone, so that a line may join them."""
+    """Whether neighbouring values differ only in the field, so that a line may connect them."""
     return len({group.arms for group in found}) == 1 and (fields == 1 or found[0].arms > 1)
 
 
@@ -123,7 +124,7 @@ def _draw(
 
 
 def _headline(loaded: LoadedStudy, found: Sequence[FieldValue]) -> str:
-    """Return the plant, the number of trials, and what is drawn."""
+    """Return the plant, the number of trials, and the statistic drawn."""
     plants = sorted(set(origins(loaded)))
     counts = sorted({group.error.n for group in found})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

@@ -1,4 +1,4 @@
-"""From a study's file to its arms, all problems reported at once.
+"""Loads a study's file and its arms, and reports all problems at once.
 
 An arm is one point of the sweep with one controller.
 """
@@ -29,8 +29,8 @@ from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
-DIGITS = 6  # of a number in a name or a figure
-NAME_LENGTH = 100  # of a folder, far below what file systems take
+DIGITS = 6  # significant digits of a number in a name or a figure
+NAME_LENGTH = 100  # longest name of a folder, far below the limit of file systems
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,10 +44,10 @@ class Arm:
     name: str  # of its folder
     controller: str  # "" if the study names none
     values: Mapping[str, Any]
-    sets: tuple[str, ...]  # as `--set` takes them, after the base
+    sets: tuple[str, ...]  # in the form of `--set`, applied after the base
     spec: LoadedSpec
     hash: str
-    code: str  # names the code here that its trials are run by
+    code: str  # hash of the code that runs its trials
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
@@ -68,7 +68,7 @@ def shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}"
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
-        return f"{len(value)}"  # such as the robots
+        return f"{len(value)}"  # for example the robots
     return value if isinstance(value, str) else as_yaml(value)
 
 
@@ -103,7 +103,7 @@ class Study(Model):
 
 
 MAX_ARMS = 100_000
-SWEEP_KEY = (0,)  # spawn key of the draws of a sweep; a trial's keys have two numbers
+SWEEP_KEY = (0,)  # spawn key of a sweep's random draws; the keys of trials have two numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,8 +127,8 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line per problem. If a value of the study does not fit the spec,
-    the line is that of the study; if the base is wrong by itself, that of the base.
+    Raises InvalidSpecError, one line per problem. The line is in the study if one of its values
+    does not fit the spec, and in the base if the base itself is invalid.
     """
     document = parse_document(read_text(path), str(path))
     study = _study(document)
@@ -152,14 +152,14 @@ def load_study(path: Path) -> LoadedStudy:
 
 
 def is_study(path: Path) -> bool:
-    """Return whether a file is a study rather than a spec, by the keys it has."""
+    """Return whether the keys of a file are those of a study, not of a spec."""
     data = parse_document(read_text(path), str(path)).data
     return "base" in data and "robots" not in data
 
 
 @cache
 def study_schema() -> dict[str, Any]:
-    """Return the JSON schema (draft 2020-12) of a study; not to be changed."""
+    """Return the JSON schema (draft 2020-12) of a study; callers must not change it."""
     return schema_of(Study)
 
 
@@ -171,7 +171,7 @@ def _study(document: Document) -> Study:
     return validated(Study, document)
 
 
-_Placed = list[tuple[str, Loc]]  # settings, and where in the study each is written
+_Placed = list[tuple[str, Loc]]  # settings, and the place of each in the study
 
 
 def _arms(study: Study, document: Document) -> Iterable[tuple[str, dict[str, Any], _Placed]]:
@@ -204,8 +204,7 @@ def _arm(
     settings: _Placed,
     document: Document,
 ) -> Arm:
-    """Return one arm; InvalidSpecError with locations in the study, if its settings cause the
-    errors."""
+    """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
     for setting, loc in settings:
         if setting.partition("=")[0].split(".")[0] == "trials":
             text = "is the study's own; give count and seed in its 'trials:'"
@@ -243,7 +242,7 @@ def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Documen
 
 
 def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]:
-    """Yield what is wrong with the arms together."""
+    """Yield the problems that concern several arms."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
         text = f"has arms in {' and '.join(units)}; one table has one length unit"
@@ -257,8 +256,8 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms, with a piece of their hash appended to names that several share."""
-    names = Counter(arm.name.lower() for arm in arms)  # as file systems that ignore case see them
+    """Yield the arms, with part of the hash appended to names that several arms share."""
+    names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1
         yield replace(arm, name=f"{arm.name}-{arm.hash[:8]}") if several else arm

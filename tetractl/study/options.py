@@ -1,6 +1,6 @@
 """Which trials of a study are run and which logs they leave.
 
-Also the job script that runs its shares with Slurm, and one trial run again and checked against its
+Also the Slurm job script that runs its shares, and the check of one trial, run again, against its
 row.
 """
 
@@ -70,8 +70,8 @@ def lacking(
 ) -> tuple[list[Task], dict[str, int]]:
     """Return the trials without a row, and how many rows of outdated code are kept, by arm.
 
-    With `rerun_outdated` the trials of outdated code are returned too. The order is trial by trial
-    over all arms, so that after an early end all arms have as many.
+    With `rerun_outdated` the trials of outdated code are returned too. They are ordered by trial
+    number over all arms, so that after an early end all arms have equally many.
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []
@@ -136,9 +136,9 @@ def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> 
 
 
 def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
-    """Run the trial `ARM/N` again and keep its log; return in one line that the digests agree.
+    """Run the trial `ARM/N` again and keep its log; return a line that confirms the equal digests.
 
-    Raises UsageError for a trial that the study does not have, has no row of, or has a log of, and
+    Raises UsageError if the study lacks the trial or its row, or already has its log. Raises
     LogError if the digests differ; the log is then set aside as an attempt.
     """
     arm, row = _found(loaded, store, which)

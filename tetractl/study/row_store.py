@@ -31,7 +31,7 @@ class Store:
         self.folder = folder
         self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
         self._arms = {arm.name: arm for arm in arms}
-        self._placed: set[str] = set()  # arms whose folder is known to hold their spec
+        self._placed: set[str] = set()  # arms whose spec is already in their folder
 
     @contextmanager
     def opened(self) -> Iterator[None]:
@@ -97,7 +97,7 @@ class Store:
     def merge(self, folders: Sequence[Path]) -> int:
         """Add the rows and logs of other folders of the same study; return how many were added.
 
-        For a trial that both have, the row here is kept, unless only the other has a log of the
+        If both have a trial, the row here is kept, unless only the other one has a log with the
         same digest. Logs are linked if the file system can, else copied. Raises UsageError for a
         folder without a row of the study, and for two rows of a trial by the same code that differ.
         """

@@ -24,7 +24,7 @@ FieldPath = Annotated[str, Field(min_length=1, max_length=200)]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value that a field takes, and where in the sweep's section that is written."""
+    """A value of a field, and its place in the sweep's section."""
 
     value: Any
     loc: Loc
@@ -35,9 +35,8 @@ class Sweep(Model):
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points, each the settings of fields by their paths.
-
-        All draws come from `rng`, which is made from the root seed of the study.
+        """Return the points, each the settings of fields by their paths. All random draws use
+        `rng`, which is seeded with the root seed of the study.
         """
 
 
@@ -64,14 +63,14 @@ Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
 
 
 class Points(Sweep):
-    """The points listed; fields that a point leaves out keep the value of the base."""
+    """The listed points; fields missing in a point have the value of the base."""
 
     type: Literal["list"]
     points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
     """Each a mapping of paths, such as `plant.dead_time`, to values."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points in their order."""
+        """Return the listed points in order."""
         return [
             {path: Setting(value, ("points", i, path)) for path, value in point.items()}
             for i, point in enumerate(self.points)
@@ -107,7 +106,8 @@ class Range(Model):
             value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
         else:
             value = low + share * (high - low)
-        value = min(max(value, self.low), self.high + self.whole / 2)  # rounding may leave it
+        # rounding may exceed the range
+        value = min(max(value, self.low), self.high + self.whole / 2)
         return math.floor(value) if self.whole else value
 
 

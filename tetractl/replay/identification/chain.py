@@ -14,9 +14,9 @@ y = L^-1 r are independent and of deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
 
-A fit of P parameters, by which the model has the derivatives X (K, P), explains a part of the
-errors. The restricted likelihood takes that into account: its y are what is left over of y after
-their least squares on L^-1 X, and ln det X^T A^-1 X is added.
+A fit of P parameters, with the model's derivatives X (K, P), explains part of the errors. The
+restricted likelihood accounts for this: its y are the residuals of y after least squares on L^-1 X,
+and ln det X^T A^-1 X is added.
 
 Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
 Biometrika 58 (1971).
@@ -34,7 +34,7 @@ LIMIT = 3.841
 """95 % quantile of chi-squared with one degree of freedom."""
 # factorise and solve band matrices
 _CHOLESKY, _SOLVE = get_lapack_funcs(("pbtrf", "tbtrs"), dtype=np.float64)
-TINY = 1e-12  # relative to the trace: a parameter without effect leaves X^T A^-1 X regular
+TINY = 1e-12  # relative to the trace; keeps X^T A^-1 X regular for parameters without effect
 LEAST = 1e-7  # least deviation, relative to that of the residuals
 
 

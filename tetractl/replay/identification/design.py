@@ -1,11 +1,9 @@
-"""An informative motion: a sequence of directions from which the robots can be identified well,
-inside the arena.
-
-Of many random sequences the best one is kept: it minimises the sum of the logarithms of the
-predicted variances (a D-optimal design) of the dead time and of each robot's a and heading bias,
-among those on which no robot comes within `margin` of the arena's edge, of an obstacle, or of
-another robot. The best of them is then changed one direction at a time. Variances are predicted by
-the information of the turns of intervals of SHORTEST_S with the noise NOISE.
+"""An informative motion: a sequence of directions, inside the arena, for accurate identification.
+The best of many random sequences is kept: it minimises the sum of the logarithms of the predicted
+variances (a D-optimal design) of the dead time and of each robot's a and heading bias, among those
+on which no robot comes within `margin` of the arena's edge, of an obstacle, or of another robot.
+The best sequence is then improved one direction at a time. Variances are predicted by the
+information of the turns of intervals of SHORTEST_S with the noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -27,9 +25,10 @@ from tetractl.replay.identification.tracks import SHORTEST_S, Track, drives_of
 from tetractl.replay.identification.turning import Turning, Turns
 
 HOLD_S = 0.4  # least time for which a direction is held
-NOISE = ChainNoise(0.01, 0.03)  # of headings [rad], and their random walk [rad/sqrt(s)]
+NOISE = ChainNoise(0.01, 0.03)  # noise of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
-TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3  # random directions per knot; when to go back, and how far
+# random directions per knot; failures before going back, and knots to go back
+TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3
 TURN = 2.0  # largest change of direction [rad]: a robot that must turn back may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # prior standard deviations of dead time, ln a and bias
 AWAY = 0.15  # margin relative to the arena's shorter side; smaller for robots that start nearer
@@ -58,7 +57,7 @@ class Design:
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of a given duration; UsageError if the robots have no room for it."""
+    """Return a design of a given duration; UsageError if the arena is too small for it."""
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))
@@ -132,8 +131,8 @@ def _random_sequence(
     """Return random directions, each held for `seconds`, under which the robots stay inside; None
     if not found.
 
-    Each is at most TURN from the one before, the first from where the robots head. If no
-    direction does, the last few are drawn once more.
+    Each is at most TURN from the one before, the first from where the robots head. If no direction
+    is possible, the last few are drawn again.
     """
     knots: list[float] = []
     states = [setup.starts]

@@ -1,11 +1,11 @@
 """A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
 
 The start is what the controller's filters find as the robots drive (`control.filter`), from each of
-RATES. From there on: commands that were lost are inferred from how the
-robots turn, intervals that miss the model by more than OUTLYING deviations are left out, the noise
-of the measurement and the random walk of the headings are fitted, and the parameters by Gauss-
-Newton steps on the whitened residuals; and that ROUNDS times. A parameter's 95 % interval holds the
-values for which the deviance, at its least over all other parameters, is within LIMIT of its least.
+RATES. Each of ROUNDS rounds then infers lost commands from the robots' turns, leaves out intervals
+that deviate from the model by more than OUTLYING standard deviations, fits the measurement noise
+and the random walk of the headings, and fits the parameters by Gauss-Newton steps on the whitened
+residuals. A parameter's 95 % interval holds the values for which the deviance, at its least over
+all other parameters, is within LIMIT of its least.
 
 Weak normal priors around the start, WEAK, keep unobservable parameters bounded.
 """
@@ -26,7 +26,7 @@ OUTLYING = 4.0  # deviations
 ROUNDS = 5
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the filters start
 WEAK = (0.5, 2.0, 1.0)  # prior standard deviations of tau [s], ln a and beta [rad]
-# largest distance from the estimate in which the end of an interval is searched
+# largest distance from the estimate at which an interval's end is searched
 FAR = 1.0, 3.0, 1.5
 STEP = (0.03, 0.3, 0.3)  # the longest Gauss-Newton step
 NEWTON = 3  # Gauss-Newton steps at each point of a profile
@@ -208,5 +208,5 @@ class _Fit:
 
 
 def _spread(r: Floats) -> float:
-    """Return the deviation of residuals, from their median."""
+    """Return the standard deviation of residuals, estimated from their median."""
     return max(float(np.median(np.abs(r))) / 0.6745, 1e-6) if r.size else 1.0

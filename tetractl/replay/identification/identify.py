@@ -51,8 +51,8 @@ class RobotFound:
 class IdentifiedRobots:
     """The result of identification from some tracks.
 
-    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is how much earlier the
-    frame was exposed that the direction answers, None if it is not known.
+    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the time from the
+    exposure of the answered frame to the sending of the direction, None if it is not known.
     """
 
     origin: str
@@ -68,7 +68,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     """Identify the robots of some tracks, all of the same robots.
 
     `a` (N,) [rad/s] and the dead time [s] are the expected values, within a factor of some 5
-    and 0.3 s; None if unknown. UsageError if the tracks show too little.
+    and 0.3 s; None if unknown. UsageError if the tracks contain too few data.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)
@@ -220,7 +220,7 @@ def tables(found: IdentifiedRobots) -> list[Table]:
 
 
 def cell(interval: SampleInterval) -> str:
-    """Return a value and the ends of its interval, with the digits that the interval leaves."""
+    """Return a value and the ends of its interval, rounded to the interval's precision."""
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
     digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST)

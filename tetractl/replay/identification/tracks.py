@@ -72,7 +72,7 @@ class Directions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drives:
-    """Tracks put one after the other, APART_S apart: K intervals between frames of N robots.
+    """Consecutive tracks with APART_S between them: K intervals between frames of N robots.
 
     `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if
     an interval begins with the frame that the one before ended with.
@@ -136,7 +136,7 @@ def require_field(log: TrialLog) -> None:
 
 
 def stopped_ns(log: TrialLog) -> int | None:
-    """Return when the robots first received a stop for good [ns], None if that is not known.
+    """Return the time [ns] of the final stop's first arrival, None if that is not known.
 
     A lab repeats its stop, and the log's own stop is the last of them.
     """
@@ -222,10 +222,11 @@ def substeps(
     """Return which of C directions, sent at `when` (C,) [s], act in each interval, oldest first.
 
     Each is a pair of their numbers (K,) and the seconds (K,) for which they act a dead time `tau`
-    [s] after they were sent, 0 if there are fewer. Before the first acts, it is taken as acting.
+    [s] after they were sent, 0 if there are fewer. The first direction also counts as acting before
+    its time.
     """
     acts = when + tau
-    ends = np.append(acts[1:], np.inf)  # the last direction acts for ever
+    ends = np.append(acts[1:], np.inf)  # the last direction acts without end
     first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
     last = acts.searchsorted(intervals.until, "left") - 1
     found, begin = [], intervals.since
@@ -250,8 +251,8 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     """Return the tracks in some CSV files, of which each holds poses or commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s. If there are columns log and trial, poses and
-    commands of the same belong together; else all do. UsageError names what is missing.
+    time_s, direction_rad and perhaps observed_s. Columns log and trial, if present, say which poses
+    and commands belong together. UsageError names what is missing.
     """
     poses: dict[Trial, list[Row]] = {}
     commands: dict[Trial, list[Row]] = {}

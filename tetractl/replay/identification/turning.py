@@ -18,7 +18,7 @@ from tetractl.replay.identification.tracks import Drives, substeps
 NUDGE_S, NUDGE = 0.001, 1e-4  # steps of tau [s], and of ln a, beta and headings, for derivatives
 SURE = 0.01  # probability below which a loss counts as impossible
 FEW = 0.5  # number of lost commands added to those found when the loss rate is estimated
-LARGE = 100.0  # cap of a squared deviation, so that an interval that fits neither decides nothing
+LARGE = 100.0  # cap of a squared deviation, so that intervals that fit neither have no influence
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +43,8 @@ class Turning:
 
 
 class Turns:
-    """The turns of K intervals and what the model predicts of them.
-
-    `lost` (C, N) is the probability that a robot lost a direction, 0 to begin with.
+    """The turns of K intervals and their prediction by the model. `lost` (C, N) is the probability
+    that a robot lost a direction, initially 0.
     """
 
     def __init__(self, drives: Drives) -> None:
@@ -53,7 +52,7 @@ class Turns:
         count = len(drives.directions.u)
         self.lost = np.zeros((count, drives.moved.shape[1]))
         self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
-        self._followed = self._own, self._own  # if those in doubt arrived, and if they did not
+        self._followed = self._own, self._own  # if uncertain commands arrived, and if they did not
 
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
@@ -97,15 +96,15 @@ class Turns:
     def believe(self, p: Turning, chains: list[Chain], noises: list[ChainNoise]) -> None:
         """Estimate the probability that each robot lost each command, from its turns under it.
 
-        By Bayes: the likelihood of the turns under the direction, and under the one before, and the
-        share of commands that were lost so far.
+        Bayes' rule combines the likelihood of the turns under the direction and under the previous
+        one with the share of lost commands so far.
         """
         hard = np.where(self.lost > 0.5, np.vstack([self._own[:1], self._own[:-1]]), self._own)
         before = np.vstack([hard[:1], hard[:-1]])
         turned, main = self.drives.intervals.turned, self._main(p)
         first = np.diff(main, prepend=-1) != 0
         gains = np.zeros(self.lost.shape)
-        # an interval may begin under the direction before, whose losses are kept
+        # an interval may begin under the previous direction, whose losses are kept
         for odd in (0, 1):
             asked = self._own % 2 == odd
             residuals = [

@@ -54,7 +54,8 @@ class Projection:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Column and row of a position's cell; of the nearest at the edge if it lies outside."""
+        """Column and row of a position's cell; positions outside give the nearest cell at the
+        edge."""
         if not (math.isfinite(x) and math.isfinite(y)):
             x, y = self.arena.left, self.arena.bottom
         (column,), (row,) = self.dots(np.array([[x, y]]))
@@ -65,7 +66,7 @@ class Projection:
 
 
 class Canvas:
-    """Character cells of braille dots with one style each; what is drawn last is seen."""
+    """Character cells of braille dots with one style each; later drawing covers earlier."""
 
     def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
         self.width, self.height = width, height
@@ -88,7 +89,7 @@ class Canvas:
         self._chars[cells] = char
 
     def put(self, column: int, row: int, char: str, style: Style) -> None:
-        """Write a character in place of a cell's dots; outside the canvas it is not seen."""
+        """Write a character in place of a cell's dots; outside the canvas nothing is drawn."""
         if 0 <= column < self.width and 0 <= row < self.height:
             self._bits[row, column] = 0
             self._chars[row, column] = char
@@ -156,7 +157,7 @@ def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return points that fill a shape, one a dot, and its outline: shape (M, 2).
+    """Return points that fill a shape, one per dot, and its outline: shape (M, 2).
 
     A shape smaller than a dot is drawn by its outline alone.
     """
@@ -169,7 +170,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return points from low to high at most a step from each other; none if high < low."""
+    """Return points from low to high, at most one step apart; none if high < low."""
     return (
         np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
     )

@@ -18,7 +18,7 @@ from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkl
 SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
 ARENA_SHARE = 0.58  # largest fraction of the width, since the numbers need the rest
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
-COMPACT = 30  # columns of the numbers below which labels are short
+COMPACT = 30  # columns below which the labels of the numbers are short
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ def _length(hints: list[str]) -> int:
 
 
 class Dashboard:
-    """One instant of a trial as a rich renderable that fills the space available.
+    """The state of a trial at one time, as a rich renderable that fills the available space.
 
     `heading` names the trial, `notes` are warnings such as a log's damage, `aside` is a line below
     them.

@@ -52,7 +52,7 @@ def print_findings(found: Preflight) -> None:
 
 
 def as_json(found: Preflight) -> dict[str, Any]:
-    """Return the same as plain data."""
+    """Return the result of the preflight as plain data."""
     robots = [
         {
             "name": robot.name,

@@ -69,7 +69,7 @@ ASCII = Glyphs(
 
 
 def glyphs_for(console: Console) -> Glyphs:
-    """Return Unicode, but ASCII for a terminal that is dumb, not UTF-8, or without colour.
+    """Return Unicode glyphs, or ASCII for a terminal that is dumb, not UTF-8 or without colour.
 
     Without colour the robots' dots look alike: the ASCII view distinguishes them by number.
     """

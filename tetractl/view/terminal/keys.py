@@ -66,14 +66,14 @@ def _sequence_length(data: bytes) -> int | None:
         if 0x40 <= data[index] <= 0x7E:
             return index + 1
         if not 0x20 <= data[index] <= 0x3F:
-            return index  # broken off
+            return index  # an incomplete sequence
     return None
 
 
 class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
-    Ctrl-C and all other SIGNALS raise nothing, so that nothing is left half done: `interrupted` is
+    Ctrl-C and all other SIGNALS raise nothing, so that no operation is cut short: `interrupted` is
     True from then on, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal
     restored before the process stops; in the foreground again, `back` is called.
     """
@@ -140,11 +140,10 @@ POLL_S = 0.2
 
 
 class StopKey:
-    """Calls `stop` on space, Esc, or when the terminal goes away; a context manager.
+    """Calls `stop` on space, Esc, or when the terminal is closed; a context manager.
 
-    Enter calls `enter`; other keys do nothing. A terminal that goes away is no stop if
-    `unattended`. Works only if stdin is a terminal: then
-    `listening` is True.
+    Enter calls `enter`; other keys do nothing. With `unattended`, a closed terminal does not call
+    `stop`. Works only if stdin is a terminal: then `listening` is True.
     """
 
     def __init__(
@@ -159,7 +158,7 @@ class StopKey:
         if self.listening:
             self._fd = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)  # does not wait for a blocked terminal
+            tty.setcbreak(self._fd, termios.TCSANOW)  # does not wait if the terminal blocks
             self._thread.start()
         return self
 
@@ -170,7 +169,7 @@ class StopKey:
             try:
                 termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
             except termios.error:
-                return  # the terminal has gone
+                return  # the terminal was closed
 
     def _listen(self) -> None:
         while not self._closing.is_set():

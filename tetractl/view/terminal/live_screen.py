@@ -58,7 +58,7 @@ class LiveView:
             self._began = self._wall()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count the trial."""
+        """Count the trial as done."""
         if ending.result:
             self._tally.add(ending.result)
 
@@ -98,7 +98,7 @@ class LiveView:
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Count the time from the first direction; the trails show the command's effect."""
+        """Count the time from the first direction; the trails show the effect of the command."""
         if self._first_ns is None and not command.stops:
             self._first_ns = command.sent_ns
 
@@ -172,7 +172,7 @@ class TerminalPrompt:
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
-        """Return whether Enter was pressed since all robots stood."""
+        """Return whether Enter was pressed after all robots were in place."""
         if not self._entered.is_set():
             return False
         self._entered.clear()
@@ -194,7 +194,7 @@ class LabWatch:
         self._notes: list[Note] = []
 
     def trial_started(self, task: Task) -> None:
-        """Note which trial comes."""
+        """Store the number of the next trial."""
         self._task = task
 
     def trial_ended(self, ending: Ending) -> None:
@@ -223,7 +223,7 @@ class LabWatch:
             self._view.on_step(step)
 
     def on_command(self, command: Command) -> None:
-        """Do nothing: a command shows in what the robots do."""
+        """Do nothing, since the robots' motion shows a command."""
 
     def on_note(self, note: Note) -> None:
         """Print a note, after the live view if there is one."""
@@ -232,7 +232,7 @@ class LabWatch:
             self._print_notes()
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Show how it ended."""
+        """Show how the trial ended."""
         if self._view:
             self._view.on_stop(stop, result)
 

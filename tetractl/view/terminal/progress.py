@@ -1,4 +1,4 @@
-"""Progress of a run of trials: on a terminal a bar with the time left, elsewhere lines."""
+"""Progress of a run: on a terminal a bar with the remaining time, otherwise lines."""
 
 from typing import Self
 
@@ -9,8 +9,8 @@ from tetractl.core.trial import Result
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
-LINES = 10  # of progress that a study prints without a terminal
-FIRST = 3  # trials at least that the expected duration of a study is computed from
+LINES = 10  # number of progress lines that a study prints without a terminal
+FIRST = 3  # least number of trials for the expected duration of a study
 
 
 class Tally:
@@ -38,7 +38,7 @@ class Tally:
 
 
 class _TrialsBar:
-    """A bar of trials done on a terminal, none elsewhere or if `quiet`; a context manager."""
+    """A progress bar, shown only on a terminal and unless `quiet`; a context manager."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         self._console, self._total = console, total
@@ -71,7 +71,7 @@ class _TrialsBar:
 
 
 class BatchProgress(_TrialsBar):
-    """A `RunObserver` of a batch: the errors so far next to the bar, else a line for each trial.
+    """A `RunObserver` of a batch: a bar with the errors so far, or a line for each trial.
 
     `unit` is the experiment's length unit.
     """

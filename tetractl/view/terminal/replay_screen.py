@@ -1,5 +1,5 @@
-"""Plays recorded trials on the terminal's alternate screen, controlled by keys; without a
-terminal a line for each control step and event.
+"""Plays recorded trials on the terminal's alternate screen, controlled by keys. Without a terminal
+it prints a line for each control step and event.
 """
 
 import math
@@ -94,7 +94,7 @@ def dashboard(
 
 
 def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
-    """Return each key, or group of keys, and what it does."""
+    """Return each key or group of keys, and its action."""
     return (
         ("space", "pause, play on; at the end: again from the start"),
         (glyphs.left_right, "1 s back or on"),
@@ -139,8 +139,8 @@ def print_lines(
 ) -> None:
     """Print the control steps and events of a span [ns], in the order of their times.
 
-    They come at `rate` times the trial's pace or all at once. A loop without a rate keeps the
-    trial's own pace.
+    They are printed at `rate` times the trial's speed, or all at once. A loop without a rate has
+    the trial's speed.
     """
     start_ns, until_ns = span
     pace = rate or (1.0 if loop else None)

@@ -20,9 +20,8 @@ from tetractl.experiment.controller import OptimizerSection
 
 AHEAD_S = 4.0  # duration of the plan: one or two circles
 PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first direction of a rotation
-RATES = np.array(
-    [-1.25, -0.95, -0.75, 0.75, 0.95, 1.25]
-)  # rates of rotations, in units of the least a
+# rates of rotations, in units of the least a
+RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
 SAMPLES, ROUNDS = 128, 6
 SPREAD, SHRINK = 0.6, 0.8  # deviation of a step at first [rad], and its ratio from round to round
 ADDING = 0.4  # ratio of the spread of cumulative steps to that of independent ones

@@ -17,10 +17,8 @@ from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 BACKGROUND = 25  # number of pictures for the background
 BACKGROUND_S = 20.0  # they are from this first part of the film [s]
 USUAL_BODY_UM = 52.3  # the mean length of cells, for films without a scale
-SHAPE = (
-    1.4,
-    3.0,
-)  # ratio of length to width below which a blob has no axis of a possible cell in such films
+# a blob whose ratio of length to width lies between these may be a single cell
+SHAPE = (1.4, 3.0)
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # shortest path that is kept, by time and length
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 

@@ -17,11 +17,8 @@ STEP, LEAST, MOST = 16, 32, 160  # step, smallest and largest side of crops [px]
 ROOM = 1.8  # a crop's side over the length of the longest cell
 RIM = 2  # margin around a blob [px], so that its contour is the same in the crop
 HERE_UM = 15.0  # largest distance of a robot's filtered position from its blob
-# interval between whole pictures, and between backgrounds
-WHOLE_NS, BACKGROUND_NS = (
-    SECOND,
-    10 * SECOND,
-)
+WHOLE_NS = SECOND  # interval between whole pictures
+BACKGROUND_NS = 10 * SECOND  # and between backgrounds
 
 
 @dataclass(slots=True)

@@ -37,15 +37,11 @@ SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothin
 BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
 # growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
-RESTING = (
-    (HEADING, 0.5),
-    (SPEED, 150.0),
-)  # additional growth at rest, since a cell may go on in any direction
+# additional growth at rest, since a cell may go on in any direction
+RESTING = ((HEADING, 0.5), (SPEED, 150.0))
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
-TURN_KNOWN, TURN_UNKNOWN = (
-    0.1,
-    3.0,
-)  # standard deviation of that turning [rad/s] with and without a known field
+# standard deviation of that turning [rad/s] with and without a known field
+TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 25.0  # squared distance in deviations beyond which a measurement gets less weight
 

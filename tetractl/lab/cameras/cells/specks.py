@@ -20,10 +20,8 @@ NEAR_UM = 40.0  # a blob that appears this near to a cell is part of it, unless 
 NEAR_BORN = 7
 FROM_UM = 80.0  # a cell first seen this near to another one was one blob, or one cell, with it
 LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # ranges of length and width of a possible cell
-REACH_UM, FIRST_UM = (
-    25.0,
-    40.0,
-)  # reach around a speck's expected position; without a path, around its last one
+REACH_UM = 25.0  # radius of search around a speck's expected position
+FIRST_UM = 40.0  # the same around its last position, while it has no path yet
 MISSED = 3  # pictures
 HIDDEN = 90  # pictures for which one that stays is remembered: cells may be over it
 

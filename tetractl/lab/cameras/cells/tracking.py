@@ -37,10 +37,8 @@ STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this 
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
 ODD = (8.0, 8.0, 0.5)  # the same for a blob that is cut off, or larger than its cell
 MERGED = (7.0, 7.0, 10.0)  # the same for a cell in a shared blob
-ODD_RUN, ODD_DISTANCE = (
-    3,
-    30.0,
-)  # number of successive blobs far from their expected positions, and their squared distance
+ODD_RUN = 3  # number of successive blobs far from their expected positions
+ODD_DISTANCE = 30.0  # squared Mahalanobis distance from which a blob is far
 ENTERED_UM = 120.0  # nearer the edge of the picture, what is new has swum into it
 EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
 DOUBT = 0.75  # the same, while another one may have been in its blob

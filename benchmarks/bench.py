@@ -40,7 +40,7 @@ def main() -> None:
     count = parser.parse_args().trials
     sims = [bench_trial(bench_spec(), trial).result for trial in range(count)]
     labs = [lab_trial(lab_spec(), trial).result for trial in range(count)]
-    print("| | complete | total error [mm] | median | from, to | steps |")
+    print("| | complete | total error [mm] | median | range | steps |")
     print("|---|--:|--:|--:|--:|--:|")
     print(row("simulated bench", sims))
     print(row("emulated lab", labs))

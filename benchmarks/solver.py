@@ -48,7 +48,7 @@ def main() -> None:
         reports.append(parts[part]())
     print("\n".join(_head(began, chosen.quick)))
     bars = [bar for report in reports for bar in report.bars]
-    print("\n".join(["### What was promised", "", *bars_table(bars)]))
+    print("\n".join(["### Bars and figures", "", *bars_table(bars)]))
     for report in reports:
         print("\n".join([f"### {report.title}", "", *report.lines]))
 

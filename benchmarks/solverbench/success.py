@@ -118,8 +118,8 @@ def _sweeps(report: Report, settings: Settings) -> None:
     report.say(
         f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length until "
         f"solved, given up (ours) or {SWEEP_CAP_S * 1e3:g} ms have passed; solved where any length "
-        f"is. Short lengths cannot be solved by anybody; the last column is the time to the first "
-        f"length that was. "
+        f"is. No optimiser can solve short lengths; the last column is the time to the first "
+        f"length that was solved. "
         f"{load()}."
     )
     report.table([*HEAD[:2], "median, whole sweep [ms]", *HEAD[3:], "to the first [ms]"], rows)

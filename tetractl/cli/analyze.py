@@ -32,7 +32,7 @@ def analyze(
         ),
     ] = None,
 ) -> int:
-    """Tell whether the robots of a spec can be steered together, and how well; nothing is run.
+    """Predict how well the robots of a spec can be steered together; nothing is run.
 
     Along good plans, by the multistart optimiser, it predicts the mean total error under the noise
     that the spec's simulated plant assumes (errors of a and speed, the walk of the headings, the

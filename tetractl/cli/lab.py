@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from tetractl.experiment.lab_section import LabSection, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
-HELP = "Check, calibrate, stop or emulate the lab of a spec."
+HELP = "Check, calibrate, survey, stop or emulate the lab of a spec."
 
 
 def check(

@@ -9,7 +9,7 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.pictures import FilmPictures
-from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.lab.cameras.cells.cell import Born, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
@@ -91,7 +91,7 @@ def follow(
         seconds = number / film.rate_hz
         cells = tracker.see(picture, seconds, pieces)
         for born in tracker.born:
-            _fill_back(shown, frames, film.rate_hz, born.identity, born.path)
+            _fill_back(shown, frames, film.rate_hz, born)
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
         for answer in tracker.closed:
@@ -154,10 +154,10 @@ def _fill_back(
     shown: list[dict[int, SeenCell]],
     frames: list[int],
     rate_hz: float,
-    identity: int,
-    path: Floats,
+    born: Born,
 ) -> None:
     """Add to a new cell's path the earlier pictures from which it was recognised."""
+    path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():
         at = int(np.searchsorted(frames, round(seconds * rate_hz)))
@@ -165,20 +165,20 @@ def _fill_back(
             continue
         forwards = np.cos(axis) * way[0] + np.sin(axis) * way[1] >= 0
         axis += 0.0 if forwards else np.pi
-        shown[at][identity] = SeenCell(
-            identity=identity,
+        shown[at][born.track] = SeenCell(
+            identity=born.identity,
             x=x,
             y=y,
             axis=axis,
             heading=float(np.arctan2(way[1], way[0])),
             mean=np.full(STATES, np.nan),
             covariance=UNKNOWN_COVARIANCE,
-            probability=1.0,
+            probability=born.certainty,
             found=True,
             merged=False,
             long_um=np.nan,
             wide_um=np.nan,
-            track=identity,
+            track=born.track,
             measured=(x, y, axis, POSITION_UM, POSITION_UM, 2 * AXIS),
         )
 

@@ -1,7 +1,9 @@
 """A tracked cell, and its state in one picture."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from tetractl.core.poses import Floats
 from tetractl.lab.cameras.cells.detect_cells import Blob
@@ -50,14 +52,17 @@ class CellAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Born:
-    """A new cell, and the path (M, 4) by which it was recognised: seconds, x, y [um], axis.
+    """A cell that appears on a new track, and the path (M, 4) by which it was recognised: seconds,
+    x, y [um], axis.
 
-    `divided` is the cell out of whose blob it came although nothing had come into it, None for
-    none.
+    `certainty` is below 1 if it is one that was lost. `divided` is the cell out of whose blob it
+    came although nothing had come into it, None for none.
     """
 
     identity: int
+    track: int
     path: Floats
+    certainty: float
     divided: int | None
 
 
@@ -81,6 +86,8 @@ class FollowedCell:
     # time [s] and x, y [um] of its first blob, until it swims
     begun: tuple[float, float, float] | None = None
     measured: tuple[float, ...] | None = None
+    last: Floats = field(default_factory=lambda: np.zeros(2))  # where its last blob was [um]
+    large: bool = False  # whether its blob in the newest picture is too large for it
     alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
     size: tuple[float, float] = (math.nan, math.nan)  # its length and width then
     large_s: float = -math.inf  # when that last was so

@@ -15,12 +15,13 @@ GATE_UM = 12.0  # least radius of this gate
 FAR = 100.0  # cost of leaving a cell without a blob
 STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected position
 STOPPED_UM_S = 200.0  # growth of this distance for each second without a blob
-SIZE_SHARE = 0.35  # relative variation of a cell's blob by tilt and focus
+SIZE_SHARE = 0.15  # relative variation of a cell's blob between pictures
 ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
 COVER = 0.6  # smallest width of a cell: so far from a blob, it may still be a part of it
 FAR_PX = 20.0  # a cell further than the blob's length plus this from its middle is not part of it
 PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one that has left it
 SPECK_UM = 25.0  # from where a speck was
+LARGE = 1.45  # ratio of sizes above which a blob shows more than its cell
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 ROUNDS = 4  # iterations when a blob is divided among cells
 SAMPLED = 200  # pixels of it
@@ -90,7 +91,7 @@ def stopped(
     free = [j for j in range(len(places)) if j not in taken]
     found = []
     for i, cell in enumerate(cells):
-        if i in owner or not free or cell.merge is not None:
+        if i in owner or not free or cell.merged:
             continue
         away = np.linalg.norm(places[free, :2] - expected[i, :2], axis=1)
         ratio = np.abs(np.log(places[free, 3:5] / (cell.long, cell.wide))).max(axis=1)
@@ -123,6 +124,10 @@ def shared_blobs(
         away = np.hypot(*(middles - pixels[i]).T)
         gaps = np.full(len(blobs), np.inf)
         for j in np.flatnonzero(away <= reach).tolist():
+            held = [cells[k].long * cells[k].wide for k in shared.get(j, ())]
+            room = um_px**2 * blobs[j].long * blobs[j].wide > LARGE * max(held, default=0.0)
+            if cell.missed_s > 0 and not room:  # it was elsewhere before
+                continue
             gaps[j] = um_px * np.linalg.norm(blobs[j].pixels - pixels[i], axis=1).min()
         j = int(np.argmin(gaps))
         if gaps[j] < COVER * cell.wide:
@@ -158,6 +163,8 @@ def separated(
             alike = np.abs(np.log(places[k, 3:5] / sizes)).max(axis=1) < ALIKE
             gaps = np.linalg.norm(expected[owners, None, :2] - places[None, (k, j), :2], axis=2)
             cost = np.where(alike, gaps[:, 0] - gaps[:, 1], np.inf)
+            if len(owners) == 2:  # the blob must not be too large for the one that keeps it
+                cost[places[j, 3] * places[j, 4] > LARGE * sizes[::-1].prod(axis=1)] = np.inf
             if k not in shared and np.isfinite(cost.min()):
                 i = owners.pop(int(cost.argmin()))
                 owner[i], shared[k] = k, [i]

@@ -55,16 +55,25 @@ class Merges:
         """
         if large:
             cell.large_s = seconds
-            if cell.alone is None and cell.question is None:
+            if cell.alone is None and cell.question is None and cell.merge is None:
                 cell.size = cell.long, cell.wide
                 cell.alone, cell.met = self._bank.copied(cell.row), met
         elif seconds - cell.large_s > REMEMBERED_S:
             self._drop_alone(cell)
 
-    def ask(self, cell: FollowedCell, new: FollowedCell, seen: Floats, since_s: float) -> None:
+    def ask(
+        self,
+        cell: FollowedCell,
+        new: FollowedCell,
+        seen: Floats,
+        since_s: float,
+        cells: Sequence[FollowedCell],
+    ) -> None:
         """Open the question which of two at `seen` (2, 3) the known cell is: it, or a new one out
-        of its blob."""
+        of its blob. An open question of the cell is closed; `cells` are all."""
         assert cell.alone is not None, "only a cell that was watched is known"
+        if cell.question is not None:
+            self._close(cell.question, cells)
         new_row = self._bank.copied(new.row)
         sizes = np.array([cell.size, (np.nan, np.nan)])
         self._ask([cell, new], [cell.alone, new_row], seen, sizes, since_s)
@@ -77,7 +86,7 @@ class Merges:
         `places` are x, y, axis of each track's own blob.
         """
         for merge in list(self._merges):
-            if any(cell.merged or cell.blob is None for cell in merge.cells):
+            if any(cell.merged or cell.large or cell.blob is None for cell in merge.cells):
                 continue
             self._merges.remove(merge)
             for cell in merge.cells:

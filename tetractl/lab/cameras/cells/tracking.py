@@ -15,7 +15,9 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, FollowedCell, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
 from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, Piece
+from tetractl.lab.cameras.cells.lost_cells import ENTERED, NEW, LostCells
 from tetractl.lab.cameras.cells.match import (
+    LARGE,
     assigned,
     parted,
     places_of,
@@ -27,7 +29,6 @@ from tetractl.lab.cameras.cells.merges import Merges
 from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
-LARGE = 1.45  # ratio of sizes above which a blob shows more than its cell
 CELLS = 64  # largest number of cells that are followed
 LOST_S = 0.7  # time without a blob after which a cell is given up
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
@@ -37,11 +38,14 @@ STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this 
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
 ODD = (8.0, 8.0, 0.5)  # the same for a blob that is cut off, or larger than its cell
 MERGED = (7.0, 7.0, 10.0)  # the same for a cell in a shared blob
+HIDDEN = (30.0, 30.0, 10.0)  # the same if that blob is only as large as one of its cells
 ODD_RUN = 3  # number of successive blobs far from their expected positions
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance from which a blob is far
+ASTRAY_UM = 35.0  # distance of a cell from its own blob at which the filter has lost track of it
 ENTERED_UM = 120.0  # nearer the edge of the picture, what is new has swum into it
 EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
 DOUBT = 0.75  # the same, while another one may have been in its blob
+OFF_SHARE = 0.3  # of what a blob is longer than its cell, as a deviation of the cell's position
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
@@ -72,10 +76,10 @@ class CellTracker:
         self.finder = BlobFinder(LEAST_UM2 / um_px**2, MOST_UM2 / um_px**2, bright)
         self.bank = HelixFilter(known)
         self.born: list[Born] = []  # cells recognised in the newest picture
-        self.gone: list[int] = []
         self._cells: list[FollowedCell] = []
         self._specks = Specks()
         self._merges = Merges(self.bank)
+        self._lost = LostCells(self.bank)
         self._next = 1
         self._time: float | None = None
         self._height = self._width = 0
@@ -103,7 +107,7 @@ class CellTracker:
         passed = 0.0 if self._time is None else seconds - self._time
         pieces = () if self._time is None else field(self._time, seconds)
         self._time, (self._height, self._width) = seconds, picture.shape
-        self.born, self.gone, self._merges.closed = [], [], []
+        self.born, self._merges.closed = [], []
         self.bank.predict(pieces)
         blobs = self.finder.find(picture)
         if self.finder.light.lost:
@@ -137,6 +141,8 @@ class CellTracker:
             if len(owners) > 1:
                 self._merges.join([cells[i] for i in owners], cells)
         self._update(self._readings(shared, expected, places))
+        for i, j in owner.items():
+            cells[i].last = places[j, :2]
         own = {cell.track: places[owner[i], :3] for i, cell in enumerate(cells) if i in owner}
         self._merges.part(own, seconds)
         self._merges.answer(cells, seconds)
@@ -158,16 +164,21 @@ class CellTracker:
             blob = cells[0].blob
             assert blob is not None
             if len(cells) > 1:
+                most = max(each.long * each.wide for each in cells)
+                deviations = HIDDEN if places[j, 3] * places[j, 4] < LARGE * most else MERGED
                 middles = parted(cells, expected[owners], self._points(blob))
                 for cell, i, (x, y) in zip(cells, owners, middles.tolist(), strict=True):
-                    found.append(_Reading(cell, (x, y, expected[i, 2]), MERGED, True))
+                    found.append(_Reading(cell, (x, y, expected[i, 2]), deviations, True))
                 continue
             cell, (x, y, axis, long, wide) = cells[0], places[j].tolist()
             larger = long * wide / (cell.long * cell.wide)
             odd = larger > LARGE or larger < 1 / LARGE**2 or blob.at_edge
             large = larger > LARGE
+            cell.large = large
             self._merges.watch(cell, large, large and self._meets(cell), self._time or 0.0)
-            deviations = ODD if odd else (least, least, AXIS / max(1 - wide / long, 0.05))
+            off = max(ODD[0], OFF_SHARE * (long - cell.long))
+            usual = least, least, AXIS / max(1 - wide / long, 0.05)
+            deviations = (off, off, ODD[2]) if odd else usual
             cell.measured = (x, y, axis, *deviations)
             if cell.question is not None and not blob.at_edge:
                 cell.question.add_size(cell.place, (long, wide))
@@ -200,10 +211,22 @@ class CellTracker:
                 cell.question.add(cell.place, likelihood[at : at + count])
             elif not one.merged:
                 cell.odd = cell.odd + 1 if distance[at] > ODD_DISTANCE else 0
-                if cell.odd >= ODD_RUN:
+                x, y = self.bank.mean[cell.row, :2].tolist()
+                away = math.hypot(one.values[0] - x, one.values[1] - y)
+                if away > ASTRAY_UM and one.deviations[2] < ODD[2]:
+                    self._put_back(cell, *one.values)
+                elif cell.odd >= ODD_RUN:
                     self.bank.loosen([cell.row])
                     cell.odd = 0
             at += count
+
+    def _put_back(self, cell: FollowedCell, x: float, y: float, axis: float) -> None:
+        """Put a cell of which the filter has lost track where its blob is."""
+        vx, vy = x - cell.last[0], y - cell.last[1]
+        backwards = math.cos(axis) * vx + math.sin(axis) * vy < 0
+        row = self.bank.moved(cell.row, x, y, axis + math.pi * backwards)
+        self.bank.drop(cell.row)
+        cell.row, cell.odd = row, 0
 
     def _begin(self, speck: Speck) -> None:
         """Start to follow specks that swim as cells."""
@@ -212,20 +235,45 @@ class CellTracker:
         times = last[:, 0] - last[-1, 0]
         vx, x = np.polyfit(times, last[:, 1], 1).tolist()
         vy, y = np.polyfit(times, last[:, 2], 1).tolist()
-        row = self.bank.add(x, y, math.atan2(vy, vx), math.hypot(vx, vy))
-        long, wide = np.median(path[:, 4:6], axis=0).tolist()
-        begun = (float(path[-1, 0]), x, y)
-        self._cells.append(FollowedCell(self._next, self._next, row, long, wide, begun=begun))
-        beside = next((cell for cell in self._cells if cell.track == speck.beside), None)
+        heading = math.atan2(vy, vx)
+        long, wide = np.median(last[:, 4:6], axis=0).tolist()
+        now, beside = float(path[-1, 0]), self._beside(speck)
+        near_edge = self._near_edge(*path[0, 1:3].tolist())
+        lost = self._lost.found(path[-1, 1:3], (long, wide), now, self._density(near_edge, beside))
+        if lost is None:
+            row = self.bank.add(x, y, heading, math.hypot(vx, vy))
+            identity, certainty, begun = self._next, 1.0, (now, x, y)
+        else:
+            old, probability = lost
+            row, identity = self.bank.moved(old.row, x, y, heading), old.identity
+            certainty = old.certainty * probability
+            self.bank.drop(old.row)
+            begun = None
+        new = FollowedCell(identity, self._next, row, long, wide, certainty, begun=begun)
+        self._cells.append(new)
         divided = None
         if beside is not None and beside.alone is not None and beside.met:
             seen, _ = self.bank.seen(np.array([beside.row, row]))
-            self._merges.ask(beside, self._cells[-1], seen, float(path[0, 0]))
-        elif beside is not None and not self._near_edge(*path[0, 1:3].tolist()):
+            self._merges.ask(beside, new, seen, float(path[0, 0]), self._cells)
+        elif beside is not None and lost is None and not near_edge:
             beside.certainty *= EITHER
-            divided = beside.identity
-        self.born.append(Born(self._next, path[:, :4], divided))
+            divided = beside.identity if beside.merge is None else None
+        # of its path, only what follows the last blob of another size: that was not it alone
+        other = np.abs(np.log(path[:-1, 4:6].prod(axis=1) / (long * wide))) > math.log(LARGE)
+        path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
+        self.born.append(Born(identity, self._next, path[:, :4], certainty, divided))
         self._next += 1
+
+    def _beside(self, speck: Speck) -> FollowedCell | None:
+        """Return the cell next to which a speck was first seen."""
+        return next((cell for cell in self._cells if cell.track == speck.beside), None)
+
+    def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:
+        """Return how many cells that were not lost appear somewhere [1/um^2]."""
+        if beside is not None and beside.alone is not None:
+            return EITHER / (math.pi * FROM_UM**2)
+        area = self._width * self._height * self.um_px**2
+        return (ENTERED if near_edge else NEW) / area
 
     def _meets(self, cell: FollowedCell) -> bool:
         """Whether something that is not followed may come into a cell's blob."""
@@ -241,15 +289,18 @@ class CellTracker:
     def _give_up(self) -> None:
         """Forget cells that have not been seen for long, have left, or never swam."""
         right, top = self._width * self.um_px, self._height * self.um_px
+        self._lost.forget(self._time or 0.0)
         for cell in list(self._cells):
             (x, y), rim = self.bank.mean[cell.row, :2].tolist(), OUTSIDE * cell.long
             outside = min(x, y, right - x, top - y) < rim
             late = cell.missed_s > (GONE_S if outside else LOST_S)
             if late or not math.isfinite(x + y) or self._stays(cell):
                 self._merges.forget(cell, self._cells)
-                self.bank.drop(cell.row)
                 self._cells.remove(cell)
-                self.gone.append(cell.identity)
+                if late and not outside and cell.begun is None and self._time is not None:
+                    self._lost.add(cell, self._time)
+                else:
+                    self.bank.drop(cell.row)
 
     def _stays(self, cell: FollowedCell) -> bool:
         """Return whether a tracked object does not swim, so that it is not a cell."""
@@ -292,7 +343,8 @@ class CellTracker:
         found, next_to = [], self._specks.next_to
         for i, cell in enumerate(cells):
             x, y, axis = seen[i].tolist()
-            doubtful = (cell.alone is not None and cell.met) or cell.track in next_to
+            doubtful = cell.merge is not None or cell.track in next_to
+            doubtful |= cell.alone is not None and cell.met
             open_share = 1.0 if cell.question is None else cell.question.best()[1]
             found.append(
                 SeenCell(
@@ -305,7 +357,7 @@ class CellTracker:
                     covariance=covariances[i],
                     probability=cell.certainty * open_share * (DOUBT if doubtful else 1.0),
                     found=cell.blob is not None,
-                    merged=cell.merged,
+                    merged=cell.merged or (cell.blob is not None and cell.large),
                     long_um=cell.long,
                     wide_um=cell.wide,
                     track=cell.track,

@@ -1,0 +1,84 @@
+"""Cells that are no longer followed, and the probability that a cell that appears is one of them.
+
+A lost cell has swum on as the signal predicts, rests where it was last seen, or has turned by
+itself. Cells come from outside at the edge of the picture and out of blobs, rarely anywhere else.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.lab.cameras.cells.cell import FollowedCell
+from tetractl.lab.cameras.cells.helix import SPEED, HelixFilter
+
+REMEMBERED_S = 3.0  # time for which a lost cell can come back
+REMEMBERED = 16  # largest number of such cells
+PLACE_UM = 40.0  # standard deviation of its position, in addition to the filter's
+REACH_UM = 60.0  # distance that it may have swum by itself, in addition to its speed's
+SAME, ALIKE = 0.08, 0.25  # of the logarithms of length and width: of one cell, and among cells
+RETURNS = 0.25  # probability of each of the three ways to come back
+NEW, ENTERED = 0.3, 10.0  # cells expected to appear in the picture: anywhere, and at its edge
+LEAST, MOST = 0.5, 0.9  # probability above which it is the lost cell, and largest one stated
+
+
+@dataclass(slots=True)
+class LostCells:
+    """The cells of a filter that were lost; their rows are predicted further."""
+
+    bank: HelixFilter
+    _lost: list[tuple[FollowedCell, float, Floats]] = field(default_factory=list)
+
+    def add(self, cell: FollowedCell, seconds: float) -> None:
+        """Remember a cell that is lost at a time [s]; its row belongs to this from now on."""
+        self._lost.append((cell, seconds - cell.missed_s, cell.last))
+        if len(self._lost) > REMEMBERED:
+            self._drop(0)
+
+    def forget(self, seconds: float) -> None:
+        """Forget the cells that were lost too long ago."""
+        while self._lost and seconds - self._lost[0][1] > REMEMBERED_S:
+            self._drop(0)
+
+    def found(
+        self, place: Floats, size: Sequence[float], seconds: float, elsewhere: float
+    ) -> tuple[FollowedCell, float] | None:
+        """Return the lost cell that appears at a place (2,) [um], and its probability; None if it
+        is probably another cell.
+
+        `size` is the length and width [um] of what appears; `elsewhere` is the density [1/um^2]
+        with which cells that were not lost appear there.
+        """
+        weights = [self._weight(*lost, place, np.array(size), seconds) for lost in self._lost]
+        total = elsewhere + sum(weights)
+        best = max(range(len(weights)), key=weights.__getitem__, default=None)
+        if best is None or weights[best] < LEAST * total:
+            return None
+        return self._lost.pop(best)[0], min(weights[best] / total, MOST)
+
+    def _weight(
+        self,
+        cell: FollowedCell,
+        lost_s: float,
+        last: Floats,
+        place: Floats,
+        size: Floats,
+        now: float,
+    ) -> float:
+        """Return the density with which a lost cell appears at a place with a size."""
+        off = place - self.bank.mean[cell.row, :2]
+        spread = self.bank.covariance[cell.row, :2, :2] + PLACE_UM**2 * np.eye(2)
+        ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)
+        ahead /= math.tau * math.sqrt(float(np.linalg.det(spread)))
+        away = float(np.linalg.norm(place - last))
+        rests = math.exp(-((away / PLACE_UM) ** 2) / 2) / (math.tau * PLACE_UM**2)
+        reach = REACH_UM + float(self.bank.mean[cell.row, SPEED]) * (now - lost_s)
+        within = (away < reach) / (math.pi * reach**2)
+        apart = float(np.square(np.log(size / (cell.long, cell.wide))).sum())
+        alike = (ALIKE / SAME) ** 2 * math.exp(-apart / 2 * (1 / SAME**2 - 1 / ALIKE**2))
+        return RETURNS * (ahead + rests + within) * alike
+
+    def _drop(self, which: int) -> None:
+        self.bank.drop(self._lost.pop(which)[0].row)

@@ -26,7 +26,7 @@ from tetractl.core.poses import Floats
 from tetractl.results.estimate import distributions, proportion_interval
 
 CONTROLLERS = {
-    "pso-mpc": "PSO-MPC, to the paper's letter",
+    "pso-mpc": "PSO-MPC, as published",
     "ensemble": "Feedback Ensemble Control",
     "recommended": "recommended",
 }

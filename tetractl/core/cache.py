@@ -54,9 +54,7 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Make a folder that only this user can write to; return the reason if that failed, otherwise
-    None.
-    """
+    """Make a folder that only this user can write to; return why that failed, or None."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if why := exposed(folder):

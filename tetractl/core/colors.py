@@ -10,9 +10,7 @@ NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Return one colour (#rrggbb) per robot: the spec's, or by the robot's name, or the palette's
-    next.
-    """
+    """Return a colour (#rrggbb) per robot: the spec's, that of its name, or the palette's next."""
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
     free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
     unnamed = iter(range(len(chosen)))

@@ -45,9 +45,7 @@ class Plant(Protocol):
         ...
 
     def pause(self) -> Command:
-        """Stop every robot until the next `steer`; only called on plants whose robots can stand
-        still.
-        """
+        """Stop every robot until the next `steer`; only on plants whose robots can stand still."""
         ...
 
     def samples(self) -> list[Sample]:
@@ -212,9 +210,7 @@ class Observer(Protocol):
         ...
 
     def on_command(self, command: Command) -> None:
-        """Called for a command sent outside the control steps, as in the square before the first
-        plan.
-        """
+        """Called for a command outside control steps, as in the square before the first plan."""
         ...
 
     def on_note(self, note: Note) -> None:

@@ -94,9 +94,7 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count lost robots and the frames of the hold, in which an untracked robot counts as
-        outside.
-        """
+        """Count lost robots and the frames of the hold, where an untracked robot is outside."""
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:
@@ -126,7 +124,5 @@ class TourMeasure:
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Share of the hold's frames in which each robot was within the radius, (N,); empty without
-        frames.
-        """
+        """Share of the hold's frames with each robot within the radius, (N,); empty without any."""
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

@@ -1,6 +1,4 @@
-"""The emulated lab as a whole: camera side, actuator side, faults, a record, and a helper who
-carries robots.
-"""
+"""The emulated lab as a whole: both sides, faults, a record, a helper who carries robots."""
 
 import json
 from collections.abc import Callable

@@ -136,9 +136,7 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Schedule the faults that are timed from an event `what`: start, client or run. Only its
-        first occurrence counts.
-        """
+        """Schedule the faults timed from an event (start, client, run); only its first counts."""
         if what in self._since:
             return
         self._since.add(what)

@@ -93,9 +93,7 @@ class CurrentDriver:
                 self._timeline.at(self._out_ns, lambda r=reply: self.port.write(r))
 
     def advance(self, until_ns: int) -> None:
-        """Advance to `until_ns` in whole steps of a millisecond; the next call continues from
-        there.
-        """
+        """Advance to `until_ns` in whole milliseconds; the next call continues from there."""
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self._step()

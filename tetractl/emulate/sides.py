@@ -107,9 +107,7 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
 
 class EmulatedActuator(EmulatedSide, Protocol):
-    """Moves its `bodies`, in the order of the setup's robots; constructed with (stage,
-    settings).
-    """
+    """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""
 
     @property
     def bodies(self) -> Sequence[Body]:

@@ -310,9 +310,7 @@ class StreamedCamera(ABC):
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time of the camera, interpolated between the two kept around that
-        time.
-        """
+        """Return the scene at a time of the camera, interpolated between those kept around it."""
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:

@@ -38,9 +38,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
 
 
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
-    """Return the experiment with these cells as robots, in order, at their poses and with
-    targets.
-    """
+    """Return the experiment with these cells as robots, at their poses and with targets."""
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
@@ -87,9 +85,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return the criteria for comparing choices, most important first: away from walls, different
-    a, fast turning.
-    """
+    """Return a choice's criteria in order of rank: away from walls, different a, fast turning."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])

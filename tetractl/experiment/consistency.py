@@ -97,9 +97,7 @@ def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Return whether the arena's edge touches an obstacle, or one of the obstacle's corners is
-    inside.
-    """
+    """Return whether the arena's edge touches an obstacle, or a corner of it is inside."""
     right, top = arena.left + arena.width, arena.bottom + arena.height
     x = np.array([arena.left, right, right, arena.left])
     y = np.array([arena.bottom, arena.bottom, top, top])

@@ -64,9 +64,7 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J up to which sequences count as equally good, None if a lower cost is always
-        better.
-        """
+        """Cost J below which all sequences are as good, None if lower is always better."""
         return None
 
     @abstractmethod
@@ -131,15 +129,11 @@ class ControllerSection(Model):
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return roughly the largest number of 8-byte numbers that a control step holds in
-        memory.
-        """
+        """Return roughly the largest number of 8-byte numbers that a control step holds."""
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location, within the section, and description of each contradiction with the
-        experiment.
-        """
+        """Yield location, in the section, and text of each contradiction with the experiment."""
         yield from ()
 
     @abstractmethod

@@ -148,9 +148,7 @@ def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
 
 
 def resolved_yaml(experiment: Experiment) -> str:
-    """Return the YAML of a spec with every field, including defaults, that loads as the same
-    experiment.
-    """
+    """Return the YAML of a spec with every field, that loads as the same experiment."""
     return dump(experiment.model_dump(mode="json"))
 
 
@@ -163,9 +161,7 @@ def spec_hash(experiment: Experiment) -> str:
 
 
 def arm_hash(experiment: Experiment) -> str:
-    """Return the hash of an experiment without its number of trials, which has no effect on a
-    trial.
-    """
+    """Return the hash of an experiment without its number of trials, which changes no trial."""
     trials = experiment.trials.model_copy(update={"count": 1})
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
@@ -189,9 +185,7 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the attached files plus one; SpecError if every log already has another file of that
-    name.
-    """
+    """Return the attached files plus one; SpecError if a log has another file of that name."""
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(

@@ -122,9 +122,7 @@ class _Merge:
         self._places = places
 
     def merged(self, base: Any, over: Any, loc: Loc, over_loc: Loc | None = None) -> Any:
-        """Return `base`, which is at `loc` in the spec, with the values of `over` replacing its
-        own.
-        """
+        """Return `base`, at `loc` in the spec, with the values of `over` replacing its own."""
         over_loc = over_loc or self._start
         self._places[loc] = self._document.place(over_loc)
         if isinstance(base, Mapping) and isinstance(over, Mapping):

@@ -12,9 +12,7 @@ FRAME_MAX = 80  # payload bytes, including the closing CRC
 
 
 def crc16(data: bytes) -> int:
-    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF, not reflected; 0x29B1 for
-    b"123456789".
-    """
+    """Return CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF; 0x29B1 for b"123456789"."""
     return binascii.crc_hqx(data, 0xFFFF)
 
 
@@ -65,9 +63,7 @@ def frame_with_crc(payload: bytes) -> bytes:
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, given without the closing byte 00; WireError for a
-    wrong CRC.
-    """
+    """Return the payload of a frame, without the closing byte 00; WireError for a wrong CRC."""
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
         raise WireError(f"a frame cannot have {len(payload)} bytes")

@@ -73,9 +73,7 @@ class MotionCheck:
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
     ) -> None:
-        """Take a transmission: speeds [length unit/s], turning rates [rad/s], and the relative
-        wheel error g.
-        """
+        """Take a transmission: speeds [length unit/s], turning rates [rad/s], wheel error g."""
         v, w = np.array(speed), np.array(turning)
         off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
         around = off / self._radius if self._radius else share * np.abs(w)
@@ -138,9 +136,7 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return a description of a motion that is out of bounds by `error` (3,): along, across,
-    around.
-    """
+    """Return a description of a motion (3,), along, across and around, out of bounds."""
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

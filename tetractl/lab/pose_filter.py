@@ -51,9 +51,7 @@ class PoseFilter:
     _past: deque[tuple[int, Pose]] = field(default_factory=deque)
 
     def forget(self) -> None:
-        """Forget all poses except the last, as at the start of a run, before which robots were
-        carried.
-        """
+        """Forget all poses except the last, as before a run, since robots were carried."""
         self._past = deque([(self.seen_ns, self.pose)] if self.pose is not None else [])
         self.refused = ""
 
@@ -100,9 +98,7 @@ class PoseFilter:
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return why a body's height or tilt is not that of a robot on the floor, "" if they
-        are.
-        """
+        """Return why a body's height or tilt is not that of a robot on the floor, else ""."""
         limits = self.limits
         if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"

@@ -151,9 +151,7 @@ def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) ->
 
 
 def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
-    """Return a robot's distance [mm] and difference in heading [rad] from its start, None if
-    untracked.
-    """
+    """Return a robot's distance [mm] and turn [rad] from its start, None if untracked."""
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
         return None, None

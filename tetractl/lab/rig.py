@@ -52,9 +52,7 @@ class Rig:
         self._opened = ExitStack()
 
     def __enter__(self) -> Self:
-        """Open the devices and start the inner loop, once; AbortError with the reason if that
-        fails.
-        """
+        """Open the devices and start the inner loop, once; AbortError if that fails."""
         if self._entered:
             return self
         self._entered = True
@@ -72,9 +70,7 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with other robots, given by the camera's numbers, which start at their present
-        poses.
-        """
+        """Continue with other robots, by the camera's numbers, from their present poses."""
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]

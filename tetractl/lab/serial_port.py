@@ -174,9 +174,7 @@ def _missing(name: str, device: str) -> AbortError:
 
 
 def holder(port: str) -> int | None:
-    """Return the id of the process that has locked a port, None if there is none or the system is
-    not Linux.
-    """
+    """Return the id of the process that has locked a port, None if none or not on Linux."""
     with suppress(OSError):
         at = Path(port).stat()
         device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"

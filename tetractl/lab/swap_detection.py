@@ -147,9 +147,7 @@ class _TurnIntegrals:
         self._turned, self._seconds = np.zeros(n), np.zeros(n)  # integrals of s_i, and of 1
 
     def add(self, i: int, commanded: Floats, angle: float, dt: float) -> None:
-        """Add a turn of robot i by `angle` [rad] in `dt` [s], with the `commanded` rates (D, N)
-        [rad/s].
-        """
+        """Add robot i's turn by `angle` [rad] in `dt` [s] at `commanded` rates (D, N) [rad/s]."""
         self._commanded[:, i] += commanded**2 * dt
         self._common[:, i] += angle * commanded
         self._differ[i] += (commanded[0] - commanded[0, i]) ** 2 * dt
@@ -169,9 +167,7 @@ class _TurnIntegrals:
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return (N,): which robots robot i may follow, unless a lost or swapped wheel explains its
-        turning.
-        """
+        """Return (N,): the robots that i may follow, unless a bad wheel explains its turning."""
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
         commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
@@ -187,9 +183,7 @@ class _TurnIntegrals:
         )
 
     def _own(self, gains: tuple[float, float]) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, for the best bias and the best gain in a
-        range.
-        """
+        """Return Q_ii (N,) of each robot's own commands, for the best bias and gain in a range."""
         bias = np.array(BIASES)[:, None, None]
         commanded = np.diagonal(self._commanded, axis1=1, axis2=2)
         common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
@@ -199,9 +193,7 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return robots each of which follows the next, and the last of which follows the first; [] if
-    none do.
-    """
+    """Return robots each of which follows the next, and the last the first; [] if none do."""
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])
@@ -225,9 +217,7 @@ class IdentityWatch:
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Take a picture's probabilities; yield a text for each change. A cell out of view changes
-        nothing.
-        """
+        """Take a picture's probabilities; yield a text for each change, not for unseen cells."""
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:

@@ -142,9 +142,7 @@ class _Handler(BaseHTTPRequestHandler):
         converse(self.connection, f"{line}{head}\r\n".encode("latin-1"))
 
     def _let_in(self, token: str) -> bool:
-        """Return whether a request has the right token, compared in constant time, and this
-        server's `Host`.
-        """
+        """Return whether a request has the right token, in constant time, and our `Host`."""
         ours = (f"{ADDRESS}:{self._site.port}", f"localhost:{self._site.port}")
         right = hmac.compare_digest(token.encode(), self._site.token.encode())
         return right and self.headers.get("Host") in ours

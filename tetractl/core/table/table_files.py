@@ -111,9 +111,7 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a pyarrow array; if no value is known, its type is text for words, otherwise a
-    number.
-    """
+    """Return a pyarrow array; if no value is known, of text for words, otherwise of numbers."""
     import pyarrow
 
     values = column.known
@@ -195,9 +193,7 @@ def _refused(error: OSError) -> LogError:
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:
-    """Return JSON of plain data, dataclasses and arrays; a number that is not finite becomes
-    null.
-    """
+    """Return JSON of plain data, dataclasses and arrays; null for a number that is not finite."""
     return json.dumps(plain(value), indent=indent, ensure_ascii=indent is not None, allow_nan=False)
 
 
@@ -217,9 +213,7 @@ def plain(value: Any) -> Any:
 
 
 def flat(items: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Return nested items as one level: a `ci95` pair becomes `low` and `high`, lists become
-    text.
-    """
+    """Flatten nested items: a `ci95` pair becomes `low` and `high`, lists become text."""
     found: dict[str, Any] = {}
     for key, value in items.items():
         name = f"{prefix}{key}"

@@ -185,9 +185,7 @@ class Renderer:
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """Return the picture of the floor with its tags, drawn again only if other tags are
-        hidden.
-        """
+        """Return the picture of the floor with its tags, drawn again if other tags are hidden."""
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # a window at one side
@@ -255,9 +253,7 @@ class Renderer:
         return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
 
     def _undistorted(self) -> tuple[Shades, Shades]:
-        """Return the column and row in the undistorted picture for each pixel of the
-        distorted one.
-        """
+        """Return column and row in the undistorted picture of each pixel of the distorted one."""
         if self._bent is None:
             optics = self.optics
             rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)

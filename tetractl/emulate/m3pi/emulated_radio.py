@@ -61,9 +61,7 @@ class ModuleSettings:
 
 
 class EmulatedModule:
-    """An XBee module; `send` transmits a payload by radio, `write` sends bytes by UART to
-    the PC.
-    """
+    """An XBee module; `send` transmits a payload by radio, `write` sends bytes to the PC."""
 
     def __init__(self, settings: ModuleSettings, send: Send, write: Write) -> None:
         self.settings = settings

@@ -110,9 +110,7 @@ class Motive:
                 opened.close()
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
-        """Answer the messages at the command port, each at the time to which `catch_up`
-        advances.
-        """
+        """Answer the messages at the command port, at the time to which `catch_up` advances."""
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
@@ -194,9 +192,7 @@ class Motive:
 
 
 def mangle(datagram: bytes, chance: random.Random) -> bytes:
-    """Return a datagram damaged at random: cut short, extended, with a wrong size in its header, or
-    noise.
-    """
+    """Return a datagram damaged at random: cut, extended, of a wrong stated size, or noise."""
     match chance.randrange(5):
         case 0:
             return datagram[: chance.randrange(len(datagram))]
@@ -211,9 +207,7 @@ def mangle(datagram: bytes, chance: random.Random) -> bytes:
 
 
 def _packed(message: Message, version: Version) -> bytes:
-    """Return how a frame of this version is packed; versions outside 2.6 to 4.3 use the nearest
-    known one.
-    """
+    """Pack a message in a version; those outside 2.6 to 4.3 use the nearest known one."""
     if version > NEWEST and isinstance(message, ModelDef):
         return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
     return pack_answer(message, max(OLDEST, min(version, NEWEST)))

@@ -181,9 +181,7 @@ class MotiveServer:
         return None
 
     def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses that frames go to, each with its version; unicast clients
-        time out.
-        """
+        """Return the addresses frames go to, each with its version; unicast clients time out."""
         s = self.streaming
         if s.transport == "multicast":
             return [((s.group, self.data_port), s.version)]
@@ -206,9 +204,7 @@ class MotiveServer:
         self.clients[sender] = Client(version, now_ns)
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Return whether a unicast client may choose this version, as it can with servers from 4.0
-        on.
-        """
+        """Return whether a unicast client may choose this version, as with servers from 4.0 on."""
         version = Version(*asked)
         if self.streaming.keeps_version:
             return False

@@ -1,6 +1,4 @@
-"""The emulated camera of type `optitrack`: settings, faults, and a Motive server of the robots'
-bodies.
-"""
+"""The emulated camera of type `optitrack`: settings, faults, and a server of bodies."""
 
 from collections.abc import Sequence
 from operator import attrgetter

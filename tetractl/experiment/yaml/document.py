@@ -67,9 +67,7 @@ class Document:
         return self.values, self.keys, self.refused
 
     def key(self, loc: Loc) -> Place:
-        """Return the location of a key or, if unknown, that of its value or of the enclosing
-        node.
-        """
+        """Return the location of a key or, if unknown, of its value or the enclosing node."""
         return self.keys.get(loc) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:

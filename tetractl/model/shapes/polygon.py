@@ -94,9 +94,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the gap to the bounding box if positive, otherwise the distance minus the
-        margin.
-        """
+        """Return the gap to the bounding box if positive, otherwise distance minus margin."""
         beside = max(p[2] - max(x0, x1), min(x0, x1) - p[4])
         box = max(beside, max(p[3] - max(y0, y1), min(y0, y1) - p[5]))
         if box > 0.0:

@@ -23,9 +23,7 @@ class PackedRectangles(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the largest gap along a separating axis: the box's two axes and the segment's
-        normal.
-        """
+        """Return the largest gap along an axis: the box's two and the segment's normal."""
         left, bottom, right, top = p
         hx, hy, dx, dy = (right - left) / 2.0, (top - bottom) / 2.0, x1 - x0, y1 - y0
         mx, my = x0 + dx / 2.0 - (left + right) / 2.0, y0 + dy / 2.0 - (bottom + top) / 2.0
@@ -74,9 +72,7 @@ class Rectangle(ShapeSection):
         return (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether no axis, of the box's two and the segment's normal, separates segment and
-        rectangle.
-        """
+        """Return whether neither the box's axes nor the segment's normal separate the two."""
         left, bottom, right, top = self.row()
         dx, dy = x1 - x0, y1 - y0
         center_x, center_y = (left + right) / 2, (bottom + top) / 2

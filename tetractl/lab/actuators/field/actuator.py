@@ -118,9 +118,7 @@ class FieldActuator:
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return a status for each cell, without an answer, as only the driver can be asked
-        (`check`).
-        """
+        """Return a status without an answer for each cell, as only the driver can be asked."""
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
@@ -161,9 +159,7 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return the driver's problems, warnings and facts from its reply, None if there was no
-    reply.
-    """
+    """Return the driver's problems, warnings and facts from its reply, None without one."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))

@@ -165,9 +165,7 @@ class Driver:
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return the time of sending [ns]. AbortError if the port has
-        failed.
-        """
+        """Send a command that polls; return when [ns]. AbortError if the port has failed."""
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)

@@ -73,9 +73,7 @@ class Coils:
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
-    """Return `now` moved along a straight line towards `wished`, each component by at most
-    `step`.
-    """
+    """Return `now` moved straight towards `wished`, each component by at most `step`."""
     dx, dy = wished[0] - now[0], wished[1] - now[1]
     peak = max(abs(dx), abs(dy))
     if peak <= step:
@@ -137,7 +135,7 @@ class FieldSection(ActuatorSection):
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
     """Time without a command after which the driver switches the field off [s]; this value is
-    this value is built into the driver.
+    built into the driver.
     """
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""

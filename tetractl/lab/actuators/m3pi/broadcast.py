@@ -37,9 +37,7 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i drives with `wheels[i]`, and stops if the list is
-    shorter.
-    """
+    """One frame for all robots: robot i drives with `wheels[i]`, or stops if there is none."""
 
     sequence: int
     flags: Flag

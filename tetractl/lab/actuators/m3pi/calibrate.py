@@ -282,9 +282,7 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the measurement was aborted, for example because the robot drove
-        too far.
-        """
+        """Return whether the measurement was aborted, as when the robot drove too far."""
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose

@@ -136,15 +136,11 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the largest count that is sent to a robot, lower if its program has no
-        watchdog.
-        """
+        """Return the largest count sent to a robot, lower if its program has no watchdog."""
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, with either program; where possible, latched until switched
-        off.
-        """
+        """Stop every robot in reach, of either program; if possible, latched until switched off."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

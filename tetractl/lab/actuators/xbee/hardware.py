@@ -151,9 +151,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
 
 
 def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
-    """Try the other baud rates to find out why no module answers; raise AbortError with the
-    result.
-    """
+    """Return the error for a silent module, after trying the other baud rates."""
     for baud in OTHER_BAUDS:
         if baud == radio.baud:
             continue

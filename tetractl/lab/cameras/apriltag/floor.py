@@ -85,9 +85,7 @@ class Plane:
         return min(found, key=lambda each: each[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
-        """Return height [m] and tilt [rad] of a body with rotation and shift in the camera's
-        axes.
-        """
+        """Return height [m] and tilt [rad] of a body with turn and shift in the camera's axes."""
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
         return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
@@ -152,9 +150,7 @@ def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, F
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Return the plane, for known intrinsics, on which points (M, 2) [px] lie at spots (M,
-    2) [m].
-    """
+    """Return the plane for known intrinsics; points (M, 2) [px] lie at spots (M, 2) [m]."""
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
     return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
@@ -172,9 +168,7 @@ def _fitted(
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def projected(x: Floats) -> tuple[Floats, Floats]:
-        """Return the pixels of the spots for pose and lens x (8,), and their derivatives
-        (2M, 8).
-        """
+        """Return the spots' pixels for pose and lens x (8,), and their derivatives (2M, 8)."""
         matrix, distortion = _lens(x[6:], width, middle)
         pixels, slopes = cv2.projectPoints(_flat(spots), x[:3], x[3:6], matrix, distortion)
         # columns: turn, shift, fx, fy, cx, cy, k1, ...; f = fx = fy

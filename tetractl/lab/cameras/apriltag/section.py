@@ -113,9 +113,7 @@ def _twice(values: Sequence[str]) -> list[str]:
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Return whether the points are nearly collinear: the largest triangle is too narrow for its
-    longest side.
-    """
+    """Return whether points are nearly collinear: the largest triangle is narrow for its length."""
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

@@ -112,9 +112,7 @@ class OptitrackCamera:
         return self
 
     def open(self) -> None:
-        """Open the sockets, and start requests and reception; AbortError if a socket cannot be
-        opened.
-        """
+        """Open the sockets, and start requests and reception; AbortError if that fails."""
         try:
             self._open_sockets()
         except OSError as error:
@@ -166,9 +164,7 @@ class OptitrackCamera:
         self._sockets = []
 
     def check(self) -> Health:
-        """Return problems, such as rigid bodies that are not streamed, and facts of server and
-        clock.
-        """
+        """Return problems, such as bodies that are not streamed, and facts of server and clock."""
         stream, sync = self.stream, self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
         warnings = diagnosis.not_taken(self.senders, stream)
@@ -246,9 +242,7 @@ class OptitrackCamera:
         self._wake()
 
     def _chores(self) -> None:
-        """Send the periodic requests: for missing information, for the time, and to keep the stream
-        alive.
-        """
+        """Send the periodic requests: for missing information and time, and to keep alive."""
         stream = self.stream
         if stream.info is None:
             self._every("connect", ASK_NS, lambda: self._connect())

@@ -1,6 +1,4 @@
-"""The contents of NatNet datagrams as plain values. Positions are in metres; quaternions have norm
-1.
-"""
+"""The contents of NatNet datagrams as values. Positions are in metres; quaternions have norm 1."""
 
 from dataclasses import dataclass
 from enum import IntEnum
@@ -72,9 +70,7 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Times of a frame in ticks of the server's clock (from 3.0 on); `ServerInfo.clock_hz` is the
-    rate.
-    """
+    """Times of a frame (from 3.0 on) in ticks of the server's clock, of `ServerInfo.clock_hz`."""
 
     exposure: int  # middle of the exposure
     received: int  # when the server had the camera data

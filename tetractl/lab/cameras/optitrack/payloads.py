@@ -33,9 +33,7 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A read position in a payload of little-endian fields; it only moves forward and stays
-    inside.
-    """
+    """A read position in a payload of little-endian fields; it moves forward and stays inside."""
 
     __slots__ = ("at", "data", "end")
 
@@ -138,9 +136,7 @@ def labelled_size(version: Version) -> int:
 
 
 def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
-    """Read a frame; versions above 4.3 are read as 4.3, with WireError if the layout does
-    not fit.
-    """
+    """Read a frame; versions above 4.3 are read as 4.3, WireError if the layout does not fit."""
     if version < OLDEST:
         raise WireError(f"protocol {version} is older than {OLDEST}")
     suffix = suffix_layout(version)

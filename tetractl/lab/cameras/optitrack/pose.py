@@ -1,6 +1,4 @@
-"""Converts a rigid body to a robot's pose in the spec's coordinates, or to None if it cannot be
-trusted.
-"""
+"""Converts a rigid body to a robot's pose in the spec's coordinates, None if not to be trusted."""
 
 import math
 from dataclasses import dataclass
@@ -49,9 +47,7 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The cameras' axes in the spec's coordinates; `scale` is the number of length units per
-    metre.
-    """
+    """The cameras' axes in the spec's coordinates; `scale` is length units per metre."""
 
     x: float
     y: float

@@ -57,8 +57,6 @@ class Senders:
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return the sender of most refused frames, or answers, and their number; None if none were
-        refused.
-        """
+        """Return the sender of most refused frames, or answers, and their number, if any."""
         found = [item for item in self.refused.most_common() if item[0].frames is frames]
         return found[0] if found else None

@@ -42,9 +42,7 @@ DRIFT_MAX = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One echo: host time halfway [ns], the server's clock at that time [ns], and round trip
-    [ns].
-    """
+    """One echo: host time halfway [ns], the server's clock at that time [ns], round trip [ns]."""
 
     host_ns: int
     server_ns: int
@@ -118,9 +116,7 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Return the least-squares slope of server minus host time over host time, 0 if it cannot be
-    estimated.
-    """
+    """Return the fitted slope of server minus host time over host time, 0 if unknown."""
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:

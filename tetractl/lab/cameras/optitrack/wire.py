@@ -70,11 +70,7 @@ def pack(message: Message) -> bytes:
 def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     """Return a datagram's kind and payload; WireError unless its header is right."""
     if len(datagram) < HEADER:
-        raise WireError(
-            f"a datagram of {len(datagram)} bytes is too short or too long is too short or "
-            "too long is too short or "
-            "too long is too short"
-        )
+        raise WireError(f"a datagram of {len(datagram)} bytes is too short")
     code = int.from_bytes(datagram[:2], "little")
     size = int.from_bytes(datagram[2:4], "little")
     payload = bytes(datagram[HEADER:])

@@ -12,9 +12,7 @@ class SourceEndedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture as received: pixels (height, width, 3) or a JPEG file, and its time of arrival
-    [ns].
-    """
+    """A picture as received: pixels (height, width, 3) or a JPEG file, and when it arrived [ns]."""
 
     content: np.ndarray | bytes
     received_ns: int

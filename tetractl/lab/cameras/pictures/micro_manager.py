@@ -63,9 +63,7 @@ class MicroManagerFeed:
             except RuntimeError as error:
                 raise SourceEndedError(f"Micro-Manager says: {error}") from error
             if not running or self._clock.now() > silent:
-                raise SourceEndedError(
-                    "Micro-Manager's camera delivers no more pictures pictures pictures"
-                )
+                raise SourceEndedError("Micro-Manager's camera delivers no more pictures")
             self._clock.sleep_until(self._clock.now() + WAIT_NS)
         raise SourceEndedError("Micro-Manager's camera was closed")
 

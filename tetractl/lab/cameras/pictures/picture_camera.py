@@ -67,9 +67,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Search a picture; return its robots and strangers, None if it gives no frame, as while
-        learning.
-        """
+        """Search a picture; return its robots and strangers, None if it gives no frame."""
 
     @abstractmethod
     def check(self) -> Health:

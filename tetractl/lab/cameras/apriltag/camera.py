@@ -3,7 +3,7 @@
 import math
 import statistics
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from tetractl.core.setup import Setup
 from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
 from tetractl.lab.cameras.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
-from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
+from tetractl.lab.cameras.pictures.looks import Look
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 # a tag whose size differs by this fraction is a different tag, or at a different height
@@ -112,47 +112,8 @@ DOUBTFUL_MM = 3.0
 OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen
 
 
-@dataclass(frozen=True, slots=True)
-class State:
-    """The state of the camera besides its pictures; `ended` is why the source ended, "" while it is
-    open.
-
-    `rate_hz` is the declared rate, `size` the pictures' height and width, `plane` the calibrated
-    floor, even if it does not fit the spec.
-    """
-
-    source: str
-    ended: str
-    now_ns: int
-    rate_hz: float | None
-    size: tuple[int, ...] | None
-    plane: Plane | None
-    damaged: int
-    skipped: int
-
-
-def health_of(
-    section: AprilTagSection, robots: Sequence[RobotTag], looks: Sequence[Look[Seen]], state: State
-) -> Health:
-    """Return the health of a camera from its last pictures' results, oldest first."""
-    problems, warnings = stream_lines(
-        looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
-    )
-    seen, twice = _seen(looks)
-    floor = [tag.tag for tag in section.floor]
-    for each in (
-        _floor_seen(floor, seen, twice),
-        _floor_placed(state.plane, section.lens is None),
-        _robots(robots, looks, seen, twice),
-        _sharpness(looks),
-    ):
-        problems += each[0]
-        warnings += each[1]
-    return Health(tuple(problems), tuple(warnings), _facts(section, looks, state))
-
-
-Lines = tuple[list[str], list[str]]
-"""Problems and warnings."""
+Finding = tuple[bool, str]
+"""Whether a run cannot start, and why, or what else is not as it should be."""
 
 
 def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
@@ -162,91 +123,45 @@ def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
     return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
 
 
-def _floor_seen(floor: Sequence[int], seen: Sequence[int], twice: Sequence[int]) -> Lines:
-    problems: list[str] = []
+def _floor_findings(
+    floor: Sequence[int], plane: Plane | None, estimated: bool, looks: Sequence[Look[Seen]]
+) -> Iterator[Finding]:
+    seen, twice = _seen(looks)
     if missing := [tag for tag in floor if tag not in seen]:
-        problems.append(f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}")
+        yield True, f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}"
     if double := [tag for tag in floor if tag in twice]:
-        problems.append(f"floor {_tags(double)} seen twice: every number may be used once only")
-    return problems, []
-
-
-def _floor_placed(plane: Plane | None, estimated: bool) -> Lines:
+        yield True, f"floor {_tags(double)} seen twice: every number may be used once only"
     if plane is None:
-        return [], []
-    problems: list[str] = []
-    warnings: list[str] = []
+        return
     if not plane.worst_mm <= MISPLACED_MM:  # also for NaN
-        line = (
+        yield (
+            not plane.worst_mm <= MISFIT_MM,
             f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
-            "them: measure at, size_mm and heading again"
+            "them: measure at, size_mm and heading again",
         )
-        (warnings if plane.worst_mm <= MISFIT_MM else problems).append(line)
     if estimated and plane.doubt_mm > DOUBTFUL_MM:
-        line = (
+        yield (
+            plane.doubt_mm > MISFIT_MM,
             f"the floor tags say too little about the lens: robots may be {plane.doubt_mm:.0f} mm "
-            "off; tilt the camera more or set lab.camera.lens"
+            "off; tilt the camera more or set lab.camera.lens",
         )
-        (problems if plane.doubt_mm > MISFIT_MM else warnings).append(line)
-    return problems, warnings
 
 
-def _robots(
-    robots: Sequence[RobotTag],
-    looks: Sequence[Look[Seen]],
-    seen: Sequence[int],
-    twice: Sequence[int],
-) -> Lines:
-    problems: list[str] = []
-    warnings: list[str] = []
+def _robot_findings(robots: Sequence[RobotTag], looks: Sequence[Look[Seen]]) -> Iterator[Finding]:
+    seen, twice = _seen(looks)
     for i, robot in enumerate(robots):
-        sizes = [look.seen.sizes[i] for look in looks]
-        measured = [size for size in sizes if size is not None]
+        measured = [size for look in looks if (size := look.seen.sizes[i]) is not None]
         if robot.tag in twice:
-            problems.append(f"{robot.name}: tag {robot.tag} is seen twice, so it is not tracked")
+            yield True, f"{robot.name}: tag {robot.tag} is seen twice, so it is not tracked"
         elif robot.tag not in seen:
-            problems.append(
-                f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
-            )
+            yield True, f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
         elif measured and abs(size := statistics.median(measured) - 1) > ODD:
-            line = (
+            yield (
+                abs(size) >= ODD_SIZE,
                 f"{robot.name}: its tag looks {abs(100 * size):.0f} % "
                 f"{'larger' if size > 0 else 'smaller'} than it should: are size_mm and height_mm "
-                "right?"
+                "right?",
             )
-            (problems if abs(size) >= ODD_SIZE else warnings).append(line)
-    return problems, warnings
-
-
-def _sharpness(looks: Sequence[Look[Seen]]) -> Lines:
-    blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
-    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
-    if not blurs or statistics.median(blurs) <= BLURRED:
-        return [], []
-    return [], [
-        f"tags are too small or blurred, {min(sides):.0f} px wide at least: focus the lens, use "
-        "larger tags or more pixels, or shorten the exposure"
-    ]
-
-
-def _facts(section: AprilTagSection, looks: Sequence[Look[Seen]], state: State) -> dict[str, str]:
-    facts = {"source": state.source, "latency": f"{section.latency:g} s, as the spec says"}
-    if state.size is not None:
-        facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
-    if (rate := rate_hz(looks)) is not None:
-        facts["rate"] = f"{rate:.1f} Hz"
-    if looks:
-        facts["search"] = f"{search_ms(looks):.1f} ms"
-    if (plane := state.plane) is not None:
-        facts["floor_error"] = f"{plane.error_mm:.2f} mm"
-        origin = "the spec's" if section.lens is not None else "estimated"
-        facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
-    sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
-    if sides:
-        facts["smallest_tag"] = f"{min(sides):.0f} px"
-    facts["damaged"] = str(state.damaged)
-    facts["skipped"] = str(state.skipped)
-    return facts
 
 
 def _tags(numbers: Sequence[int]) -> str:
@@ -277,20 +192,34 @@ class AprilTagCamera(PictureCamera[Seen]):
 
     def check(self) -> Health:
         """Examine some pictures and return the problems of source, floor and tags."""
-        looks = self._look()
-        floor = self._tracker.floor
-        state = State(
-            source=self.section.source_name,
-            ended=self._ended,
-            now_ns=self._clock.now(),
-            rate_hz=None if self._feed is None else self._feed.rate_hz,
-            size=self._size,
-            plane=floor.plane or floor.misfit,
-            damaged=self.damaged,
-            skipped=self._skipped,
-        )
-        found = health_of(self.section, self._tracker.robots, looks, state)
-        return replace(found, emulated=self.emulated)
+        looks, section, floor = self._look(), self.section, self._tracker.floor
+        problems, warnings = self._stream_lines(looks)
+        plane, tags = floor.plane or floor.misfit, [tag.tag for tag in section.floor]
+        for refuses, text in (
+            *_floor_findings(tags, plane, section.lens is None, looks),
+            *_robot_findings(self._tracker.robots, looks),
+        ):
+            (problems if refuses else warnings).append(text)
+        blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
+        sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
+        if blurs and statistics.median(blurs) > BLURRED:
+            warnings.append(
+                f"tags are too small or blurred, {min(sides):.0f} px wide at least: focus the "
+                "lens, use larger tags or more pixels, or shorten the exposure"
+            )
+        facts = {
+            "source": section.source_name,
+            "latency": f"{section.latency:g} s, as the spec says",
+            **self._stream_facts(looks),
+        }
+        if plane is not None:
+            origin = "the spec's" if section.lens is not None else "estimated"
+            facts["floor_error"] = f"{plane.error_mm:.2f} mm"
+            facts["focal_length"] = f"{plane.focal_px:.0f} px, {origin}"
+        if sides:
+            facts["smallest_tag"] = f"{min(sides):.0f} px"
+        facts |= {"damaged": str(self.damaged), "skipped": str(self._skipped)}
+        return Health(tuple(problems), tuple(warnings), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> Seen:
         return self._tracker.see(picture)

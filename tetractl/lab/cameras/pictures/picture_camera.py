@@ -4,7 +4,7 @@ import queue
 import threading
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -15,7 +15,7 @@ from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
-from tetractl.lab.cameras.pictures.looks import LOOKS, Look
+from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
@@ -132,6 +132,23 @@ class PictureCamera(ABC, Generic[S]):
 
         self._wait(enough, self._source.connect)
         return tuple(self._looks)
+
+    def _stream_lines(self, looks: Sequence[Look[S]]) -> tuple[list[str], list[str]]:
+        """Return problems and warnings of the stream of pictures."""
+        rate = None if self._feed is None else self._feed.rate_hz
+        name, now_ns = self._source.source_name, self._clock.now()
+        return stream_lines(looks, name, self._ended, now_ns, rate, self.damaged)
+
+    def _stream_facts(self, looks: Sequence[Look[S]]) -> dict[str, str]:
+        """Return resolution, rate and duration of the search, as far as known."""
+        facts: dict[str, str] = {}
+        if self._size is not None:
+            facts["resolution"] = f"{self._size[1]}x{self._size[0]}"
+        if (rate := rate_hz(looks)) is not None:
+            facts["rate"] = f"{rate:.1f} Hz"
+        if looks:
+            facts["search"] = f"{search_ms(looks):.1f} ms"
+        return facts
 
     def _read(self, feed: Feed) -> None:
         """Read pictures into the queue, in which only the newest of a live source is kept."""

@@ -2,10 +2,21 @@
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from tetractl.core.errors import TetractlError
+
+T = TypeVar("T")
+
+
+def drained(waiting: deque[T]) -> list[T]:
+    """Take everything out of a queue that another thread may fill meanwhile, oldest first."""
+    found: list[T] = []
+    while waiting:
+        found.append(waiting.popleft())
+    return found
 
 
 def _nothing() -> float | None:

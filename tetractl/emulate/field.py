@@ -17,9 +17,9 @@ from tetractl.core.errors import UsageError, WireError
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
-from tetractl.emulate.loop import Loop, Timeline
-from tetractl.emulate.port import PluggedDevice, PseudoPort
-from tetractl.emulate.sides import Facts, Stage
+from tetractl.emulate.loop import Timeline
+from tetractl.emulate.port import PluggedDevice, PseudoPort, SerialDevice
+from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection, Pair
@@ -29,7 +29,7 @@ STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm
 
 
-class CurrentDriver:
+class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
     `currents` [A] are the true ones. Faults set `supply_mv`, `temperature_dc` (tenths of a degree
@@ -47,16 +47,13 @@ class CurrentDriver:
         lag_s: float = LAG_S,
         tell: Callable[..., None] = lambda event, **facts: None,
     ) -> None:
-        self.port = port
+        super().__init__(timeline, port, baud)
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
-        self.garbled = 0  # number of chunks sent at another baud rate than the driver's
-        self._timeline, self._limits, self._baud = timeline, limits, baud
-        self._tell, self._splitter = tell, Splitter()
+        self._limits, self._tell, self._splitter = limits, tell, Splitter()
         self._keep = math.exp(-STEP_NS / SECOND / lag_s)
         self._now_ns = timeline.now_ns
-        self._in_ns = self._out_ns = 0  # when the line is free again, in and out
         self._core = DriverCore(limits, self._now_ms)
 
     @property
@@ -69,18 +66,6 @@ class CurrentDriver:
         """Whether the driver makes a field."""
         return DriverStatus.RUNNING in self.status
 
-    def readable(self) -> None:
-        """Read what was written to the port; the driver receives it after the transmission time."""
-        data = self.port.read()
-        if not data:
-            return
-        self._witness(data)
-        if self.port.baud() != self._baud:
-            self.garbled += 1
-            return
-        self._in_ns = max(self._timeline.now_ns, self._in_ns) + self._line_ns(data)
-        self._timeline.at(self._in_ns, lambda: self.hear(data))
-
     def hear(self, data: bytes) -> None:
         """Read bytes from the line and reply, byte by byte as a driver does."""
         if not self.powered:
@@ -89,8 +74,7 @@ class CurrentDriver:
             self._core.push(bytes([byte]), self._now_ms)
             reply = self._core.take_reply(self._now_ms)
             if reply and not self.mute:
-                self._out_ns = max(self._timeline.now_ns, self._out_ns) + self._line_ns(reply)
-                self._timeline.at(self._out_ns, lambda r=reply: self.port.write(r))
+                self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns` in whole milliseconds; the next call continues from there."""
@@ -128,9 +112,6 @@ class CurrentDriver:
     @property
     def _now_ms(self) -> int:
         return self._now_ns // 1_000_000 & 0xFFFFFFFF
-
-    def _line_ns(self, data: bytes) -> int:
-        return len(data) * 10 * SECOND // self._baud
 
 
 class FieldSettings(Model):
@@ -207,6 +188,7 @@ FAULTS = (
 class EmulatedField(PluggedDevice):
     """A current driver on a pseudo-terminal, and the cells between its coils."""
 
+    what = "current driver"
     Settings: ClassVar[type[Model]] = FieldSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
@@ -215,7 +197,7 @@ class EmulatedField(PluggedDevice):
         assert isinstance(section, FieldSection), "the table of kinds goes by the type"
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = PseudoPort(stage.options.link or Path(section.port))
-        self.driver = CurrentDriver(
+        self.driver = self.wired = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, tell=stage.note
         )
         self.driver.supply_mv = settings.supply_mv
@@ -229,7 +211,6 @@ class EmulatedField(PluggedDevice):
         coils = section.calibrated_coils()
         self.dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
-        self.readable = self.driver.readable
 
     @property
     def bodies(self) -> Sequence[CellBody]:
@@ -245,18 +226,6 @@ class EmulatedField(PluggedDevice):
     def truth(self) -> dict[str, Any]:
         """The true field at the cells [mT], for the record."""
         return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
-
-    def open(self, loop: Loop) -> Facts:
-        """Plug the driver in."""
-        self._loop = loop
-        self.plug()
-        link = str(self.port.link)
-        return {"actuator": f"current driver at {link}", "port": link}
-
-    def close(self) -> Facts:
-        """Pull the driver out."""
-        self.unplug()
-        return {"garbled": self.driver.garbled}
 
     def switch(self, on: bool) -> None:
         """Switch the driver on or off."""

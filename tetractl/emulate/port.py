@@ -4,30 +4,83 @@ import errno
 import os
 import termios
 import tty
-from collections.abc import Callable
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from pathlib import Path
+from typing import Any, ClassVar
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
-from tetractl.emulate.loop import Loop
+from tetractl.emulate.loop import Loop, Timeline
 
 _BAUDS = {
     getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)
 } | {termios.B115200: 115200}
 
 
-class PluggedDevice:
-    """A device on a port that can be unplugged; `readable` is called when bytes have arrived."""
+def uart_ns(size: int, baud: int) -> int:
+    """Return the time of bytes on a serial line, ten bits each [ns]."""
+    return size * 10 * SECOND // baud
 
+
+class SerialDevice(ABC):
+    """What hears and answers at the other end of `port`; bytes take their time on the line."""
+
+    def __init__(self, timeline: Timeline, port: "PseudoPort", baud: int) -> None:
+        self.port = port
+        self.garbled = 0  # number of chunks sent at another baud rate than the device's
+        self._timeline, self._baud = timeline, baud
+        self._in_ns = self._out_ns = 0  # when the line is free again, in and out
+
+    @abstractmethod
+    def hear(self, data: bytes) -> None:
+        """Take bytes that have come through the line."""
+
+    @abstractmethod
+    def _witness(self, data: bytes) -> None:
+        """Take note of bytes read from the port, even if the device does not hear them."""
+
+    def readable(self) -> None:
+        """Read what was written to the port; the device hears it after its time on the line."""
+        data = self.port.read()
+        if not data:
+            return
+        self._witness(data)
+        if self.port.baud() != self._baud:
+            self.garbled += 1
+            return
+        self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
+        self._timeline.at(self._in_ns, lambda: self.hear(data))
+
+    def _answer(self, data: bytes) -> None:
+        self._out_ns = max(self._timeline.now_ns, self._out_ns) + uart_ns(len(data), self._baud)
+        self._timeline.at(self._out_ns, lambda: self.port.write(data))
+
+
+class PluggedDevice:
+    """A device called `what` on a port, `wired` to it, that can be unplugged."""
+
+    what: ClassVar[str]
     port: "PseudoPort"
-    readable: Callable[[], None]
+    wired: SerialDevice
     _loop: Loop | None = None
+
+    def open(self, loop: Loop) -> dict[str, Any]:
+        """Plug the device in; return its name and its port."""
+        self._loop = loop
+        self.plug()
+        return {"actuator": f"{self.what} at {self.port.link}", "port": str(self.port.link)}
+
+    def close(self) -> dict[str, Any]:
+        """Pull the device out; return the count of chunks at a wrong baud rate."""
+        self.unplug()
+        return {"garbled": self.wired.garbled}
 
     def plug(self) -> None:
         """Plug the device in."""
         assert self._loop is not None, "open() gives the loop"
         self.port.plug()
-        self._loop.watch(self.port.fd, self.readable)
+        self._loop.watch(self.port.fd, self.wired.readable)
 
     def plugged(self, on: bool) -> None:
         """Plug the device in or unplug it."""

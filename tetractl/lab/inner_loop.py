@@ -8,17 +8,15 @@ import threading
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from typing import TypeVar
 
 from tetractl.core.clock import Clock
 from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.pose_filter import FrameBuffer
-
-T = TypeVar("T")
 
 IDLE_S = 0.01
 STEER_S = 0.25  # a step that takes longer than this counts as hanging
@@ -117,11 +115,11 @@ class InnerLoop:
 
     def sent(self) -> list[Transmission]:
         """Return, once, every transmission since the last call, oldest first."""
-        return _drained(self._sent)
+        return drained(self._sent)
 
     def warnings(self) -> list[tuple[int, str]]:
         """Return, once, the guard's warnings since the last call, each with its time [ns]."""
-        return _drained(self._warnings)
+        return drained(self._warnings)
 
     def close(self) -> None:
         """End the thread; idempotent, never raises."""
@@ -225,10 +223,3 @@ class InnerLoop:
         self._pass_on(sent)
         self._sent.append(sent)
         self.guard.sent(sent.sent_ns, sent.speed.tolist(), sent.turning.tolist())
-
-
-def _drained(queue: deque[T]) -> list[T]:
-    items: list[T] = []
-    while queue:
-        items.append(queue.popleft())
-    return items

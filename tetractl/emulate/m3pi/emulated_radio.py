@@ -9,12 +9,10 @@ mode bytes go as they are.
 import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import IntEnum
 
-from tetractl.core.clock import SECOND
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.robot import EmulatedRobot
-from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.port import PseudoPort, SerialDevice, uart_ns
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
     EXPLICIT_RECEIVE,
@@ -35,17 +33,9 @@ PAYLOAD = 100  # largest 802.15.4 payload [bytes]
 SERIAL = 0x0013A200_40000000  # a module's 64-bit address is this plus its 16-bit address
 
 
-class Delivery(IntEnum):
-    """The result of a transmission, as in frame 0x89."""
-
-    SUCCESS = 0
-    NO_ACK = 1
-
-
-Done = Callable[[Delivery], None]
-Send = Callable[
-    [int, bytes, Done], None
-]  # arguments: 16-bit address, payload, callback for the result
+SUCCESS, NO_ACK = 0, 1  # results of a transmission, as in frame 0x89
+Done = Callable[[int], None]
+Send = Callable[[int, bytes, Done], None]  # 16-bit address, payload, callback for the result
 Write = Callable[[bytes], None]
 
 
@@ -110,7 +100,7 @@ class EmulatedModule:
                 pass  # a module does not answer unknown frames
 
     def _status(self, frame_id: int) -> Done:
-        def done(delivery: Delivery) -> None:
+        def done(delivery: int) -> None:
             if frame_id:
                 self._answer(TransmitStatus(frame_id, delivery))
 
@@ -127,7 +117,7 @@ ROBOT_BAUD = 57600
 Heard = Callable[[bytes], None]
 
 
-class EmulatedRadio:
+class EmulatedRadio(SerialDevice):
     """The PC's module on its port, and one module per robot at `addresses`.
 
     `on_wire` is called with every chunk of bytes read from the port. `loss` is the probability that
@@ -146,43 +136,28 @@ class EmulatedRadio:
         on_wire: Heard,
         on_heard: Callable[[EmulatedRobot, bytes], None],
     ) -> None:
-        self.port = port
+        super().__init__(timeline, port, settings.baud)
         self.loss = loss
         self.robots = dict(zip(addresses, robots, strict=True))
-        self.garbled = 0  # number of chunks at another baud rate than the module's
-        self._timeline = timeline
-        self._settings = settings
         self._random = random.Random(seed)
         self._on_wire = on_wire
         self._on_heard = on_heard
-        self._module = EmulatedModule(settings, self._transmit, self._to_pc)
-        # when UART in, UART out and air are free again
-        self._in_ns = self._out_ns = self._air_ns = 0
+        self._module = EmulatedModule(settings, self._transmit, self._answer)
+        self._air_ns = 0  # when the air is free again
 
-    def readable(self) -> None:
-        """Read the bytes that the PC wrote; they reach the module after their time on the UART."""
-        data = self.port.read()
-        if not data:
-            return
+    def hear(self, data: bytes) -> None:
+        """Take bytes from the PC that the module's UART has received."""
+        self._module.hear(data)
+
+    def _witness(self, data: bytes) -> None:
         self._on_wire(data)
-        if self.port.baud() != self._settings.baud:
-            self.garbled += 1
-            return
-        start = max(self._timeline.now_ns, self._in_ns)
-        self._in_ns = start + _uart_ns(len(data), self._settings.baud)
-        self._timeline.at(self._in_ns, lambda: self._module.hear(data))
 
     def poll_answers(self) -> None:
         """Send the robots' answers; call it about every millisecond."""
         for address, robot in self.robots.items():
             if answer := robot.answer():
-                ready = self._timeline.now_ns + _uart_ns(len(answer), ROBOT_BAUD)
-                self._timeline.at(ready, lambda a=address, d=answer: self._answer(a, d))
-
-    def _to_pc(self, data: bytes) -> None:
-        start = max(self._timeline.now_ns, self._out_ns)
-        self._out_ns = start + _uart_ns(len(data), self._settings.baud)
-        self._timeline.at(self._out_ns, lambda: self.port.write(data))
+                ready = self._timeline.now_ns + uart_ns(len(answer), ROBOT_BAUD)
+                self._timeline.at(ready, lambda a=address, d=answer: self._reply(a, d))
 
     def _take_air(self, size: int) -> int:
         """Reserve the air for a transmission of `size` bytes; return when it ends [ns]."""
@@ -197,7 +172,7 @@ class EmulatedRadio:
             for robot in self.robots.values():
                 if self._random.random() >= self.loss:
                     self._deliver(robot, payload, arrives)
-            self._timeline.at(arrives, lambda: done(Delivery.SUCCESS))
+            self._timeline.at(arrives, lambda: done(SUCCESS))
             return
         robot = self.robots.get(destination)
         for _ in range(TRIES):
@@ -205,9 +180,9 @@ class EmulatedRadio:
             self._air_ns += ACK_NS
             if robot and robot.powered and self._random.random() >= self.loss:
                 self._deliver(robot, payload, arrives)
-                self._timeline.at(self._air_ns, lambda: done(Delivery.SUCCESS))
+                self._timeline.at(self._air_ns, lambda: done(SUCCESS))
                 return
-        self._timeline.at(self._air_ns, lambda: done(Delivery.NO_ACK))
+        self._timeline.at(self._air_ns, lambda: done(NO_ACK))
 
     def _deliver(self, robot: EmulatedRobot, payload: bytes, arrives: int) -> None:
         def hear() -> None:
@@ -215,16 +190,12 @@ class EmulatedRadio:
                 robot.hear(payload)
                 self._on_heard(robot, payload)
 
-        self._timeline.at(arrives + _uart_ns(len(payload), ROBOT_BAUD), hear)
+        self._timeline.at(arrives + uart_ns(len(payload), ROBOT_BAUD), hear)
 
-    def _answer(self, address: int, payload: bytes) -> None:
+    def _reply(self, address: int, payload: bytes) -> None:
         for _ in range(TRIES):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS
             if self._random.random() >= self.loss:
                 self._timeline.at(arrives, lambda: self._module.receive(address, payload))
                 return
-
-
-def _uart_ns(size: int, baud: int) -> int:
-    return size * 10 * SECOND // baud

@@ -36,24 +36,15 @@ class Program(Protocol):
         ...
 
 
-class FirmwareProgram:
-    """The mbed firmware's own core, compiled from `firmware/m3pi_core.c`."""
+class FirmwareProgram(RobotCore):
+    """The mbed firmware's own core; it replies to a poll when its time slot has come."""
 
-    def __init__(self, index: int) -> None:
-        self.core = RobotCore(index)
+    counts, answer = RobotCore.wheels, RobotCore.take_reply
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Pass the bytes to the core."""
-        self.core.set_battery(battery_mv)
-        self.core.push(data, now_ms & 0xFFFFFFFF)
-
-    def counts(self, now_ms: int) -> Counts:
-        """Return the core's wheel counts, after its watchdog."""
-        return self.core.wheels(now_ms & 0xFFFFFFFF)
-
-    def answer(self, now_ms: int) -> bytes:
-        """Return the reply to a poll when the robot's time slot has come."""
-        return self.core.take_reply(now_ms & 0xFFFFFFFF)
+        self.set_battery(battery_mv)
+        self.push(data, now_ms)
 
 
 class Motor(Enum):

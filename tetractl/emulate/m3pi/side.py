@@ -10,7 +10,6 @@ from pydantic import Field
 
 from tetractl.core.errors import WireError
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
-from tetractl.emulate.loop import Loop
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
     EmulatedBattery,
@@ -23,7 +22,7 @@ from tetractl.emulate.m3pi.robot import (
     SlaveProgram,
 )
 from tetractl.emulate.port import PluggedDevice, PseudoPort
-from tetractl.emulate.sides import Facts, Stage
+from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrain
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
@@ -188,6 +187,7 @@ FAULTS = (
 class EmulatedM3pi(PluggedDevice):
     """An XBee on a pseudo-terminal, and the robots in its reach."""
 
+    what = "radio"
     Settings: ClassVar[type[Model]] = M3piSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
@@ -201,7 +201,7 @@ class EmulatedM3pi(PluggedDevice):
         ]
         self.port = PseudoPort(stage.options.link or Path(section.port))
         module = _module(section, settings)
-        self.radio = EmulatedRadio(
+        self.radio = self.wired = EmulatedRadio(
             stage.timeline,
             self.port,
             module,
@@ -212,7 +212,6 @@ class EmulatedM3pi(PluggedDevice):
             CommandLog(module.mode, not section.protocol.watchdog, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
-        self.readable = self.radio.readable
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:
@@ -228,18 +227,6 @@ class EmulatedM3pi(PluggedDevice):
     def truth(self) -> dict[str, Any]:
         """The speeds of all wheels [mm/s]."""
         return {"wheels": [[round(r.left, 2), round(r.right, 2)] for r in self.robots]}
-
-    def open(self, loop: Loop) -> Facts:
-        """Plug the radio in."""
-        self._loop = loop
-        self.plug()
-        link = str(self.port.link)
-        return {"actuator": f"radio at {link}", "port": link}
-
-    def close(self) -> Facts:
-        """Pull the radio out."""
-        self.unplug()
-        return {"garbled": self.radio.garbled}
 
     def switch(self, on: bool) -> None:
         """Switch every robot on or off."""

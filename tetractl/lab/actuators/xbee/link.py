@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from tetractl.core.clock import Clock, wait_for
+from tetractl.core.worker import drained
 from tetractl.lab.actuators.xbee import hardware
 from tetractl.lab.actuators.xbee.frames import (
     BROADCAST_16,
@@ -112,10 +113,7 @@ class Link:
 
     def fetch(self) -> list[Received]:
         """Return, once, the data received from other modules since the last call."""
-        fresh: list[Received] = []
-        while self._fresh:
-            fresh.append(self._fresh.popleft())
-        return fresh
+        return drained(self._fresh)
 
     def wait(self, timeout_s: float) -> None:
         """Wait until data has been received, at most `timeout_s`."""

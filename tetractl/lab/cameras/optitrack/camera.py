@@ -19,6 +19,7 @@ from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
+from tetractl.core.worker import drained
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
@@ -147,10 +148,7 @@ class OptitrackCamera:
 
     def frames(self) -> list[CameraFrame]:
         """Return, once, every frame since the last call, oldest first."""
-        fresh: list[CameraFrame] = []
-        while self._fresh:
-            fresh.append(self._fresh.popleft())
-        return fresh
+        return drained(self._fresh)
 
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the thread; idempotent, never raises."""

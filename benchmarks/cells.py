@@ -26,10 +26,10 @@ from scipy.stats import beta
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from support.dish_films import Reel, Score, record, who
 from support.film_logs import write_film
+from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
 
 from tetractl.emulate.dish.picture import PictureLook
-from tetractl.emulate.dish.synthetic import FilmScript, SyntheticFilm
 from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import follow
 from tetractl.lab.cameras.cells.helix import HelixFilter

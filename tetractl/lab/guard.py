@@ -260,7 +260,8 @@ class Guard:
             if silent_ns >= self.rules.silence_ns:
                 silent = f"no direction for {silent_ns / SECOND:.1f} s"
                 self.abort(f"{steps} control steps in a row were late: {silent}")
-            self._check_stream(now_ns)
+            if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= self.rules.stream_lost_ns:
+                self.abort(self.no_frame(unseen_ns))
             if mistaken := self._swaps.fault():
                 self.abort(mistaken)
             self._check_tracking(now_ns)
@@ -324,11 +325,6 @@ class Guard:
             left and track.pose is not None and newest - track.seen_ns <= limit
             for left, track in zip(self._left, self._filters, strict=True)
         )
-
-    def _check_stream(self, now_ns: int) -> None:
-        silent_ns = now_ns - (self._last_frame_ns or 0)
-        if silent_ns >= self.rules.stream_lost_ns:
-            self.abort(self.no_frame(silent_ns))
 
     def _check_tracking(self, now_ns: int) -> None:
         newest = self._last_frame_ns or 0

@@ -9,6 +9,7 @@ from tetractl.core.commands import EMULATED, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
+from tetractl.lab.cameras.pictures.looks import rate_hz
 from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
@@ -19,6 +20,7 @@ WATCH_NS = SECOND
 LOOK_NS = SECOND // 100
 PLACES_NS = SECOND // 5  # interval between checks of the robots' positions
 GRACE_S = 1.0  # least time to wait for a robot, since frames are missing occasionally
+NOT_POLLED = RobotStatus(None)
 SILENCE_S = 0.5  # a camera's silence that ends the wait, unless the spec allows a longer one
 
 
@@ -110,7 +112,7 @@ def inspect(rig: Rig) -> Preflight:
     return Preflight(
         robots,
         latency_ms,
-        _rate_hz(seen),
+        rate_hz(seen),
         tuple(problems),
         (*camera.warnings, *actuator.warnings, *((dropped(outdated),) if outdated else ())),
         {**camera.facts, **actuator.facts} | ({EMULATED: emulated} if emulated else {}),
@@ -120,13 +122,9 @@ def inspect(rig: Rig) -> Preflight:
 
 def unplaced(rig: Rig) -> list[str]:
     """Return one line per robot that the camera does not see on its start."""
-    newest, found = rig.frames.newest, []
-    for i, name in enumerate(rig.setup.names):
-        off_mm, off_heading = _off(rig, i, newest)
-        line = rig.not_tracked(i) if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
-        if line:
-            found.append(line)
-    return found
+    newest = rig.frames.newest
+    robots = (_robot(rig, i, newest) for i in range(len(rig.setup.names)))
+    return [line for robot in robots if (line := robot.untracked or robot.misplaced)]
 
 
 def dropped(outdated: int) -> str:
@@ -134,30 +132,21 @@ def dropped(outdated: int) -> str:
     return f"camera frames dropped because later ones had come: {outdated}"
 
 
-def _robot(rig: Rig, i: int, frame: AcceptedFrame | None, status: RobotStatus) -> RobotFinding:
-    name = rig.setup.names[i]
-    off_mm, off_heading = _off(rig, i, frame)
-    misplaced = "" if off_mm is None else _misplaced(rig, name, off_mm, off_heading)
-    untracked = rig.not_tracked(i) if off_mm is None else ""
-    return RobotFinding(name, off_mm, off_heading, misplaced, untracked, status)
-
-
-def _misplaced(rig: Rig, name: str, off_mm: float, off_heading: float | None) -> str:
-    if off_mm > rig.limits.start_mm:
-        return f"{name} is {off_mm:.0f} mm from its start"
-    if off_heading is not None and abs(off_heading) > rig.limits.start_heading:
-        return f"{name} is turned by {off_heading:+.2f} rad from its start heading"
-    return ""
-
-
-def _off(rig: Rig, i: int, frame: AcceptedFrame | None) -> tuple[float | None, float | None]:
-    """Return a robot's distance [mm] and turn [rad] from its start, None if untracked."""
+def _robot(
+    rig: Rig, i: int, frame: AcceptedFrame | None, status: RobotStatus = NOT_POLLED
+) -> RobotFinding:
+    name, starts, limits = rig.setup.names[i], rig.setup.starts, rig.limits
     pose = frame.pose(i) if frame is not None else None
     if pose is None:
-        return None, None
-    starts = rig.setup.starts
-    off = math.hypot(pose.x - starts.x[i], pose.y - starts.y[i])
-    return off * rig.mm, math.remainder(pose.heading - starts.heading[i], math.tau)
+        return RobotFinding(name, None, None, "", rig.not_tracked(i), status)
+    off_mm = math.hypot(pose.x - starts.x[i], pose.y - starts.y[i]) * rig.mm
+    turned = math.remainder(pose.heading - starts.heading[i], math.tau)
+    misplaced = ""
+    if off_mm > limits.start_mm:
+        misplaced = f"{name} is {off_mm:.0f} mm from its start"
+    elif abs(turned) > limits.start_heading:
+        misplaced = f"{name} is turned by {turned:+.2f} rad from its start heading"
+    return RobotFinding(name, off_mm, turned, misplaced, "", status)
 
 
 def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
@@ -188,13 +177,6 @@ def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
     if not ages or not ages[-1]:
         return None
     return ages[len(ages) // 2] / 1e6, ages[-1] / 1e6
-
-
-def _rate_hz(seen: Sequence[CameraFrame]) -> float | None:
-    if len(seen) < 2 or seen[-1].received_ns <= seen[0].received_ns:
-        return None
-    span = seen[-1].received_ns - seen[0].received_ns
-    return (seen[-1].number - seen[0].number) * SECOND / span
 
 
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:

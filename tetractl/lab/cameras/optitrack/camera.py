@@ -243,7 +243,7 @@ class OptitrackCamera:
         """Send the periodic requests: for missing information and time, and to keep alive."""
         stream = self.stream
         if stream.info is None:
-            self._every("connect", ASK_NS, lambda: self._connect())
+            self._every("connect", ASK_NS, self._connect)
             return
         if stream.up is None:
             self._every("ask", ASK_NS, lambda: NatNetRequest(UP_AXIS))

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from tetractl.core.clock import SECOND
+from tetractl.core.poses import CameraFrame
 
 LOOKS = 20  # pictures
 SILENT_NS = SECOND // 2
@@ -25,8 +26,8 @@ class Look(Generic[S]):
     seen: S
 
 
-def rate_hz(looks: Sequence[Look[Any]]) -> float | None:
-    """Return the rate of received pictures, including skipped ones [Hz]."""
+def rate_hz(looks: Sequence[Look[Any]] | Sequence[CameraFrame]) -> float | None:
+    """Return the rate of received pictures or frames, including skipped ones [Hz]."""
     if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
         return None
     span = looks[-1].received_ns - looks[0].received_ns

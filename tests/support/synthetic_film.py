@@ -1,4 +1,4 @@
-"""A synthetic film of swimming cells with its truth, for tests and benchmarks.
+"""A synthetic film of swimming cells with its truth.
 
 Cells start so that pairs of them cross in view; the field's direction is known.
 """

@@ -58,21 +58,6 @@ def test_the_table_shows_the_batch_beside_the_published_result(work):
     assert rows["robot 2"][2:4] == ["10", "145.0"]
 
 
-def test_json_is_the_contract(work):
-    done = stats("ten", "--format", "json", cwd=work)
-    found = json.loads(done.stdout)
-    assert (done.returncode, found["n_trials"], found["unit"]) == (0, 10, "mm")
-    assert found["total_error"]["mean"] == 345.0
-    assert found["total_error"]["std"] == pytest.approx(30.2765, rel=1e-5)
-    low, high = found["total_error"]["ci95"]
-    assert 320 < low < 345 < high < 370
-    assert found["robots"][1] == found["robots"][1] | {"name": "robot 1", "mean": 100.0}
-    assert found["reference"]["difference"] == pytest.approx(-303.6)
-    assert found["obstacle_violations"] == 10
-    assert [trial["total_error"] for trial in found["trials"]] == [300 + 10 * i for i in range(10)]
-    assert not any(trial["recovered"] for trial in found["trials"])
-
-
 def test_csv_markdown_and_latex(work):
     rows = list(csv.DictReader(io.StringIO(stats("ten", "--format", "csv", cwd=work).stdout)))
     assert [float(row["total_error_mm"]) for row in rows] == [300 + 10 * i for i in range(10)]

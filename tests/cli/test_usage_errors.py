@@ -1,5 +1,6 @@
 """What users type wrong, and what they are answered: one line, a hint where useful, a code."""
 
+import re
 import shlex
 import shutil
 
@@ -37,6 +38,7 @@ run spec.yaml --out logs --resume --seed 8 | trial-000.mcap: was run with anothe
 run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
+run lab.yaml --plant lab --jobs 2 | one trial at a time
 serve spec.yaml --paused | only a LOG is played back
 serve LOG --rate 0 | --rate must be above 0
 rerun LOG --seed 3 | No such option
@@ -91,6 +93,19 @@ analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1
 kinds --set x=1 | --set needs --check
+kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
+kinds --check json:dumps | json:dumps: is neither a Motion nor a section of
+kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
+kinds --check tetractl.experiment.controller:Square | Square: there is no check for this kind
+lab stop | give either a SPEC or --port
+lab stop --port x --mode loud | --mode
+lab check spec.yaml | has no lab
+lab calibrate lab.yaml | robots would move
+lab calibrate lab.yaml --robot pink --yes | has no such robot
+lab emulate spec.yaml | has no lab
+lab emulate LAB --port-link /no/such/folder/radio | cannot make the port
+lab emulate LAB --port-link . | exists already
+lab emulate LAB --script none.yaml | no such file
 init Käse | 'Käse' cannot be the name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
 init --lab --cells | --lab and --cells
 init no/first | no/first.yaml: cannot be written: No such file or directory
@@ -105,8 +120,15 @@ info noise.mcap | noise.mcap: not an MCAP file
 recover noise.mcap | noise.mcap: not an MCAP file
 stats noise.mcap | none of 1 logs can be read
 report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
+lab stop --port nowhere | nowhere: there is no such port
+lab emulate LAB --port-link radio --record /no/such/folder/r | cannot write the record
+lab emulate LAB --port-link radio --address 192.0.2.1 | cannot take UDP 192.0.2.1
 run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
 """
+NAMED = {
+    "LOG": "logs/trial-000.mcap",
+    "LAB": "lab.yaml --set lab.camera.transport=unicast --command-port 0 --data-port 0",
+}
 ROWS = [(2, row) for row in USAGE.strip().splitlines()]
 ROWS += [(1, row) for row in FAILED.strip().splitlines()]
 
@@ -134,11 +156,16 @@ def folder(tmp_path_factory):
     return place
 
 
+def contents(folder):
+    """Every path in a folder, and the bytes of every file."""
+    return {path: path.is_file() and path.read_bytes() for path in folder.rglob("*")}
+
+
 @pytest.mark.parametrize(("code", "row"), ROWS, ids=[row.partition(" |")[0] for _, row in ROWS])
 def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     command, message, hint = (*map(str.strip, row.split("|")), "")[:3]
-    before = sorted(folder.rglob("*"))
-    words = shlex.split(command.replace("LOG", "logs/trial-000.mcap"))
+    before = contents(folder)
+    words = shlex.split(re.sub(r"\b(LOG|LAB)\b", lambda found: NAMED[found[0]], command))
     done = tetractl(folder, *words)
     assert (done.returncode, done.stdout) == (code, "")
     lines = [line for line in done.stderr.splitlines() if not line.startswith("damaged: ")]
@@ -146,4 +173,4 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     assert lines[0].startswith("error: ") and message in lines[0], lines
     assert len(hints) == len(lines) - 1 <= 1
     assert hints or not hint
-    assert sorted(folder.rglob("*")) == before
+    assert contents(folder) == before

@@ -121,24 +121,6 @@ def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
         assert f"problem: {name} is emergency-stopped" in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "code", "says"),
-    [
-        (["stop"], 2, "give either a SPEC or --port"),
-        (["stop", "--port", "nowhere"], 1, "nowhere: there is no such port"),
-        (["stop", "--port", "x", "--mode", "loud"], 2, "--mode"),
-        (["check", str(SPEC.with_name("three_m3pi.yaml"))], 2, "has no lab"),
-        (["calibrate", str(SPEC)], 2, "robots would move"),
-        (["calibrate", str(SPEC), "--robot", "pink", "--yes"], 2, "has no such robot"),
-    ],
-)
-def test_bad_usage_is_one_clear_line(tmp_path, words, code, says):
-    done = tetractl(tmp_path, "lab", *words)
-    assert done.returncode == code
-    assert done.stderr.startswith("error: ")
-    assert says in done.stderr
-
-
 def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, monkeypatch):
     def compiled(*_):
         raise AssertionError("compiled")
@@ -149,12 +131,6 @@ def test_a_port_that_is_missing_is_named_before_anything_is_compiled(tmp_path, m
     )
     assert done.returncode == 1
     assert done.stderr.endswith("nowhere: there is no such port\nhint: is the radio plugged in?\n")
-
-
-def test_lab_options_of_run_are_checked(tmp_path):
-    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--jobs", "2")
-    assert done.returncode == 2
-    assert "one trial at a time" in done.stderr
 
 
 def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):

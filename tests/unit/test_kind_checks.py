@@ -258,18 +258,3 @@ def test_the_command_says_what_was_checked(tmp_path):
     done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
     assert done.returncode == 1
     assert "WRONG  step: turns with heading and u" in done.stdout
-
-
-@pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["nowhere:X"], "nowhere:X: cannot be imported: ModuleNotFoundError"),
-        (["json:dumps"], "json:dumps: is neither a Motion nor a section of"),
-        (["tetractl.model.shapes.circle:Circle"], "Circle: center: is missing"),
-        (["tetractl.experiment.controller:Square"], "Square: there is no check for this kind"),
-    ],
-)
-def test_what_cannot_be_checked_is_bad_usage(tmp_path, words, message):
-    done = tetractl(tmp_path, "kinds", "--check", *words)
-    assert done.returncode == 2
-    assert message in done.stderr

@@ -125,13 +125,6 @@ def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_l
     assert guard.reason.startswith(("green", "blue"))
 
 
-def test_a_heading_that_flips_is_a_jump():
-    course = running()
-    flipped = Pose(PLACES[0].x, PLACES[0].y, PLACES[0].heading + math.pi)
-    course.frame((flipped, PLACES[1]))
-    assert course.guard.jumps == 1
-
-
 def walk(step_mm, course, frames=40):
     """Green's pose walks on by `step_mm` a frame; return how far it was accepted [mm]."""
     x, believed = PLACES[0].x, 0.0

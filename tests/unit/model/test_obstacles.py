@@ -7,6 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from support import batches
 from support.geometry import gap, meets
+from support.shapes import circles, rectangles
 
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -18,28 +19,14 @@ from tetractl.model.shapes.rectangle import Rectangle
 ARENA = Bounds(0, 0, 3000, 3000)
 BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
 DISC = Circle(type="circle", center=(750, 900), radius=120)
-COORDINATES = st.integers(-6, 6)  # a grid: touching, sliding along an edge and corners all occur
-
-
-@st.composite
-def obstacles(draw):
-    found = []
-    for _ in range(draw(st.integers(1, 3))):
-        x, y = draw(COORDINATES), draw(COORDINATES)
-        if draw(st.booleans()):
-            sides = draw(st.integers(1, 5)), draw(st.integers(1, 5))
-            box = Rectangle(type="rectangle", left=x, bottom=y, width=sides[0], height=sides[1])
-            found.append(box)
-        else:
-            found.append(Circle(type="circle", center=(x, y), radius=draw(st.integers(1, 4))))
-    return found
+THINGS = st.lists(rectangles() | circles(), min_size=1, max_size=3)
 
 
 def at(*numbers):
     return [np.array([float(n)]) for n in numbers]
 
 
-@given(obstacles(), st.floats(-8, 8), st.floats(-8, 8))
+@given(THINGS, st.floats(-8, 8), st.floats(-8, 8))
 def test_distance_and_containment_follow_from_geometry(things, x, y):
     world = Obstacles.of(things)
     nearest = min(gap(thing, x, y) for thing in things)
@@ -48,7 +35,7 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
     assert world.contain(*at(x, y))[0] == (nearest < 0)
 
 
-@given(obstacles(), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
+@given(THINGS, st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
 def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x1, y1):
     def crosses(margin):
         return Obstacles.of(things, margin).cross(*at(x0, y0, x1, y1))[0]

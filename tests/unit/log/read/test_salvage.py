@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from mcap.records import Chunk, Message
-from mcap.stream_reader import StreamReader, breakup_chunk
 from mcap.writer import Writer
+from support.fuzz import Original
 from support.random_trials import trial, write
 from support.sameness import same
 
@@ -33,15 +32,7 @@ def whole(log):
 @pytest.fixture(scope="module")
 def chunks(log):
     """Of each chunk: first byte, byte behind it, messages; by the official reader."""
-    found = []
-    with log.open("rb") as file:
-        reader = StreamReader(file, emit_chunks=True)
-        begin = len(MAGIC)
-        for record in reader.records:
-            if isinstance(record, Chunk):
-                messages = [m for m in breakup_chunk(record, True) if isinstance(m, Message)]
-                found.append((begin, file.tell(), len(messages)))
-            begin = file.tell()
+    found = Original(log).chunks
     assert len(found) > 3
     return found
 

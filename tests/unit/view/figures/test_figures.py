@@ -322,18 +322,6 @@ def test_labels_stay_apart_in_order_and_inside(heights, gap):
         assert placed == pytest.approx(wanted)  # those that do not touch stay
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "ending"), [("trajectory", "svg"), ("swarm", "pdf")])
-def test_the_same_log_gives_the_same_bytes(tmp_path, log, kind, ending):
-    made = []
-    for name in ("a", "b"):
-        path = tmp_path / f"{name}.{ending}"
-        style.save(draw(kind, [log]), path)
-        made.append(path.read_bytes())
-    assert made[0] == made[1]
-    assert len(made[0]) > 5000
-
-
 @pytest.mark.parametrize("kind", [kind for kind in COURSES if kind != "trajectory"])
 def test_an_empty_log_says_so(log, kind):
     with pytest.raises(LogError, match="holds no"):

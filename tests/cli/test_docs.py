@@ -4,15 +4,13 @@ import os
 import re
 import shutil
 import subprocess
-import sys
 import warnings
-from pathlib import Path
 
 import pytest
 from support.pages import ROOT, console, make_cli
+from support.running import TETRACTL
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-TETRACTL = Path(sys.executable).with_name("tetractl")
 MEND = "see the difference with: python docs/console.py {} --write; git diff"
 
 

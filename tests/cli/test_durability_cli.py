@@ -6,25 +6,16 @@ import random
 import shlex
 import shutil
 import subprocess
-import sys
-from pathlib import Path
 
 import pytest
 from support import cli
 from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
+from support.running import QUICK, TETRACTL
 
 from tetractl.run.store import locked
 
-TETRACTL = Path(sys.executable).with_name("tetractl")
-SPEC = """
-name: quick
-arena: {left: 0, bottom: 0, width: 1000, height: 1000}
-robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
-controller: {horizon_max: 5, steps_max: 4, optimizer: {particles: 4, iterations: 3}}
-plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
-trials: {count: 2, seed: 7}
-"""
+SPEC = QUICK.replace("count: 3", "count: 2")
 LOSS_S = 1.2
 
 

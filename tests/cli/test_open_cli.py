@@ -3,14 +3,11 @@
 import re
 import signal
 import subprocess
-import sys
-from pathlib import Path
 from urllib.request import Request, urlopen
 
 import pytest
 from support import random_trials as made
-
-TETRACTL = Path(sys.executable).with_name("tetractl")
+from support.running import TETRACTL
 
 
 @pytest.fixture

@@ -70,7 +70,6 @@ def test_the_same_logs_give_the_same_page(folder):
 
 
 @needs_chromium
-@pytest.mark.system
 def test_the_page_shows_the_numbers_of_stats(page, statistics):
     inside = json.loads(page.run("document.querySelector('script.statistics').textContent"))
     assert inside == statistics
@@ -94,7 +93,6 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
 
 
 @needs_chromium
-@pytest.mark.system
 def test_it_plays_and_scrubs_and_steps(page):
     assert text(page, "step") in ("–", "0")
     page.run(
@@ -128,7 +126,6 @@ def test_it_plays_and_scrubs_and_steps(page):
 
 
 @needs_chromium
-@pytest.mark.system
 def test_what_is_drawn_moves_with_the_time(page):
     shot = "document.getElementById('scene').toDataURL()"
     start = page.run(shot)
@@ -139,7 +136,6 @@ def test_what_is_drawn_moves_with_the_time(page):
 
 
 @needs_chromium
-@pytest.mark.system
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(folder, page, width):
     page.open(folder / "report.html", width, 844)

@@ -5,8 +5,8 @@ import os
 
 import pytest
 import typer.main
-from support import cli
 from support.running import QUICK
+from support.studies import tetractl
 
 from tetractl.cli.app import app
 
@@ -19,10 +19,6 @@ def commands(command=None, words=()):
         yield words, command
     for name, each in inner.items():
         yield from commands(each, (*words, name))
-
-
-def tetractl(*args, cwd, env=None):
-    return cli.tetractl(cwd, *args, env=env)
 
 
 WITHOUT_JSON = [  # they write files, play, or give what has no form but its own

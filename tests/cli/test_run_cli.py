@@ -19,6 +19,7 @@ from support.running import (
     environment,
     first_of,
 )
+from support.studies import tetractl
 
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
@@ -28,10 +29,6 @@ EXPERIMENTS = [
     if "type: lab" not in path.read_text()
 ]
 EXPERIMENTS.sort(key=lambda path: path.stem != "three_m3pi")
-
-
-def tetractl(*args, cwd, env=None):
-    return cli.tetractl(cwd, *args, env=env)
 
 
 def run(*args, cwd, **options):

@@ -7,19 +7,17 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
-from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
 import pytest
 from support import random_trials as made
-from support.running import QUICK, first_of
+from support.running import QUICK, TETRACTL, first_of
 from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
 
 from tetractl.log.format.channels import CHANNELS, FRAMES, SCENE, SCENE_PLAN, TRANSFORMS
 from tetractl.log.read.salvage import scan
 
-TETRACTL = Path(sys.executable).with_name("tetractl")
 WITHOUT = "import sys; sys.modules['websockets'] = None; from tetractl.cli import main; main()"
 MS = 1_000_000
 

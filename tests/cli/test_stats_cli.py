@@ -4,16 +4,13 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 from support import cli
 from support import random_trials as made
-from support.running import first_of
+from support.running import TETRACTL, first_of
 
-TETRACTL = Path(sys.executable).with_name("tetractl")
 REFERENCE = {"source": "section V", "n": 20, "mean": 648.6, "std": 225.1}
 SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 

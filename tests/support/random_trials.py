@@ -10,6 +10,7 @@ import numpy as np
 from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
 from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
+from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -36,6 +37,12 @@ class Made:
     @property
     def samples(self) -> list[Sample]:
         return [sample for samples, _ in self.rounds for sample in samples]
+
+    def give_rounds(self, observer: Observer) -> None:
+        """Tell an observer of every control step, as the loop does between start and stop."""
+        for samples, step in self.rounds:
+            observer.on_samples(samples)
+            observer.on_step(step)
 
     @property
     def steps(self) -> list[Step]:
@@ -126,9 +133,7 @@ def write(made: Made, path: Path, environment: str = "{}\n") -> Path:
         LogWriter(path) as writer,
     ):
         writer.on_start(made.start)
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
         writer.on_stop(made.stop, made.result)
     return path
 

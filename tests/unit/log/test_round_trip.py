@@ -53,9 +53,7 @@ def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path):
     with LogWriter(tmp_path / "trial.mcap") as writer:
         writer.on_start(made.start)
         writer.on_command(square)
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
         writer.on_stop(made.stop, made.result)
     log = read_trial(tmp_path / "trial.mcap")
     assert same(log.commands, (square, made.steps[0].command, made.stop))

@@ -59,9 +59,7 @@ def test_notes_come_back_as_they_were(tmp_path):
     path = tmp_path / "trial.mcap"
     with LogWriter(path) as writer:
         writer.on_start(made.start)
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
         for note in notes:
             writer.on_note(note)
         writer.on_stop(made.stop, made.result)

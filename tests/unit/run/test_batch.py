@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 from support import random_trials as made
 from support.paths import ROOT
+from support.running import QUICK
 
 from tetractl.control.rng import mix
 from tetractl.core.errors import AbortError, TetractlError
@@ -18,15 +19,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.store import LogStore
 from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial, trial_seeds
 
-QUICK = """
-name: quick
-arena: {left: 0, bottom: 0, width: 1000, height: 1000}
-robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
-controller: {horizon_max: 5, steps_max: 4, optimizer: {particles: 4, iterations: 3}}
-plant: {type: sim, camera_rate: 20, measurement_noise: {position: 1}, heading_noise: 0.1}
-trials: {count: 4, seed: 7}
-"""
-SPEC = parse_spec(QUICK, "quick.yaml")
+SPEC = parse_spec(QUICK.replace("count: 3", "count: 4"), "quick.yaml")
 
 
 class Watcher:

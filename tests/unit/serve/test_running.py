@@ -35,9 +35,7 @@ class Wall:
 def run(trial, server, wall):
     observer = ServedRun(server, wall)
     observer.on_start(trial.start)
-    for samples, step in trial.rounds:
-        observer.on_samples(samples)
-        observer.on_step(step)
+    trial.give_rounds(observer)
     observer.on_command(Command(0.5, 7, (True,) * 3))
     observer.on_note(Note(8, "warning", "a note"))
     observer.on_stop(trial.stop, trial.result)

@@ -23,9 +23,7 @@ def records(made):
     """The records of a trial as its loop would emit them."""
     writer = Recorder()
     writer.on_start(made.start)
-    for samples, step in made.rounds:
-        writer.on_samples(samples)
-        writer.on_step(step)
+    made.give_rounds(writer)
     writer.on_stop(made.stop, made.result)
     return writer.trial
 

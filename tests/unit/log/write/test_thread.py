@@ -42,9 +42,7 @@ def test_a_disk_that_stands_still_does_not_hold_up_the_loop(tmp_path, monkeypatc
     with writer:
         writer.on_start(made.start)
         disk.stick(monkeypatch)
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
         disk.free.set()
         writer.on_stop(made.stop, made.result)
     log = read_trial(tmp_path / "trial.mcap")
@@ -70,9 +68,7 @@ def test_a_disk_that_stays_still_ends_the_trial(tmp_path, monkeypatch):
     writer.on_start(made.start)
     disk.stick(monkeypatch)
     with pytest.raises(LogError, match="the disk is too slow"):
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
     writer.on_stop(made.stop, made.result)  # reported once
     writer.close()
     disk.free.set()

@@ -32,9 +32,7 @@ def test_a_trial_without_an_end_stays_a_part(tmp_path):
     made = trial(steps=2)
     with pytest.raises(RuntimeError), LogWriter(tmp_path / "trial.mcap") as writer:
         writer.on_start(made.start)
-        for samples, step in made.rounds:
-            writer.on_samples(samples)
-            writer.on_step(step)
+        made.give_rounds(writer)
         raise RuntimeError("a bug in the loop")
     assert [path.name for path in tmp_path.iterdir()] == ["trial.mcap.part"]
     found = read_trial(tmp_path / "trial.mcap.part")
@@ -84,9 +82,7 @@ def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):
     writer = LogWriter(folder / "trial.mcap")
     writer.on_start(made.start)
     shutil.rmtree(folder)
-    for samples, step in made.rounds:
-        writer.on_samples(samples)
-        writer.on_step(step)
+    made.give_rounds(writer)
     with pytest.raises(LogError, match="the file or its folder was removed during") as caught:
         writer.on_stop(made.stop, made.result)
     assert caught.value.hint == f"what was written until then is in {folder / 'trial.mcap.part'}"

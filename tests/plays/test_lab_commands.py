@@ -164,6 +164,16 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     assert "the log is of the lab, the new one of the lab" in again.stderr
 
 
+def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
+    monkeypatch.setattr("tetractl.cli.lab.require_confirmation", lambda yes: None)  # as at one
+    emulated = lab()
+    words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
+    done = tetractl(tmp_path, *words, stdin="n\n")
+    assert done.returncode != 0
+    assert "green, blue, red will move up to 0.3 m each. Go on?" in done.stdout + done.stderr
+    assert emulated.events("run") == []
+
+
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
     settings = lab(UNEVEN, replace_after=4).settings
     done = tetractl(

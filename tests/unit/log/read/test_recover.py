@@ -72,6 +72,7 @@ def test_what_is_lost_and_when_is_told(log, tmp_path):
     assert left.damage.problems[0] == "recovered from trial.mcap, which was damaged"
     assert set(done.damage.lost) <= set(left.damage.lost)
     assert read_result(Path(str(done.path))).recovered
+    assert content_digest(Path(str(done.path))) == content_digest(rotten)  # that of what is left
 
 
 def test_every_intact_record_comes_back(log, tmp_path):

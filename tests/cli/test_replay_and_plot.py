@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support import cli
 from support.running import first_of
-from support.terminal import Terminal
+from support.terminal import PATIENCE_S, Terminal
 from support.trials import three_robots, write_torn, write_trial
 
 from tetractl.log.read.reader import read_trial
@@ -120,7 +120,7 @@ def test_an_interrupt_gives_the_terminal_back(folder, how):
             terminal.press("\x03")
         else:
             os.kill(terminal.process.pid, getattr(signal, how))
-        assert terminal.process.wait(60) == 130
+        assert terminal.process.wait(PATIENCE_S) == 130
         assert terminal.settings() == terminal.before
         terminal.finish()
         assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")
@@ -135,7 +135,7 @@ def test_ctrl_c_again_and_again_still_gives_the_terminal_back(folder):
         terminal.expect("▶ 1×")
         for _ in range(20):
             os.kill(terminal.process.pid, signal.SIGINT)
-        assert terminal.process.wait(60) == 130
+        assert terminal.process.wait(PATIENCE_S) == 130
         assert terminal.settings() == terminal.before
         terminal.finish()
         assert terminal.raw.rindex("\x1b[?1049l") > terminal.raw.rindex("\x1b[?1049h")

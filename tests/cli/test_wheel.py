@@ -91,5 +91,5 @@ def test_it_checks_an_emulated_lab(installed, tmp_path):
         assert "emulated" in said.lower()
     finally:
         lab.terminate()
-        lab.wait(60)
+        lab.wait(600)
         lab.stdout.close()

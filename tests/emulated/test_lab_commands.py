@@ -11,6 +11,8 @@ from support.terminal import Terminal
 from tetractl.lab.actuators.m3pi.broadcast import Flag
 from tetractl.log.read.reader import read_trial
 
+LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
+
 
 @pytest.fixture
 def lab(tmp_path):
@@ -57,7 +59,7 @@ def test_a_person_is_asked_what_only_a_person_knows_of_the_radio(lab, tmp_path):
 
 def test_space_is_the_operators_emergency_stop(lab, tmp_path):
     emulator, settings = lab()
-    sets = flags((*settings, "lab.limits.placing=30", "robots.0.target=[1500, 500]"))
+    sets = flags((*settings, *LONG))
     command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--out", "logs", "--quiet", *sets]
     with Terminal(command, tmp_path, columns=100) as terminal:
         terminal.expect("SPACE or ESC: EMERGENCY STOP")
@@ -75,7 +77,6 @@ def test_space_is_the_operators_emergency_stop(lab, tmp_path):
     assert not any(event["moving"] for event in last)
 
 
-LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
 SLAVES = (
     "wheels.watchdog=null",
     "lab.actuator.protocol={type: slave, accept_no_watchdog: true}",

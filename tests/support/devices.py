@@ -21,7 +21,7 @@ from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.experiment.load import parse_spec
 
-PATIENCE_S = 10.0
+PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 
 
 @dataclass
@@ -125,7 +125,7 @@ def apriltag(folder: Path) -> Iterator[CameraRig]:
         thread.start()
         experiment = parse_spec(APRILTAG_SPEC, "emulated").experiment
         source = experiment.lab.camera.source.model_copy(update={"url": lab.camera.camera.url})
-        section = experiment.lab.camera.model_copy(update={"source": source, "connect": 10.0})
+        section = experiment.lab.camera.model_copy(update={"source": source, "connect": PATIENCE_S})
         camera = section.build(experiment.setup, clock, lambda: woken.append(1))
 
         def hide(name: str) -> None:

@@ -179,17 +179,10 @@ def test_every_name_is_there_and_no_other():
         _ = tetractl.run_trail  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_importing_the_face_is_quick_and_imports_nothing_heavy():
-    code = (
-        "import sys, time; t = time.process_time(); import tetractl; t = time.process_time() - t;"
-        "print(t, *(m for m in ('numpy', 'numba', 'pydantic', 'typing') if m in sys.modules))"
-    )
+def test_importing_the_face_imports_next_to_nothing():
+    code = "import sys; old = {*sys.modules}; import tetractl; print(*({*sys.modules} - old))"
     command = [sys.executable, "-S", "-c", code]
     path = {"PYTHONPATH": str(Path(tetractl.__file__).parents[1])}
-    runs = [
-        subprocess.run(command, env=path, capture_output=True, text=True, check=True)
-        for _ in range(3)
-    ]
-    told = [run.stdout.split() for run in runs]
-    assert all(len(words) == 1 for words in told), told
-    assert min(float(words[0]) for words in told) < 0.03
+    done = subprocess.run(command, env=path, capture_output=True, text=True, check=True)
+    assert len(done.stdout.split()) < 10, done.stdout
+    assert not {"numpy", "numba", "pydantic", "typing"} & {*done.stdout.split()}

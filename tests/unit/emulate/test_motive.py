@@ -83,7 +83,7 @@ def test_echo_tells_a_clock_of_its_own(opened):
     second = client.ask(EchoRequest(18), EchoResponse)
     assert (first.client, second.client) == (17, 18)
     assert second.server >= first.server
-    assert second.server == pytest.approx(ServerClock().ticks(before), abs=10_000_000)
+    assert ServerClock().ticks(before) <= second.server <= ServerClock().ticks(lab.timeline.now_ns)
     assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
 
 
@@ -91,7 +91,7 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
     lab, client = opened()
     client.ask(Connect(), ServerInfo)
     (known,) = lab.camera.motive.server.clients.values()
-    known.heard_ns -= 4_000_000_000
+    known.heard_ns -= 2_000_000_000
     before = known.heard_ns
     client.send(Bare(MessageKind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)

@@ -30,4 +30,6 @@ def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path):
         log = read_trial(log_path(tmp_path, i))
         assert log.damage is None
         assert log.frames.tolist() == list(range(len(log.frames)))
-    assert (len(list(HANDLES.iterdir())), threading.active_count()) == before
+    # threads and sockets of an earlier test may have ended meanwhile
+    assert len(list(HANDLES.iterdir())) <= before[0]
+    assert threading.active_count() <= before[1]

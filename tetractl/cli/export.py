@@ -25,20 +25,12 @@ def export(
         str | None,
         typer.Option(
             metavar="NAME",
-            help="Write only this table: Write only this table: Write only this table: "
-            "Write only this table: Write only this table: Write only this table: Write only "
-            "this table: Write only this table: Write only this table: trials, steps, poses, "
-            "estimates or events.  \\[all]",
+            help="Write only this table: trials, steps, poses, estimates or events.  \\[all]",
         ),
     ] = None,
     format_name: Annotated[
         str | None,
-        typer.Option(
-            "--format",
-            metavar="NAME",
-            help="File format: File format: File format: File format: File format: File "
-            "format: File format: File format: File format: csv or parquet.  \\[csv]",
-        ),
+        typer.Option("--format", metavar="NAME", help="File format: csv or parquet.  \\[csv]"),
     ] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.

@@ -11,7 +11,7 @@ from tetractl.core.errors import Exit
 if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
 
-SHOWN = 20  # problems of one log that are printed that are printed
+SHOWN = 20  # problems of one log that are printed
 
 
 def verify(

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.identify import refuse_existing, show_found, write
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
+from tetractl.cli.identify import show_found
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, refuse_existing, require_confirmation
 from tetractl.cli.trials import PlantChoice
 from tetractl.core.errors import Exit, UsageError
+from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
@@ -72,7 +73,7 @@ def design(
     if plant is None:
         _show(loaded, proposed, as_json)
         if out is not None:
-            write(out, motion.text)
+            save_whole(out, motion.text.encode())
         return Exit.DONE
     from tetractl.cli.trials import drive
     from tetractl.log.read.reader import read_trial

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import AsJson, open_trial
+from tetractl.cli.options import AsJson, open_trial, refuse_existing
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -87,17 +87,6 @@ def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> No
         print_tables(tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        write(out, identified_yaml(identified(found, when)))
+        save_whole(out, identified_yaml(identified(found, when)).encode())
         if not as_json:
             print(f"wrote {out}; name it in the spec: identified: {out.name}")
-
-
-def refuse_existing(out: Path | None) -> None:
-    """Raise UsageError if the output file exists already."""
-    if out is not None and out.exists():
-        raise UsageError(f"{out}: exists already", "name another with --out")
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file of text; TetractlError says why it cannot be written."""
-    save_whole(path, text.encode())

@@ -119,7 +119,6 @@ def init(
 
 
 def _example(name: str) -> int:
-
     files = example_files(name)
     for inner in files:
         (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate, lab_survey
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, refuse_existing, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -156,8 +156,7 @@ def calibrate(
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.keys import SAYS, StopKey
 
-    if output.exists():
-        raise UsageError(f"{output}: exists already", "name another with --out")
+    refuse_existing(output)
     lab, experiment = _lab(spec, sets)
     if micrometer is not None:
         return _save(output, lab.camera.measured_by(*_places(micrometer)))

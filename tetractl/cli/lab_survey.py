@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, require_confirmation
+from tetractl.cli.options import AsJson, Sets, Spec, Yes, refuse_existing, require_confirmation
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -71,8 +71,7 @@ def survey(
             f"{spec}: lists its robots, so there are none to choose",
             "a survey needs robots: {choose: N, ...}",
         )
-    if output is not None and output.exists():
-        raise UsageError(f"{output}: exists already", "name another with --out")
+    refuse_existing(output)
     require_confirmation(yes)
     setup = experiment.setup
     with interrupted_once(robots=True):

@@ -96,6 +96,12 @@ def require_confirmation(yes: bool) -> None:
         )
 
 
+def refuse_existing(out: Path | None) -> None:
+    """Raise UsageError if the output file exists already."""
+    if out is not None and out.exists():
+        raise UsageError(f"{out}: exists already", "name another with --out")
+
+
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
     """Show a progress bar on a terminal; yields a function to call with the number done and the

@@ -14,6 +14,7 @@ from tetractl.cli.serving import (
     LICHTBLICK,
     PORT,
     Browser,
+    ServerPort,
     Viewer,
     answers,
     layout_of,
@@ -48,12 +49,7 @@ def serve(
             "--paused", help="With a LOG: start paused, until the viewer or a key plays it."
         ),
     ] = False,
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
-        ),
-    ] = PORT,
+    port: ServerPort = PORT,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
 ) -> int:
@@ -127,12 +123,7 @@ def serve(
 
 def open_logs(
     logs: Logs,
-    port: Annotated[
-        int,
-        typer.Option(
-            min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."
-        ),
-    ] = 0,
+    port: ServerPort = 0,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
 ) -> int:

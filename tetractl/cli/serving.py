@@ -35,6 +35,10 @@ Port = Annotated[
         help=f"With --serve: TCP port of the server; 0 for any free port.  \\[{PORT}]",
     ),
 ]
+ServerPort = Annotated[
+    int,
+    typer.Option(min=0, max=65535, metavar="N", help="TCP port to serve at; 0 for any free port."),
+]
 Browser = Annotated[bool, typer.Option(help="Open the browser; otherwise only print the address.")]
 Viewer = Annotated[
     str, typer.Option("--lichtblick", metavar="URL", help="Address at which Lichtblick runs.")

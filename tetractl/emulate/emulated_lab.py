@@ -72,16 +72,8 @@ class EmulatedLab:
         self.timeline = Timeline(lambda until_ns: self.actuator.advance(until_ns), start_ns)
         self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
-        stage = Stage(
-            lab,
-            setup,
-            self.timeline,
-            options,
-            self._note,
-            self._exposed,
-            self.injector.sent,
-            self._client,
-        )
+        reports = self._note, self._exposed, self.injector.sent, self._client
+        stage = Stage(lab, setup, self.timeline, options, *reports)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(
@@ -152,13 +144,8 @@ class EmulatedLab:
         self.injector.happened("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
-        named = {key: getattr(fault, key, None) for key in ("robot", "name")}
-        facts = {
-            "name": fault.fault,
-            "phase": phase,
-            "robot": named["robot"],
-            "mark": named["name"],
-        }
+        robot, mark = (getattr(fault, key, None) for key in ("robot", "name"))
+        facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
         self._note("fault", **facts)
         self._record.flush()
         self._report("fault", facts)

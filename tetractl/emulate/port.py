@@ -121,7 +121,8 @@ class PseudoPort:
 
     def unplug(self) -> None:
         """Remove port and name; a program that uses the port gets errors. Idempotent."""
-        self._remove_link()
+        if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
+            self.link.unlink()
         self._close()
 
     def stall(self, stalled: bool) -> None:
@@ -155,23 +156,16 @@ class PseudoPort:
             self.link.unlink()  # left by an emulation that was killed
         try:
             self.link.symlink_to(target)
-        except FileExistsError:
-            raise UsageError(
-                f"{self.link} exists already, perhaps as a real device",
-                hint="choose another name with --port-link, and give it to the runner by "
-                "--set lab.actuator.port=NAME",
-            ) from None
         except OSError as error:
+            why = f"cannot make the port {self.link}: {error.strerror}"
+            if error.errno == errno.EEXIST:
+                why = f"{self.link} exists already, perhaps as a real device"
             raise UsageError(
-                f"cannot make the port {self.link}: {error.strerror}",
+                why,
                 hint="choose another name with --port-link, and give it to the runner by "
                 "--set lab.actuator.port=NAME",
             ) from None
         self._target = target
-
-    def _remove_link(self) -> None:
-        if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
-            self.link.unlink()
 
     def _close(self) -> None:
         for fd in (self.fd, self._far):

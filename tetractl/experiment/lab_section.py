@@ -156,7 +156,7 @@ class LabLimits(Model):
     """The run aborts after this time in which a robot was not tracked [s]."""
     identity: Positive = 3.0
     """The run aborts after this time in which, after cells have met, it is unknown which cell is a
-    robot     [s]; only with cameras that report this.
+    robot [s]; only with cameras that report this.
     """
     jump_mm: NonNegative = 30.0
     """A pose is rejected that is further from any of the last second than twice the robot's

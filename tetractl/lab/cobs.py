@@ -5,6 +5,7 @@ a frame, and a reader that lost bytes resynchronises at the next 00.
 """
 
 import binascii
+import struct
 
 from tetractl.core.errors import WireError
 
@@ -70,6 +71,22 @@ def checked_payload(frame: bytes) -> bytes:
     if crc16(payload[:-2]) != int.from_bytes(payload[-2:], "little"):
         raise WireError("wrong CRC")
     return payload[:-2]
+
+
+def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
+    """Return the frame of a payload of fixed layout; WireError for a field that does not fit."""
+    try:
+        return frame_with_crc(layout.pack(*fields))
+    except struct.error as error:
+        raise WireError(f"cannot pack {fields[1:]}: {error}") from None
+
+
+def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
+    """Return the fields after the type of a frame of fixed layout, without the closing byte 00."""
+    payload = checked_payload(frame)
+    if len(payload) != layout.size or payload[0] != kind:
+        raise WireError(f"unknown frame type 0x{kind:02X}")
+    return layout.unpack(payload)[1:]
 
 
 class Splitter:

@@ -9,12 +9,12 @@ All little-endian, sealed by `cobs.frame_with_crc`. `firmware/field_core.c` is t
 import struct
 import threading
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import IntFlag
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import WireError
-from tetractl.lab.cobs import Splitter, checked_payload, frame_with_crc
+from tetractl.lab.cobs import Splitter, pack_fields, unpack_fields
 from tetractl.lab.serial_port import SerialPort
 
 COMMAND, REPLY = 0x53, 0x54
@@ -80,13 +80,12 @@ def encode_command(command: FieldCommand) -> bytes:
     """Pack a command, including the closing byte 00."""
     if command.flags & ~7:
         raise WireError(f"unknown flags 0x{int(command.flags):02X}")
-    fields = command.sequence, command.flags, command.x_ma, command.y_ma
-    return frame_with_crc(_pack(_COMMAND, COMMAND, *fields))
+    return pack_fields(_COMMAND, COMMAND, *astuple(command))
 
 
 def decode_command(frame: bytes) -> FieldCommand:
     """Read a command, given without the closing byte 00."""
-    sequence, flags, x_ma, y_ma = _unpack(_COMMAND, COMMAND, frame)
+    sequence, flags, x_ma, y_ma = unpack_fields(_COMMAND, COMMAND, frame)
     if flags & ~7:
         raise WireError(f"unknown flags 0x{flags:02X}")
     return FieldCommand(sequence, FieldFlag(flags), x_ma, y_ma)
@@ -94,30 +93,13 @@ def decode_command(frame: bytes) -> FieldCommand:
 
 def encode_reply(reply: FieldReply) -> bytes:
     """Pack a reply, including the closing byte 00."""
-    r = reply
-    measured = r.x_ma, r.y_ma, r.supply_mv, r.temperature_dc, r.received, r.rejected
-    limits = r.current_max_ma, r.slew_ma_s, r.watchdog_ms
-    return frame_with_crc(_pack(_REPLY, REPLY, r.sequence, r.status, r.version, *measured, *limits))
+    return pack_fields(_REPLY, REPLY, *astuple(reply))
 
 
 def decode_reply(frame: bytes) -> FieldReply:
     """Read a reply, given without the closing byte 00; unknown status bits are dropped."""
-    sequence, status, *rest = _unpack(_REPLY, REPLY, frame)
+    sequence, status, *rest = unpack_fields(_REPLY, REPLY, frame)
     return FieldReply(sequence, DriverStatus(status & 31), *rest)
-
-
-def _pack(layout: struct.Struct, *fields: int) -> bytes:
-    try:
-        return layout.pack(*fields)
-    except struct.error as error:
-        raise WireError(f"cannot pack {fields}: {error}") from None
-
-
-def _unpack(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
-    payload = checked_payload(frame)
-    if len(payload) != layout.size or payload[0] != kind:
-        raise WireError(f"unknown frame type 0x{kind:02X}")
-    return layout.unpack(payload)[1:]
 
 
 SILENCE_NS = SECOND // 2

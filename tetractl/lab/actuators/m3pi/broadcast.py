@@ -6,11 +6,11 @@ little-endian, sealed by `cobs.frame_with_crc`. `firmware/m3pi_core.c` is the ro
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from enum import IntFlag
 
 from tetractl.core.errors import WireError
-from tetractl.lab.cobs import checked_payload, frame_with_crc
+from tetractl.lab.cobs import checked_payload, frame_with_crc, pack_fields, unpack_fields
 from tetractl.model.wheels import COUNT_MAX, Counts
 
 COMMAND, REPLY = 0x51, 0x52
@@ -90,28 +90,12 @@ def decode_command(frame: bytes) -> BroadcastCommand:
 
 def encode_reply(reply: Reply) -> bytes:
     """Pack a reply, including the closing byte 00."""
-    try:
-        return frame_with_crc(
-            _REPLY.pack(
-                REPLY,
-                reply.id,
-                reply.sequence,
-                reply.status,
-                reply.battery_mv,
-                reply.received,
-                reply.rejected,
-            )
-        )
-    except struct.error as error:
-        raise WireError(f"cannot pack a reply: {error}") from None
+    return pack_fields(_REPLY, REPLY, *astuple(reply))
 
 
 def decode_reply(frame: bytes) -> Reply:
     """Read a reply, given without the closing byte 00."""
-    payload = checked_payload(frame)
-    if len(payload) != _REPLY.size or payload[0] != REPLY:
-        raise WireError("not a reply")
-    _, robot, sequence, status, *counters = _REPLY.unpack(payload)
+    robot, sequence, status, *counters = unpack_fields(_REPLY, REPLY, frame)
     return Reply(robot, sequence, Status(status & 7), *counters)
 
 

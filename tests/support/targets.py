@@ -38,7 +38,8 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     NatNetRequest,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.section import TrackedRobot
+from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, FRAME_RATE, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.log.read.overview import overview
 from tetractl.log.read.raw_log import RawLog
@@ -124,7 +125,10 @@ def sound(frame: CameraFrame) -> None:
 
 
 def stream(up: UpAxis | None = None) -> Stream:
-    robots = (Tracked("green"), Tracked(12, heading_offset=0.5))
+    robots = (
+        TrackedRobot(name="robot", body="green"),
+        TrackedRobot(name="robot", body=12, heading_offset=0.5),
+    )
     return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_frame=sound)
 
 

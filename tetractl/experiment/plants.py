@@ -86,9 +86,8 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     data = experiment.model_dump()
     places: dict[Loc, Place] = {}
     for device in DEVICES:
-        found = _Merge(origin, document, (device,), places)
-        values = getattr(calibration, device)
-        data["plant"][device] = found.merged(data["plant"][device], values, ("plant", device))
+        own, values, loc = data["plant"][device], getattr(calibration, device), ("plant", device)
+        data["plant"][device] = _merged(own, values, loc, document, (device,), places)
     try:
         updated = Experiment.model_validate(frozen(data), strict=True, context=STRICT)
     except ValidationError as error:
@@ -112,37 +111,32 @@ def _calibration(text: str, origin: str) -> Document:
     return document
 
 
-class _Merge:
-    """Puts the values of a calibration into a section, and keeps the location of each value."""
+def _merged(
+    base: Any, over: Any, loc: Loc, document: Document, at: Loc, places: dict[Loc, Place]
+) -> Any:
+    """Return `base`, at `loc` in the spec, with the values of `over` replacing its own.
 
-    def __init__(
-        self, origin: str, document: Document, start: Loc, places: dict[Loc, Place]
-    ) -> None:
-        self._origin, self._document, self._start = origin, document, start
-        self._places = places
-
-    def merged(self, base: Any, over: Any, loc: Loc, over_loc: Loc | None = None) -> Any:
-        """Return `base`, at `loc` in the spec, with the values of `over` replacing its own."""
-        over_loc = over_loc or self._start
-        self._places[loc] = self._document.place(over_loc)
-        if isinstance(base, Mapping) and isinstance(over, Mapping):
-            values = {
-                key: self.merged(base.get(key), value, (*loc, key), (*over_loc, key))
-                for key, value in over.items()
-            }
-            return {**base, **values}
-        if _named(base) and _named(over):
-            entries = list(base)
-            for j, entry in enumerate(over):
-                i = next((i for i, b in enumerate(base) if b["name"] == entry["name"]), None)
-                if i is None:
-                    name = printable(str(entry["name"]), 60)
-                    raise SpecError(
-                        f"{self._origin}: {name} is not a robot of the lab", "calibrate this lab"
-                    )
-                entries[i] = self.merged(entries[i], entry, (*loc, i), (*over_loc, j))
-            return entries
-        return over
+    `over` stands `at` a location of the calibration's document; `places` gets that of each value.
+    """
+    places[loc] = document.place(at)
+    if isinstance(base, Mapping) and isinstance(over, Mapping):
+        values = {
+            key: _merged(base.get(key), value, (*loc, key), document, (*at, key), places)
+            for key, value in over.items()
+        }
+        return {**base, **values}
+    if _named(base) and _named(over):
+        entries = list(base)
+        for j, entry in enumerate(over):
+            i = next((i for i, b in enumerate(base) if b["name"] == entry["name"]), None)
+            if i is None:
+                name = printable(str(entry["name"]), 60)
+                raise SpecError(
+                    f"{document.origin}: {name} is not a robot of the lab", "calibrate this lab"
+                )
+            entries[i] = _merged(entries[i], entry, (*loc, i), document, (*at, j), places)
+        return entries
+    return over
 
 
 def _named(value: Any) -> bool:

@@ -86,33 +86,32 @@ def frozen(value: Any) -> Any:
 
 def read_text(path: Path) -> str:
     """Read a spec file; InvalidSpecError if the file itself is missing or cannot be read."""
-    origin = printable(str(path))
+
+    def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
+        return InvalidSpecError([SpecProblem(printable(str(path)), message, line, column)])
+
     try:
         if path.exists() and not (path.is_file() or path.is_dir()):  # reading a FIFO may never end
-            raise InvalidSpecError([SpecProblem(origin, "is not a regular file")])
+            raise refusal("is not a regular file")
         with path.open("rb") as stream:
             raw = stream.read(MAX_BYTES + 1)
     except FileNotFoundError:
-        raise InvalidSpecError([SpecProblem(origin, "there is no such file")]) from None
+        raise refusal("there is no such file") from None
     except IsADirectoryError:
-        raise InvalidSpecError(
-            [SpecProblem(origin, "is a folder; name a YAML file in it")]
-        ) from None
+        raise refusal("is a folder; name a YAML file in it") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise InvalidSpecError([SpecProblem(origin, f"cannot be read: {reason}")]) from None
+        raise refusal(f"cannot be read: {reason}") from None
     if len(raw) > MAX_BYTES:
-        message = f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML"
-        raise InvalidSpecError([SpecProblem(origin, message)])
+        raise refusal(f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML")
     if b"\0" in raw:
-        raise InvalidSpecError([SpecProblem(origin, "is a binary file; a spec is YAML text")])
+        raise refusal("is a binary file; a spec is YAML text")
     try:
         return raw.decode("utf-8")
     except UnicodeDecodeError as error:
         before = raw[: error.start]
         line, column = before.count(b"\n") + 1, error.start - before.rfind(b"\n")
-        message = "is not UTF-8 text; save the file as UTF-8"
-        raise InvalidSpecError([SpecProblem(origin, message, line, column)]) from None
+        raise refusal("is not UTF-8 text; save the file as UTF-8", line, column) from None
 
 
 def parse_document(text: str, origin: str) -> Document:

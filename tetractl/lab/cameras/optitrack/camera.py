@@ -37,7 +37,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
-from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
@@ -67,8 +67,7 @@ class OptitrackCamera:
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         self.names = setup.names
-        parts = [section.robot(name) for name in setup.names]
-        robots = [Tracked(part.body, part.heading_offset) for part in parts]
+        robots = [section.robot(name) for name in setup.names]
         self.section = section
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)

@@ -3,9 +3,9 @@
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
-from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.senders import Senders
-from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
+from tetractl.lab.cameras.optitrack.stream import Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 
 LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
@@ -154,7 +154,7 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def _lacking(stream: Stream, model: ModelDef, name: str, robot: Tracked) -> str:
+def _lacking(stream: Stream, model: ModelDef, name: str, robot: TrackedRobot) -> str:
     body, known = robot.body, model.ids()
     if isinstance(body, str):
         wanted = f"rigid body '{body}', wanted for {name}"

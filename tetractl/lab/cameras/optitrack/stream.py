@@ -32,6 +32,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
+from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
 
 KEPT = 120
@@ -137,14 +138,6 @@ EDIT_MODE = "Motive is in edit mode: it streams a recording"
 ECHOES = 64  # number of unanswered time requests to which an answer can be matched
 
 
-@dataclass(frozen=True, slots=True)
-class Tracked:
-    """A robot's rigid body, by name or id, and its heading offset [rad]."""
-
-    body: str | int
-    heading_offset: float = 0.0
-
-
 @dataclass(slots=True)
 class StreamCounts:
     """Counts of datagrams by result; every count only grows."""
@@ -173,7 +166,7 @@ class Stream:
 
     def __init__(
         self,
-        robots: Sequence[Tracked],
+        robots: Sequence[TrackedRobot],
         placement: Placement,
         pinned: Version | None = None,
         up: UpAxis | None = None,

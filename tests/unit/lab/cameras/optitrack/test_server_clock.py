@@ -18,7 +18,8 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.stream import Stream, Tracked
+from tetractl.lab.cameras.optitrack.section import TrackedRobot
+from tetractl.lab.cameras.optitrack.stream import Stream
 
 V41 = Version(4, 1)
 HZ = 10_000_000
@@ -32,7 +33,9 @@ class Server:
 
     def __init__(self, seed=1, delay_ms=(0.1, 0.5)):
         self.now = 0
-        self.stream = Stream((Tracked(7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z)
+        self.stream = Stream(
+            (TrackedRobot(name="robot", body=7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z
+        )
         self.stream.asked(Connect())
         self.stream.feed(
             pack_answer(

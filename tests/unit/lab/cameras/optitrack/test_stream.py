@@ -21,13 +21,17 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
-from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream, Tracked
+from tetractl.lab.cameras.optitrack.section import TrackedRobot
+from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream
 
 V41 = Version(4, 1)
 HZ = 10_000_000
 INFO = ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (239, 255, 42, 99))
 MODEL = ModelDef((BodyName("green", 11), BodyName("blue", 12), BodyName("hand", 13)))
-ROBOTS = (Tracked("green"), Tracked(12, heading_offset=0.5))
+ROBOTS = (
+    TrackedRobot(name="robot", body="green"),
+    TrackedRobot(name="robot", body=12, heading_offset=0.5),
+)
 MILLIMETRES = Placement(0.0, 0.0, 0.0, 1000.0)
 
 
@@ -69,7 +73,15 @@ def test_robots_are_found_by_name_and_by_id_others_are_strangers():
 
 
 def test_bodies_that_are_not_in_the_frames_are_told():
-    stream = Stream((Tracked("green"), Tracked("red"), Tracked(99)), MILLIMETRES, up=UpAxis.Z)
+    stream = Stream(
+        (
+            TrackedRobot(name="robot", body="green"),
+            TrackedRobot(name="robot", body="red"),
+            TrackedRobot(name="robot", body=99),
+        ),
+        MILLIMETRES,
+        up=UpAxis.Z,
+    )
     assert stream.missing() == ["green", "red", 99]
     connect(stream)
     assert stream.missing() == ["green", "red", 99]

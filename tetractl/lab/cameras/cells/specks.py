@@ -58,16 +58,25 @@ class Speck:
         if len(entries) < needed or moved < SWIM_UM or moved / passed < SWIM_UM_S:
             return False
         path = np.array(entries)
-        long, wide = np.median(path[:, 4]), np.median(path[:, 5])
+        long, wide = np.median(path[:, 4:6], axis=0).tolist()
         if not (LONG_UM[0] < long < LONG_UM[1] and WIDE_UM[0] < wide < WIDE_UM[1]):
             return False
-        line = np.polynomial.polynomial.polyfit(path[:, 0] - path[0, 0], path[:, 1:3], 1)
-        fitted = line[0] + (path[:, :1] - path[0, 0]) * line[1]
+        (vx, vy), fitted = straight(path)
         strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
-        sway = np.abs(np.cos(path[:, 3] - math.atan2(line[1, 1], line[1, 0])))
-        even = np.std(path[:, 4]) < EVEN * long and np.std(path[:, 5]) < EVEN * wide
+        sway = np.abs(np.cos(path[:, 3] - math.atan2(vy, vx)))
+        even = bool((path[:, 4:6].std(axis=0) < (EVEN * long, EVEN * wide)).all())
         along = long < ROUND * wide or np.median(sway) > ALONG  # a round blob has no axis
         return bool(even and strayed < STRAY_UM and along)
+
+
+def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
+    """Return the velocity [um/s] of a straight line through a path (M, >= 3) of seconds, x and y,
+    by least squares, and the line's points (M, 2).
+    """
+    middle = path[:, :3].mean(axis=0)
+    times, off = path[:, 0] - middle[0], path[:, 1:3] - middle[1:]
+    vx, vy = (times @ off / (times @ times)).tolist()
+    return (vx, vy), middle[1:] + times[:, None] * (vx, vy)
 
 
 @dataclass(slots=True)

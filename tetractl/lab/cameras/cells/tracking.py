@@ -26,7 +26,7 @@ from tetractl.lab.cameras.cells.match import (
     stopped,
 )
 from tetractl.lab.cameras.cells.merges import Merges
-from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks
+from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks, straight
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
 CELLS = 64  # largest number of cells that are followed
@@ -232,11 +232,10 @@ class CellTracker:
         """Start to follow specks that swim as cells."""
         path = np.array(speck.path)
         last = path[-BORN:]
-        times = last[:, 0] - last[-1, 0]
-        vx, x = np.polyfit(times, last[:, 1], 1).tolist()
-        vy, y = np.polyfit(times, last[:, 2], 1).tolist()
+        (vx, vy), fitted = straight(last)
+        x, y = fitted[-1].tolist()
         heading = math.atan2(vy, vx)
-        long, wide = np.median(last[:, 4:6], axis=0).tolist()
+        long, wide = np.median(path[:, 4:6], axis=0).tolist()
         now, beside = float(path[-1, 0]), self._beside(speck)
         near_edge = self._near_edge(*path[0, 1:3].tolist())
         lost = self._lost.found(path[-1, 1:3], (long, wide), now, self._density(near_edge, beside))
@@ -259,7 +258,7 @@ class CellTracker:
             beside.certainty *= EITHER
             divided = beside.identity if beside.merge is None else None
         # of its path, only what follows the last blob of another size: that was not it alone
-        other = np.abs(np.log(path[:-1, 4:6].prod(axis=1) / (long * wide))) > math.log(LARGE)
+        other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
         self.born.append(Born(identity, self._next, path[:, :4], certainty, divided))
         self._next += 1

@@ -18,8 +18,11 @@ from tetractl.control.kernels.filter import (
     LN_A,
     LN_V,
     MARKER,
+    PACE,
     SINE,
     SIZE,
+    STILL,
+    SWING,
     X,
     Y,
 )
@@ -40,7 +43,7 @@ class RobotFilter:
     """Robot i of a kernel's model with one dead time: hypotheses by slot, the stuck one last."""
 
     def __init__(self, model: kernel.FilterModel, i: int, z: Floats, cov: Floats) -> None:
-        self.a, self.v, self.helix = model.a[i], model.speed[i], model.helix
+        self.a, self.v, self.helix, self.lag = model.a[i], model.speed[i], model.helix, model.lag
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
         self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
@@ -55,19 +58,31 @@ class RobotFilter:
         return found
 
     def advance(self, one: Hypothesis, seconds: float) -> None:
-        """Predict: z' = f(z), P' = F P F' + Q, by the midpoint rule."""
-        while seconds > 0 and not math.isnan(one.u):
+        """Predict: z' = f(z), P' = F P F' + Q, by the midpoint rule.
+
+        Turning rate and speed approach those of the direction with the lag. The rate is that of the
+        heading in which the robot would come to rest, which the robot's host computes too.
+        """
+        stands = math.isnan(one.u)
+        if stands and (self.lag == 0 or one.z[PACE] < STILL):
+            one.z[[SWING, PACE]] = 0.0
+        while seconds > 0 and (not stands or one.z[PACE] > 0):
             t, z = min(seconds, kernel.SUBSTEP_S), one.z
             seconds -= kernel.SUBSTEP_S
             a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
-            half = t / 2 * a * math.sin(one.u + z[BIAS] - z[HEADING])
-            middle = z[HEADING] + half
-            phi = one.u + z[BIAS] - middle
-            turn, keep = t * a * math.sin(phi), math.exp(-t * a * math.cos(phi))
-            way = t * v * np.array([math.cos(middle), math.sin(middle)])
+            rest = z[HEADING] + self.lag * a * z[SWING]
+            wish = 0.0 if stands else math.sin(one.u + z[BIAS] - rest)
+            half = a * self.integral(wish, z[SWING], t / 2)
+            middle, phi = z[HEADING] + half, one.u + z[BIAS] - rest - t / 2 * a * wish
+            wish, pull = (0.0, 0.0) if stands else (math.sin(phi), math.cos(phi))
+            turn, keep = a * self.integral(wish, z[SWING], t), math.exp(-t * a * pull)
+            pace = 0.0 if stands else 1.0
+            length = v * self.integral(pace, z[PACE], t)
+            way = length * np.array([math.cos(middle), math.sin(middle)])
             by_middle = np.zeros(SIZE)
             by_middle[[HEADING, LN_A, BIAS]] = (1 + keep) / 2, half, (1 - keep) / 2
             jacobian = np.eye(SIZE)
+            swing, pace = self.lagged(wish, z[SWING], t), self.lagged(pace, z[PACE], t)
             jacobian[X] += -way[1] * by_middle
             jacobian[Y] += way[0] * by_middle
             jacobian[X, LN_V], jacobian[Y, LN_V] = way
@@ -79,10 +94,19 @@ class RobotFilter:
             moved = z.copy()
             moved[[X, Y]] += way + t * z[[FLOW_X, FLOW_Y]]
             moved[HEADING] += turn
+            moved[SWING], moved[PACE] = swing, pace
             moved[[SINE, COSINE]] = jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] @ z[[9, 10]]
             walk = self.walk**2 * t
             walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
             one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
+
+    def lagged(self, wish: float, value: float, t: float) -> float:
+        """Return a value that approaches `wish` for a time t."""
+        return wish + (value - wish) * math.exp(-t / self.lag) if self.lag else wish
+
+    def integral(self, wish: float, value: float, t: float) -> float:
+        """Return the integral over a time t of a value that approaches `wish`."""
+        return t * wish + self.lag * (value - self.lagged(wish, value, t))
 
     def rows(self, z: Floats) -> tuple[Floats, Floats]:
         """Return what a camera would measure (3,), and how it depends on the state (3, SIZE)."""
@@ -91,7 +115,7 @@ class RobotFilter:
         h = np.zeros((3, SIZE))
         h[0, X] = h[1, Y] = h[2, HEADING] = h[2, MARKER] = 1.0
         h[0, SINE], h[1, SINE], h[2, COSINE] = -s, c, rate
-        return h @ z, h
+        return h @ z[:SIZE], h
 
     def measure(self, one: Hypothesis, pose: Floats) -> tuple[float, Floats]:
         """Update by x, y and heading in turn; return ln of the likelihood, and mean squares."""
@@ -106,11 +130,11 @@ class RobotFilter:
             return -(kernel.GATE + np.log(sure).sum()) / 2, means
         total = 0.0
         for j in range(3):  # each number with the slopes of before the first
-            miss = pose[j] - h[j] @ one.z
+            miss = pose[j] - h[j] @ one.z[:SIZE]
             miss = wrap(np.array(miss)) if j == 2 else miss
             s = h[j] @ one.cov @ h[j] + var[j]
             gain = one.cov @ h[j] / s
-            one.z = one.z + gain * miss
+            one.z[:SIZE] += gain * miss
             one.cov = one.cov - np.outer(gain, gain) * s
             total -= (miss**2 / s + math.log(s)) / 2
         return float(total), means

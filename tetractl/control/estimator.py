@@ -105,7 +105,10 @@ class StateEstimator:
         estimate = self.estimate = self.filter.estimate()
         poses, bias, flow = self.filter.course()
         known = replace(self.problem, a=estimate.a, speed=estimate.speed, bias=bias, flow=flow)
-        return replace(known, poses=advance(known, poses, self.held(self.acts(observation))))
+        until = self.acts(observation)
+        if self.filter.prior.lag > 0:
+            return replace(known, poses=self.filter.rests(until))
+        return replace(known, poses=advance(known, poses, self.held(until)))
 
     def held(self, until: int) -> list[Held]:
         """Return the directions that act from the newest frame to a time [ns], oldest first."""

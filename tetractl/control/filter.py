@@ -23,8 +23,10 @@ without a fit, the camera's pose is taken as it is.
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
 robots. A bank of filters has one tau each, of a grid; their likelihoods decide between them, and
 around the likely ones the grid becomes finer. The filter uses frames about 30 ms apart, and each
-control step's newest frame: wheels respond over tens of milliseconds, and with frames closer
-together the start of the response would give too short a dead time and too small an a.
+control step's newest frame: wheels whose lag is not given respond over tens of milliseconds, and
+with frames closer together the start of the response would give too short a dead time and too small
+an a. If the lag T is given, turning rate and speed approach those of a direction with it, and the
+direction turns the heading theta + T dtheta/dt, in which the robot would come to rest.
 """
 
 import math
@@ -59,7 +61,8 @@ class Prior(NamedTuple):
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative deviations, the dead time [s] an
     absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are 0.
     `position_noise` [length unit] and `heading_noise` [rad] are those of one measurement, 0 if
-    unknown. The helix has a frequency [Hz] and a radius [length unit], 0 for none.
+    unknown. The helix has a frequency [Hz] and a radius [length unit], 0 for none. Wheels follow
+    commands with a time constant `lag` [s], 0 for robots without wheels.
     """
 
     a: Floats
@@ -75,6 +78,7 @@ class Prior(NamedTuple):
     heading_noise: float = 0.0
     helix_frequency: float = 0.0
     helix_radius: float = 0.0
+    lag: float = 0.0
 
     def estimate(self) -> Estimate:
         """Return the prior as an estimate from no data."""
@@ -122,7 +126,7 @@ class FilterBank:
         walk[7:9] = FLOW_DRIFT * prior.flow_std
         walk[9:11] = 0.1 * prior.helix_radius
         helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
-        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix)
+        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix, prior.lag)
         self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
         self._last: Observation | None = None  # the frame followed last
         self._from_ns: int | None = None if drive_first else 0  # the filters start here
@@ -136,7 +140,7 @@ class FilterBank:
     def _first_bank(self, tau: Floats):
         kernel, prior, count = _kernel(), self.prior, len(self.prior.a)
         size, slots = kernel.SIZE, kernel.SLOTS
-        state = np.zeros((len(tau), count, slots, size))
+        state = np.zeros((len(tau), count, slots, kernel.STATE))
         deviations = np.zeros(size)
         deviations[3:9] = (
             prior.a_std,
@@ -313,6 +317,14 @@ class FilterBank:
         (N,) [rad] and the flow (N, 2) [length unit/s]."""
         _, z, _, _ = self._likely()
         return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
+
+    def rests(self, until: int) -> Poses:
+        """Return where the robots would come to rest if they were stopped at a time [ns]."""
+        _, z, _, _ = self._likely()
+        held = self.held(until)
+        seconds = np.array([end - begin for begin, end, _ in held]) / SECOND
+        _kernel().drive(self._model, z, np.array([u for _, _, u in held]), seconds)
+        return Poses.of(z[:, :3])
 
     def held(self, until: int) -> list[Held]:
         """Return the directions that act from the last frame to a time [ns], oldest first."""

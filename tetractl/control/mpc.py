@@ -79,11 +79,16 @@ class Mpc:
     ) -> None:
         self.section = section
         problem = section.problem(setup)
-        prior = section.prior.of(problem, section.dead_time) if section.estimate else None
+        prior = section.prior.of(problem, section.dead_time, setup.lag_s)
         square = isinstance(section.first_plan, Square)
         self.setup, self.legs, self.leg = setup, setup.legs, 0
         self.estimator = StateEstimator(
-            problem, section.period, section.dead_time, prior, square, setup.loss
+            problem,
+            section.period,
+            section.dead_time,
+            prior if section.estimate else None,
+            square,
+            setup.loss,
         )
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
         self.held: tuple[int, Outcome] | None = None  # when holding robots arrived [ns], and how
@@ -389,4 +394,4 @@ class MpcSection(MpcFields):
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
         if self.estimate:
-            warm_up_filter(self.prior.of(problem, self.dead_time), setup.starts)
+            warm_up_filter(self.prior.of(problem, self.dead_time, setup.lag_s), setup.starts)

@@ -74,8 +74,8 @@ class PriorSection(Model):
     helix_radius: NonNegative = 0.0
     """Radius of the helix on which cells swim [length unit]; 0 for no helix."""
 
-    def of(self, problem: Problem, dead_time: float) -> Prior:
-        """Return the prior of the robots of a problem."""
+    def of(self, problem: Problem, dead_time: float, lag_s: float = 0.0) -> Prior:
+        """Return the prior of the robots of a problem, whose wheels follow with a lag."""
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -90,6 +90,7 @@ class PriorSection(Model):
             heading_noise=self.heading_noise,
             helix_frequency=self.helix_frequency,
             helix_radius=self.helix_radius,
+            lag=lag_s,
         )
 
 

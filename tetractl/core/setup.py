@@ -91,9 +91,10 @@ class Setup:
     largest number of control steps and `iterations_max` that of an optimiser's iterations in one
     search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
     wheels; `watchdog_s` the time after which a robot that receives nothing stops, inf if it never
-    does. `way_points` (M, N, 2) are passed before the targets, by all robots together; `hold` is
-    the task after the targets, None if the trial ends there. `loss` is the rule by which the trial
-    goes on without a robot, None if the trial then ends.
+    does; `lag_s` the time constant with which wheels follow a command. `way_points` (M, N, 2) are
+    passed before the targets, by all robots together; `hold` is the task after the targets, None if
+    the trial ends there. `loss` is the rule by which the trial goes on without a robot, None if the
+    trial then ends.
     """
 
     name: str
@@ -115,6 +116,7 @@ class Setup:
     hold: HoldTask | None = None
     loss: LossRule | None = None
     watchdog_s: float = math.inf
+    lag_s: float = 0.0
 
     @property
     def legs(self) -> Floats:

@@ -10,7 +10,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, Positive
+from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.yaml.problems import Loc
 
@@ -92,4 +92,9 @@ class Wheels(Model):
     """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
     firmware; by default it drives on. A stopped robot moves again with the next command it
     receives.
+    """
+    lag: NonNegative = 0.0
+    """Time constant with which the wheels follow a command [s]. With it, the host sends wheel
+    speeds for the headings that the wheels will have reached, and the controller predicts where the
+    robots come to rest.
     """

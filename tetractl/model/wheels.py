@@ -6,10 +6,12 @@ an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried 
 """
 
 import math
+from collections import deque
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
 
 COUNT_MAX = 127
@@ -127,6 +129,50 @@ def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, flo
     """Return the left and right speeds [mm/s] that sent counts command."""
     left, right = counts[::-1] if drivetrain.swap else counts
     return drivetrain.left.speed(left), drivetrain.right.speed(right)
+
+
+class LaggingTurns:
+    """The headings to which N robots turn whose wheels follow commands with a first-order lag T.
+
+    A robot with heading theta and turning rate w at time s, to which turning rates c were sent that
+    act until time t and 0 after that, comes to rest at the heading
+
+        theta + T w(s) + integral of c from s to t.
+
+    If (24)-(25) are computed at this heading, robots turn by (3), as if their wheels had no lag.
+    """
+
+    def __init__(self, lag_s: float, count: int) -> None:
+        self._lag_s = lag_s
+        # from when on turning rates (N,) [rad/s] act [ns], oldest first
+        self._sent: deque[tuple[int, Floats]] = deque([(0, np.zeros(count))])
+        self._turning = np.zeros(count)  # true rates when the oldest of these begins to act
+
+    def sent(self, acts_ns: int, turning: Floats) -> None:
+        """Add turning rates (N,) that act from a time on [ns]."""
+        self._sent.append((acts_ns, turning))
+
+    def ahead(self, heading: Floats, since: int, until: int) -> Floats:
+        """Return the headings (N,) at which robots come to rest if they are stopped at `until`
+        [ns], from those at `since`.
+
+        `since` must not fall from call to call.
+        """
+        while len(self._sent) > 1 and self._sent[1][0] <= since:
+            self._turning = self._turning_at(self._sent[1][0])
+            self._sent.popleft()
+        found = heading + self._lag_s * self._turning_at(since)
+        ends = [begin for begin, _ in self._sent][1:]
+        for (begin, turning), end in zip(self._sent, [*ends, until], strict=True):
+            found = found + turning * (max(end - max(begin, since), 0) / SECOND)
+        return found
+
+    def _turning_at(self, when: int) -> Floats:
+        """Return the turning rates at a time at which the oldest of the commands acts."""
+        begin, wanted = self._sent[0]
+        return wanted + (self._turning - wanted) * math.exp(
+            min(begin - when, 0) / SECOND / self._lag_s
+        )
 
 
 def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:

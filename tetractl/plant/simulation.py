@@ -277,7 +277,7 @@ class SimPlant:
         count = self.a.size
         zeros = np.zeros(count)
         if self._drive.host is not None:
-            self._drive.host.halt()
+            self._drive.host.halt(now)
         heard = np.zeros(count, dtype=np.bool_)
         for i in range(STOPS_MAX if self._repeats_stops else 1):
             if i >= STOPS and heard.all():

@@ -22,8 +22,10 @@ from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import (
     Drivetrain,
+    LaggingTurns,
     Residue,
     Wheel,
+    body_velocity,
     speeds_of_counts,
     wheel_counts,
     wheel_speeds,
@@ -43,8 +45,8 @@ class WheelDriveSection(Model):
     repeats those of the control step.
     """
     lead: NonNegative | None = None
-    """Time added to the frame's age over which the host predicts the headings [s]; by default it
-    uses the measured ones.
+    """Time added to the frame's age over which the host predicts the headings [s], and with
+    `wheels.lag` on to where the robots would come to rest; by default it uses the measured ones.
     """
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
@@ -101,6 +103,8 @@ class WheelHost:
                 (Drivetrain(known, known), Drivetrain(left, right)) for left, right in true
             ]
         self._residues = [Residue()] * count
+        # the prediction of headings for wheels that are known to lag
+        self._turns = LaggingTurns(setup.lag_s, count) if setup.lag_s > 0 else None
         self._last: tuple[Floats, Floats] | None = None
 
     def direct(self, direction: float | None) -> None:
@@ -110,9 +114,11 @@ class WheelHost:
         """
         self.direction, self._last = direction, None
 
-    def halt(self) -> None:
-        """End holding a direction."""
+    def halt(self, now: int) -> None:
+        """End holding a direction: a stop is sent `now` [ns]."""
         self.repeats_ns = NEVER
+        if self._turns is not None:
+            self._turns.sent(self._acts_ns(now), np.zeros_like(self._a))
 
     def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
         """Return the wheel speeds to send `now` [ns], and the true ones that result.
@@ -133,11 +139,16 @@ class WheelHost:
         """Return the wheel speeds of (24)-(25) as sent, and the true ones that result."""
         heading = seen.poses.heading
         u = heading if self.direction is None else np.array(self.direction)
-        if self._section.lead is not None:
+        if self._turns is not None and self._section.lead is not None:
+            heading = self._turns.ahead(heading, seen.sampled_ns, self._acts_ns(now))
+        elif self._section.lead is not None:
             ahead = (now - seen.sampled_ns) / SECOND + self._section.lead
             nowhere = np.zeros_like(heading)
             _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead)
         wished = np.array(wheel_speeds(heading, u, self._a, self._speed, self._radius))
+        if self._turns is not None:
+            _, turning = body_velocity(wished[0], wished[1], self._radius)
+            self._turns.sent(self._acts_ns(now), turning)
         if not self._trains:
             return wished, wished * self._gains
         sent, made = [], []
@@ -148,6 +159,10 @@ class WheelHost:
             sent.append(speeds_of_counts(counts, told))
             made.append(speeds_of_counts(counts, true))
         return np.array(sent).T, np.array(made).T
+
+    def _acts_ns(self, now: int) -> int:
+        """Return when what is sent `now` acts, as far as the host knows [ns]."""
+        return now + round((self._section.lead or 0.0) * SECOND)
 
 
 REST = 1e-10

@@ -32,7 +32,9 @@ def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=No
     plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
     plant.open()
     problem = section.problem(experiment.setup)
-    estimator = StateEstimator(problem, 1 / rate, 0.0, section.prior.of(problem, 0.0))
+    estimator = StateEstimator(
+        problem, 1 / rate, 0.0, section.prior.of(problem, 0.0, experiment.setup.lag_s)
+    )
     knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
     last, command = None, None
     for k in range(seconds * rate):
@@ -105,6 +107,19 @@ def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     assert estimator.filter.course()[0].heading == pytest.approx(plant.poses.heading, abs=0.02)
 
 
+def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
+    """With the lag given, the dead time is that of the radio and a the true one."""
+    drive = "{rate: 400, lead: 0.01, lag: 0.04}"
+    radio = "[{type: radio, delay: 0.01, jitter: 0, loss: 0}]"
+    settings = (f"plant.drive={drive}", "wheels.lag=0.04", f"plant.disturbances={radio}")
+    found, plant, estimator = know(settings, 6, 20)
+    assert found.dead_time == pytest.approx(0.01, abs=0.01)
+    assert found.a == pytest.approx(plant.a, rel=0.03)
+    rests = estimator.filter.rests(plant.clock.now() + SECOND // 100)
+    plant.stop()
+    assert plant.settle().final.array() == pytest.approx(rests.array(), abs=1.5)
+
+
 WOBBLE = (  # points that weave, seen by a camera that measures the body's axis
     "plant.cells=null",
     "plant.disturbances=[{type: flow, speed: 10}, {type: wobble, radius: 8, frequency: 1.5}]",
@@ -173,13 +188,14 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     assert estimator.filter.course()[0].x == pytest.approx(plant.poses.x + 150, abs=5)
 
 
-def test_the_kernel_does_what_the_readable_filter_does():
+@pytest.mark.parametrize("lag", [0.0, 0.04])
+def test_the_kernel_does_what_the_readable_filter_does(lag):
     """Random commands and poses near the path, until weights, states and covariances agree."""
     rng = np.random.default_rng(5)
     prior = Prior(
         np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 1e-9, 0.05, 0.05, 10, 5, 0.05, 1.5, 8
     )
-    bank = FilterBank(prior)
+    bank = FilterBank(prior._replace(lag=lag))
     model, made = bank._model, bank._bank
     made = made._make(column[:1] for column in made)
     made.tau[:] = 0.1
@@ -187,6 +203,7 @@ def test_the_kernel_does_what_the_readable_filter_does():
     kernel.place(made, 0, 0, model, start)
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0])
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
+    u[5] = math.nan  # a stop
     acts, now, pose, score = list(when + 0.1), 0.0, start.copy(), 0.0
     for k in range(1, 50):
         until = k / 30

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.model.wheels import body_velocity, wheel_speeds
+from tetractl.core.clock import SECOND
+from tetractl.model.wheels import LaggingTurns, body_velocity, wheel_speeds
 
 
 def test_the_papers_robot_by_hand():
@@ -26,3 +27,22 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
     speed, turning = body_velocity(left, right, r)
     assert speed[0] == pytest.approx(v, abs=1e-9)
     assert turning[0] == pytest.approx(a * math.sin(u - heading), abs=1e-9)  # (3)
+
+
+def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
+    """Turning rates sent at uneven times, followed with a lag, against an integration at 10 kHz."""
+    rng, lag_s, step = np.random.default_rng(4), 0.04, 1e-4
+    sent = {0.05: rng.normal(size=2), 0.08: rng.normal(size=2), 0.15: rng.normal(size=2)}
+    turns = LaggingTurns(lag_s, 2)
+    for when, rates in sent.items():
+        turns.sent(round(when * SECOND), rates)
+    heading, turning, wanted, headings = np.zeros(2), np.zeros(2), np.zeros(2), []
+    for k in range(6000):
+        wanted = sent.get(round(k * step, 4), wanted if k < 2000 else np.zeros(2))
+        headings.append(heading)
+        heading = heading + step * turning
+        turning = turning + step / lag_s * (wanted - turning)
+    for since in (0.02, 0.07, 0.12, 0.16):
+        seen = headings[round(since / step)]
+        found = turns.ahead(seen, round(since * SECOND), round(0.2 * SECOND))
+        assert found == pytest.approx(headings[-1], abs=2e-3)

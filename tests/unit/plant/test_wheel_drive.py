@@ -12,6 +12,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plant import Wheels
+from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import Drivetrain, Wheel, body_velocity
 
 PERIOD = SECOND // 5
@@ -173,3 +175,29 @@ def test_wheels_are_needed():
     """
     with pytest.raises(TetractlError, match="wheels"):
         parse_spec(text, "spec.yaml")
+
+
+def test_a_host_that_knows_the_lag_turns_robots_as_if_there_were_none():
+    """The headings in which the robots come to rest fall to the direction by (3), however they
+    turned before.
+    """
+    drive = {"rate": 400, "lead": 0.0, "lag": 0.04}
+    spec = experiment(plant={"drive": drive, "camera_rate": 960}, obstacles=[])
+    errors = {}
+    for lag in (0.0, 0.04):
+        simulated = sim(spec.model_copy(update={"wheels": Wheels(radius=40, lag=lag)}))
+        simulated.open()
+        simulated.steer(1.0)
+        simulated.clock.sleep_until(SECOND // 10)
+        simulated.steer(-0.5)
+        simulated.clock.sleep_until(SECOND // 5)
+        simulated.observe()
+        simulated.stop()
+        setup, found = simulated.setup, simulated.settle().final.heading
+        expected = np.zeros(3)
+        for u in (1.0, -0.5):
+            nowhere = np.zeros(3)
+            _, _, expected = exact(nowhere, nowhere, expected, u, setup.a, setup.speed, 0.1)
+        errors[lag] = np.abs(found - expected).max()
+    assert errors[0.04] < 1e-3
+    assert errors[0.0] > 4e-3

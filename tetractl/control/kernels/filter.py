@@ -17,7 +17,10 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
 X, Y, HEADING, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SINE, COSINE = range(11)
-SIZE = 11  # numbers in a state
+SIZE = 11  # numbers in a state that the covariance is of
+SWING, PACE = 11, 12  # turning rate over a, and speed over v, of wheels that lag; without variance
+STATE = 13  # numbers in a state
+STILL = 1e-3  # pace below which a robot that was stopped stands
 FOLLOWS = 3  # number of commands that a robot may still follow: the latest and older ones
 STUCK = FOLLOWS  # the slot of a robot that stands although it was sent a direction
 SLOTS = FOLLOWS + 1
@@ -44,12 +47,13 @@ class FilterModel(NamedTuple):
     noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
     walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
     helix: float  # its angular frequency [rad/s]
+    lag: float  # time constant with which turning rate and speed follow a direction [s]
 
 
 class Bank(NamedTuple):
     """B filters with a dead time each; each robot of each has SLOTS hypotheses."""
 
-    state: Floats  # (B, N, SLOTS, SIZE)
+    state: Floats  # (B, N, SLOTS, STATE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
     weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
@@ -64,19 +68,35 @@ class Bank(NamedTuple):
 def _advance(model, i, z, cov, u, scale, seconds):
     """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint
     rule.
+
+    Wheels that lag follow the turning rate at the heading in which the robot would come to rest,
+    which is what its host sends (`tetractl.model.wheels.LaggingTurns`).
     """
-    left = seconds
+    left, lag, drives = seconds, model.lag, not math.isnan(u)
+    goal = 1.0 if drives else 0.0
+    if not drives and (lag == 0 or z[PACE] < STILL):
+        z[SWING] = z[PACE] = 0.0
     while left > 0:
         t = min(left, SUBSTEP_S)
         left -= SUBSTEP_S
-        if not math.isnan(u):
+        if drives or z[PACE] > 0:
             a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
-            towards = u + z[BIAS]
-            half = 0.5 * t * a * math.sin(towards - z[HEADING])
-            middle = z[HEADING] + half
-            turn = t * a * math.sin(towards - middle)
-            keep = math.exp(-t * a * math.cos(towards - middle))
-            dx, dy = t * v * math.cos(middle), t * v * math.sin(middle)
+            wish, pull = 0.0, 0.0
+            early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
+            late = early * early
+            off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
+            if drives:
+                wish = math.sin(off)
+            half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
+            middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
+            if drives:
+                wish, pull = math.sin(off), math.cos(off)
+            turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
+            way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
+            z[SWING] = wish + late * (z[SWING] - wish)
+            z[PACE] = goal + late * (z[PACE] - goal)
+            keep = math.exp(-t * a * pull)
+            dx, dy = way * math.cos(middle), way * math.sin(middle)
             z[X] += dx + t * z[FLOW_X]
             z[Y] += dy + t * z[FLOW_Y]
             z[HEADING] += turn
@@ -204,8 +224,9 @@ def _measure(model, i, z, cov, scale, pose, squares):
 @compiled(**INLINE_FAST)
 def _copy(bank, b, i, source, slot):
     """Copy the state of one hypothesis to another."""
-    for k in range(SIZE):
+    for k in range(STATE):
         bank.state[b, i, slot, k] = bank.state[b, i, source, k]
+    for k in range(SIZE):
         for m in range(SIZE):
             bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
 
@@ -360,3 +381,24 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
         least = max(least, bank.score[b])
     for b in range(bank.tau.size):
         bank.score[b] = (bank.score[b] - least) * math.exp(-(until - since) / FORGET_S)
+
+
+@compiled(**ENTRY_FAST)
+def drive(model, states, u, seconds):
+    """Predict states (N, STATE) in place through directions u (C, N), each held for `seconds` (C,).
+
+    The robots' wheels then stop: the states are those in which the robots come to rest.
+    """
+    scale = np.zeros(2)
+    for i in range(model.a.size):
+        cov = np.zeros((SIZE, SIZE))
+        for c in range(seconds.size):
+            _advance(model, i, states[i], cov, u[c, i], scale, seconds[c])
+        z = states[i]
+        turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
+        way = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE]
+        half = 0.5 * turn
+        chord = way * (1 - half * half / 6)
+        z[X] += chord * math.cos(z[HEADING] + half)
+        z[Y] += chord * math.sin(z[HEADING] + half)
+        z[HEADING] += turn

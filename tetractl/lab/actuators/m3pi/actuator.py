@@ -18,6 +18,7 @@ from tetractl.model.wheels import (
     STOP,
     Counts,
     Drivetrain,
+    LaggingTurns,
     Residue,
     Wheel,
     body_velocity,
@@ -47,6 +48,7 @@ class M3piActuator:
         self._a, self._speed = setup.a, setup.speed * self._mm
         self._radius = np.array([_radius_mm(robot, setup) for robot in self.robots])
         self._residues = [Residue()] * len(self.robots)
+        self._turns = LaggingTurns(setup.lag_s, len(self.robots)) if setup.lag_s > 0 else None
 
     def __enter__(self) -> Self:
         """Open the port and check the XBee module."""
@@ -87,7 +89,7 @@ class M3piActuator:
         exposed_ns: int,
     ) -> Transmission:
         """Send each robot its wheel counts for a direction [rad], 0 if it must not move."""
-        wished = self.counts(direction, poses, self._clock.now() - exposed_ns)
+        wished = self.counts(direction, poses, exposed_ns)
         counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
         sent_ns = self._protocol.drive(counts)
         return self._transmission(sent_ns, direction, counts, tuple(moving))
@@ -105,16 +107,24 @@ class M3piActuator:
         answers = self._protocol.poll(timeout_s)
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
-    def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
+    def counts(
+        self, direction: float, poses: Sequence[Pose | None], exposed_ns: int
+    ) -> list[Counts]:
         """Return the counts for a direction by (24)-(25), at the headings when the command arrives.
 
-        The headings are predicted, by the exact step of (3), over the age of the poses plus the
-        radio's time.
+        The headings are predicted over the age of the poses plus the radio's time: of wheels that
+        lag, by the commands sent, to those in which the robots would come to rest; otherwise by the
+        exact step of (3).
         """
-        ahead_s = min(AHEAD_MAX_NS, age_ns + RADIO_NS) / SECOND
-        seen = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        nowhere, u = np.zeros(len(poses)), np.array(direction)
-        _, _, heading = exact(nowhere, nowhere, seen, u, self._a, self._speed, ahead_s)
+        arrives = self._clock.now() + RADIO_NS
+        since = max(exposed_ns, arrives - AHEAD_MAX_NS)
+        heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
+        u = np.array(direction)
+        if self._turns is not None:
+            heading = self._turns.ahead(heading, since, arrives)
+        else:
+            nowhere, ahead_s = np.zeros(len(poses)), (arrives - since) / SECOND
+            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead_s)
         left, right = wheel_speeds(heading, u, self._a, self._speed, self._radius)
         found: list[Counts] = []
         for i, pose in enumerate(poses):
@@ -138,6 +148,8 @@ class M3piActuator:
         left, right = np.array([speeds_of_counts(*pair) for pair in pairs]).T
         speed, turning = body_velocity(left, right, self._radius)
         mm = self._mm
+        if self._turns is not None:
+            self._turns.sent(sent_ns + RADIO_NS, turning)
         return Transmission(sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm)
 
     def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:

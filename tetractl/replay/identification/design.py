@@ -187,7 +187,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
     by = turns.derivatives(p)
     normal = np.diag(np.concatenate([[WEAK[0]], np.repeat(WEAK[1:], n)]) ** -2.0)
     for i, chain in enumerate(turns.chains(p, drives.intervals.usable)):
-        columns = chain.whiten(chain.factor(NOISE), np.column_stack([one[:, i] for one in by]))
+        columns = chain.whiten(chain.factor(NOISE), by[:, i])
         at = np.array([0, 1 + i, 1 + n + i])
         normal[np.ix_(at, at)] += columns.T @ columns
     return np.sqrt(np.diag(np.linalg.inv(normal)))

@@ -114,10 +114,7 @@ class _Fit:
         self.used = usable & (np.abs(r) <= np.column_stack(limits))
         self._chains = self.turns.chains(self.p, self.used)
         by = self.turns.derivatives(self.p)
-        self._noises = [
-            c.noise_of(r[:, i], np.column_stack([one[:, i] for one in by]))
-            for i, c in enumerate(self._chains)
-        ]
+        self._noises = [c.noise_of(r[:, i], by[:, i]) for i, c in enumerate(self._chains)]
         self._factors = [c.factor(n) for c, n in zip(self._chains, self._noises, strict=True)]
         for _ in range(NEWTON):
             self.p = self._newton(self.p, None)
@@ -125,11 +122,10 @@ class _Fit:
     def _whitened(self, p: Turning, derivatives: bool) -> tuple[Floats, Floats]:
         """Return y (N K,) and, with `derivatives`, those of the prediction, (N K, 1 + 2 N)."""
         r, count = self.turns.missed(p), self.used.shape[1]
-        by = self.turns.derivatives(p) if derivatives else ()
+        by = self.turns.derivatives(p) if derivatives else np.empty((*r.shape, 0))
         ys, rows = [], []
         for i, (chain, factor) in enumerate(zip(self._chains, self._factors, strict=True)):
-            columns = np.column_stack([r[:, i], *(one[:, i] for one in by)])
-            y = chain.whiten(factor, columns)
+            y = chain.whiten(factor, np.column_stack([r[:, i], by[:, i]]))
             ys.append(y[:, 0])
             if derivatives:
                 row = np.zeros((len(r), 1 + 2 * count))

@@ -13,12 +13,11 @@ from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.replay.identification.chain import Chain, ChainNoise, SampleInterval
-from tetractl.replay.identification.fit import Fitted, fit
+from tetractl.replay.identification.fit import OUTLYING, Fitted, fit
 from tetractl.replay.identification.tracks import Drives, Track, drives_of
 from tetractl.replay.identification.turning import Turning
 
 LEAST = 20  # least number of intervals of a robot for a fit
-OUTLYING = 4.0  # deviations
 SPEED_ROUNDS = 3
 DEAD_TIME_STD = 0.1  # prior standard deviation of the dead time [s]
 # prior standard deviations, the first two relative
@@ -84,7 +83,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     for i, name in enumerate(tracks[0].names):
         speed, position = _speed(drives, fitted, i)
         of_heading, of_walk = fitted.chains[i].noise_intervals(
-            missed[:, i], np.column_stack([one[:, i] for one in by]), fitted.noises[i]
+            missed[:, i], by[:, i], fitted.noises[i]
         )
         robots.append(
             RobotFound(

@@ -73,18 +73,16 @@ class Turns:
         """Return the turns measured minus those predicted (K, N) [rad]."""
         return wrap(self.drives.intervals.turned - self.motion(p)[2])
 
-    def derivatives(self, p: Turning) -> tuple[Floats, Floats, Floats]:
-        """Return the derivatives of the predicted turn by tau, ln a and beta, (K, N) each."""
+    def derivatives(self, p: Turning) -> Floats:
+        """Return the derivatives of the predicted turn by tau, ln a and beta, (K, N, 3)."""
         low = max(0.0, p.tau - NUDGE_S)
         pairs = (
             (replace(p, tau=p.tau + NUDGE_S), replace(p, tau=low), p.tau + NUDGE_S - low),
             (replace(p, ln_a=p.ln_a + NUDGE), replace(p, ln_a=p.ln_a - NUDGE), 2 * NUDGE),
             (replace(p, beta=p.beta + NUDGE), replace(p, beta=p.beta - NUDGE), 2 * NUDGE),
         )
-        by_tau, by_a, by_beta = (
-            (self.motion(more)[2] - self.motion(less)[2]) / by for more, less, by in pairs
-        )
-        return by_tau, by_a, by_beta
+        turns = [(self.motion(more)[2] - self.motion(less)[2]) / by for more, less, by in pairs]
+        return np.stack(turns, axis=-1)
 
     def chains(self, p: Turning, used: Bools) -> list[Chain]:
         """Return the chain of each robot, of the intervals `used` (K, N)."""

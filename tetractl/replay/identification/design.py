@@ -185,7 +185,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
     drives = drives_of([_driven(setup, directions, dead_time)])
     turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))
     by = turns.derivatives(p)
-    normal = np.diag(np.concatenate([[WEAK[0]], np.repeat(WEAK[1:], n)]) ** -2.0)
+    normal = np.diag(np.repeat(WEAK, [1, n, n]) ** -2.0)
     for i, chain in enumerate(turns.chains(p, drives.intervals.usable)):
         columns = chain.whiten(chain.factor(NOISE), by[:, i])
         at = np.array([0, 1 + i, 1 + n + i])

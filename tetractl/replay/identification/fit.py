@@ -81,10 +81,8 @@ class _Fit:
     def __init__(self, drives: Drives, start: Turning) -> None:
         self.turns, self.p = Turns(drives), start
         self.used = drives.intervals.usable
-        each = np.ones(self.used.shape[1])
-        self._weak = np.concatenate([[WEAK[0]], WEAK[1] * each, WEAK[2] * each])
-        self._far = np.concatenate([[FAR[0]], FAR[1] * each, FAR[2] * each])
-        self._step = np.concatenate([[STEP[0]], STEP[1] * each, STEP[2] * each])
+        n = self.used.shape[1]
+        self._weak, self._far, self._step = (np.repeat(v, [1, n, n]) for v in (WEAK, FAR, STEP))
         self._center = start.vector()
         self._chains: list[Chain] = []
         self._noises: list[ChainNoise] = []

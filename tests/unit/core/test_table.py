@@ -44,6 +44,7 @@ def test_a_reader_sees_formats_units_and_what_is_not_known():
         assert "180.2" in text
         assert "mm/s" in text or r"mm/\allowbreak{}s" in text
         assert "measured" in text
+    assert r"| a \| b |" in TEXTS["markdown"]([TABLE])
 
 
 def test_a_data_file_has_the_values_and_the_unit_in_the_name():

@@ -70,6 +70,13 @@ def test_a_path_check_sees_what_happens_between_samples_and_between_calls():
     assert check.clearance.tolist() == [100, 100, 100]  # at the samples
 
 
+def test_a_path_goes_on_from_the_last_sample_of_the_call_before():
+    check = PathCheck(Obstacles.of([BOX]), ARENA, 1)
+    check.add(np.array([[1500.0], [1300.0]]), np.array([[1000.0], [1000.0]]))
+    check.add(np.array([[1450.0]]), np.array([[1400.0]]))
+    assert check.entered.tolist() == [True]
+
+
 def test_a_path_check_keeps_the_deepest_visit():
     check = PathCheck(Obstacles.of([BOX]), ARENA, 1)
     for x in (1300.0, 1900.0):

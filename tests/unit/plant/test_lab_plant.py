@@ -9,6 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, Note
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.rest_check import REST_NS
 
 PERIOD = SECOND // 5
 SETUP = experiment().setup
@@ -125,6 +126,16 @@ def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
     assert lab.plant.settle().not_at_rest == ""
     assert lab.world.moving == (False, False, False)
     assert all(sent.direction is None for sent in lab.actuator.sent[before:])
+
+
+def test_robots_that_stand_already_are_watched_for_a_while_all_the_same():
+    lab = opened()
+    drive(lab, 0.4)
+    lab.plant.stop()
+    wait(lab, 1.0)
+    before = lab.clock.now()
+    assert lab.plant.settle().not_at_rest == ""
+    assert lab.clock.now() - before >= REST_NS
 
 
 def test_a_robot_that_turns_on_the_spot_does_not_stand():

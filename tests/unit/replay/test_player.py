@@ -137,7 +137,9 @@ def test_the_rate_has_limits_but_keeps_what_was_asked_for(recording, wall, rate)
 
 def test_it_pauses_at_the_end_and_space_plays_again(recording, wall):
     p = player(recording, wall, start=2)
-    assert after(p, wall, 100) == recording.end_ns / SECOND
+    wall.pass_by(100)
+    assert p.now == recording.end_ns
+    p.update()
     assert p.state is Playback.ENDED
     p.press("space")
     assert (p.state, p.now) == (Playback.PLAYING, 2 * SECOND)

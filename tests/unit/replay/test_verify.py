@@ -161,6 +161,18 @@ def test_the_first_step_and_field_that_differ_are_named(tmp_path, contents):
     assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
 
 
+def test_steps_come_in_order_and_are_late_where_their_time_says_so(log):
+    whole = read_trial(log)
+    before, step = whole.steps[1:3]
+    back = replace(step.observation, frame=before.observation.frame - 1)
+    for changed, field in (
+        (replace(step, observation=back), "command.sent_ns"),
+        (replace(step, deadline_missed=True), "timing.deadline_missed"),
+    ):
+        forged = replace(whole, steps=(*whole.steps[:2], changed, *whole.steps[3:]))
+        assert field in {one.field for one in audit(forged, same_host=True).problems}
+
+
 def elsewhere(name, facts):
     return facts | ({"cpu": "another"} if name == HOST else {})
 

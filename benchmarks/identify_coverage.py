@@ -94,7 +94,7 @@ def main() -> None:
 
 
 def _print(total: dict[str, list[bool]]) -> None:
-    print("share of 95 % intervals that hold the truth (simulated logs)")
+    print("share of 95 % intervals that contain the true value (simulated logs)")
     for name, hits in total.items():
         share = proportion_interval(sum(hits), len(hits))
         low, high = 100 * share.low, 100 * share.high

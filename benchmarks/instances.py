@@ -28,6 +28,7 @@ import yaml
 from solverbench.problems import EXPERIMENTS
 from solverbench.report import progress
 
+from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import load_spec
@@ -244,7 +245,7 @@ def draw(drawn: Mapping[str, Sequence[Arm]], path: Path) -> None:
                 share = np.arange(1, len(errors) + 1) / len(errors)
                 axes.step(errors, share, where="post", color=colors[arm.name], label=arm.name)
             axes.set(xscale="log", ylim=(0, 1.02))
-            axes.set_title(f"{name} [{style.unit_of(found[0].unit)}]", fontsize=8)
+            axes.set_title(f"{name} [{unit_of(found[0].unit)}]", fontsize=8)
         for axes in panels.flat[len(drawn) :]:
             axes.set_axis_off()
         handles = {

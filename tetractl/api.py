@@ -1,6 +1,6 @@
-"""The functions of `import tetractl`, for notebooks and scripts. Slow libraries
-(numba, matplotlib, pandas) are imported by the functions that need them. A lab
-is driven by `tetractl run` alone, where a person can stop it.
+"""The functions of `import tetractl`, for notebooks and scripts. Slow libraries (numba, matplotlib,
+pandas) are imported by the functions that need them. Only `tetractl run` drives a lab, because
+there a person can stop the robots.
 """
 
 import logging
@@ -68,9 +68,9 @@ def run_trial(
 ) -> TrialLog:
     """Simulate one trial and return it; with a `folder` its log stays there as trial-000.mcap.
 
-    `trial` counts from 0; with the spec's seed it decides every random draw. `observers` watch the
-    trial. Raises UsageError for a spec whose plant is the lab and for a log that exists already,
-    KeyboardInterrupt after Ctrl-C has ended the trial.
+    `trial` counts from 0; the spec's seed and `trial` determine every random draw. `observers`
+    watch the trial. Raises UsageError for a spec whose plant is the lab and for a log that exists
+    already, KeyboardInterrupt after Ctrl-C has ended the trial.
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run import task
@@ -188,9 +188,9 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
 def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
     """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
 
-    These are the tables `poses` and `trials` of `tetractl export`. `origin`, of a trial in the
-    frame's `attrs`, names the plant, such as "emulated lab". Earlier attempts at a trial have
-    `attempt` True. Raises UsageError if pandas is not installed.
+    These are the tables `poses` and `trials` of `tetractl export`. A trial's frame has the plant,
+    such as "emulated lab", in `attrs["origin"]`; a batch's frame has it in the column `origin`.
+    Earlier attempts at a trial have `attempt` True. Raises UsageError if pandas is not installed.
     """
     try:
         import pandas
@@ -221,8 +221,8 @@ def summarise(batch: "Batch", name: str = "") -> "Group":
 
 
 def compare(*groups: "Group") -> "GroupComparison":
-    """Compare the total errors of every two groups; a difference is the earlier group minus the
-    later.
+    """Compare the total errors of every two groups; differences are the first group minus the
+    second.
     """
     from tetractl.results.contrast import contrast
 
@@ -268,7 +268,8 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check a spec and compile what it needs; return the interrupt that Ctrl-C sets."""
+    """Check a spec and compile its kernels; yield the interrupt that Ctrl-C sets inside the
+    block."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check
@@ -284,7 +285,7 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
     if threading.current_thread() is threading.main_thread():
         with interrupt.watch():
             yield interrupt
-    else:  # only the main thread gets signals
+    else:  # only the main thread receives signals
         yield interrupt
     if interrupt.requested:
         raise KeyboardInterrupt

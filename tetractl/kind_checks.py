@@ -1,7 +1,6 @@
 """Checks a kind of another package against tetractl's requirements: `tetractl kinds --check`.
 
-Each check is a generator of findings: the description of a check, and its error, "" for none.
-All random numbers come from a fixed seed, so that findings repeat.
+Each check is a generator of findings. Random numbers come from a fixed seed, so findings repeat.
 """
 
 import math
@@ -49,8 +48,8 @@ Findings = Iterator[Finding]
 def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     """Check "module:attribute": a Motion, or the section of a shape, optimiser or lab device.
 
-    `fields` are those of the section, and `setup` describes a device's robots. Raises UsageError if
-    the object cannot be imported or is not such a kind.
+    `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
+    UsageError if the object cannot be imported or is not such a kind.
     """
     module, _, attribute = code.partition(":")
     try:
@@ -106,7 +105,7 @@ def _guarded(check: Callable[[], Findings]) -> Findings:
 
 
 def _near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> Finding:
-    """Return the finding of comparing two results to a fraction of `scale`, with the worst case."""
+    """Compare two results to `share` of `scale`; the error names the case that differs most."""
     ours, theirs, scale = np.broadcast_arrays(
         *(np.asarray(v, float) for v in (ours, theirs, scale))
     )
@@ -137,28 +136,28 @@ def check_motion(motion: Motion) -> Findings:
     case = (x, y, heading, u, a, v)
     moved = motion.step(*case, t)
     yield _true("step: finite", np.isfinite(moved), "a pose is not finite")
-    yield _same("step: the same twice", moved, motion.step(*case, t))
+    yield _same("step: repeats exactly", moved, motion.step(*case, t))
     gone = np.hypot(moved[0] - x, moved[1] - y)
     yield _true("step: at most v t", gone <= v * t * (1 + NEAR), "a robot moves further")
     still = motion.step(*case, 0.0)
-    yield _near("step: no way in no time", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
+    yield _near("step: no motion for t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
     angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
-    yield _near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
+    yield _near("step: rotates with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
     if motion.turn is not None:
-        yield _same("turn: the headings of step", [motion.turn(heading, u, a, t)], moved[2:])
+        yield _same("turn: same headings as step", [motion.turn(heading, u, a, t)], moved[2:])
     if motion.strides is not None:
         parts = motion.strides(heading, u, a, v, t)
         added = (_add(x, parts[0]), _add(y, parts[1]), heading + parts[2])
-        yield _same("strides: what step adds", added, moved)
+        yield _same("strides: add up to step", added, moved)
     held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
     whole = np.full(COUNT, t)
     driven = motion.hold(x, y, heading, held, a, v, whole)
     for name, one, other in zip("xy", driven, moved, strict=False):
-        yield _near(f"hold: {name} of step", one, other, v * t)
+        yield _near(f"hold: same {name} as step", one, other, v * t)
     resting = Held(u, 0 * u, heading, np.zeros(COUNT))
     stood = motion.hold(x, y, heading, resting, a, 0 * v, whole)
-    yield _near("hold: a robot that is stopped stays", np.hypot(stood[0] - x, stood[1] - y), 0, v)
+    yield _near("hold: a stopped robot stays", np.hypot(stood[0] - x, stood[1] - y), 0, v)
     compiled = motion.lanes(a, t)
     yield from _check_advance(compiled, case, moved, t)
     yield from _check_derivatives(motion, compiled, case, moved, t)
@@ -183,10 +182,10 @@ def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
             state = constants.advance(*state, math.cos(u[i]), math.sin(u[i]), constants.rows[i])
         found.append(state)
     ends = np.array(found, dtype=float).T
-    yield _near("advance: x of step", ends[0], moved[0], v * t)
-    yield _near("advance: y of step", ends[1], moved[1], v * t)
-    yield _near("advance: cos of step's heading", ends[2], np.cos(moved[2]), 1.0)
-    yield _near("advance: sin of step's heading", ends[3], np.sin(moved[2]), 1.0)
+    yield _near("advance: same x as step", ends[0], moved[0], v * t)
+    yield _near("advance: same y as step", ends[1], moved[1], v * t)
+    yield _near("advance: cos(heading) as step", ends[2], np.cos(moved[2]), 1.0)
+    yield _near("advance: sin(heading) as step", ends[3], np.sin(moved[2]), 1.0)
 
 
 def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: float) -> Findings:
@@ -196,9 +195,9 @@ def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: 
     found = np.array([compiled.differentiate(*one, t) for one in cases]).T
     change = np.remainder(moved[2] - heading + math.pi, math.tau) - math.pi
     turn = np.remainder(found[2] - change + math.pi, math.tau) - math.pi
-    yield _near("differentiate: dx of step", found[0], moved[0] - x, v * t)
-    yield _near("differentiate: dy of step", found[1], moved[1] - y, v * t)
-    yield _near("differentiate: dheading of step", turn, 0.0, 1.0)
+    yield _near("differentiate: same dx as step", found[0], moved[0] - x, v * t)
+    yield _near("differentiate: same dy as step", found[1], moved[1] - y, v * t)
+    yield _near("differentiate: dheading as step", turn, 0.0, 1.0)
 
     def slope(by_heading: float, by_u: float) -> Any:
         ends = [
@@ -234,7 +233,7 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
         grown = shape.grown(margin)
         what = "grown: " if margin else ""
         inside, gap = grown.contain(x, y), grown.distance(x, y)
-        clear = np.abs(gap) > NEAR * size  # nearer to the edge rounding decides
+        clear = np.abs(gap) > NEAR * size  # closer to the edge, rounding decides
         yield _true(
             f"{what}contain: where distance <= 0", (inside == (gap <= 0)) | ~clear, "differs"
         )
@@ -252,7 +251,7 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
     margin = size / 10
     gap, nearer = (one.distance(x, y) for one in (shape, shape.grown(margin)))
     fits = np.abs(gap - nearer - margin) <= margin / 2  # a grown corner may be sharp
-    yield _true("grown: nearer by the margin", (gap < 2 * margin) | fits, "is not")
+    yield _true("grown: edge moved by the margin", (gap < 2 * margin) | fits, "differs")
 
 
 def _check_packed(
@@ -292,24 +291,24 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
             again = optimizer.search(problem, length, warm, SEED, Limits())
             if warm is not None:
                 what = f"{length} signals, warm start: "
-                yield _same(f"{what}left as it was", [warm], [kept])
+                yield _same(f"{what}not changed", [warm], [kept])
             shape = np.shape(found.signals)
             if shape != (length,):
                 yield Finding(f"{what}signals", f"have shape {shape}, not ({length},)")
                 return
             pair = [(one.signals, one.history, one.evaluations) for one in (found, again)]
-            yield _same(f"{what}the same for the same key", *pair)
+            yield _same(f"{what}same search for the same key", *pair)
             cost = float(compiled_costs(problem, 1)(found.signals[:, None])[0])
             yield _near(f"{what}cost: J of the signals", found.cost, cost, max(abs(cost), 1e-9))
             yield _near(f"{what}history: ends at the cost", found.history[-1], found.cost, 1 + cost)
-            yield _true(f"{what}history: only falls", np.diff(found.history) <= 0, "it rises")
+            yield _true(f"{what}history: never rises", np.diff(found.history) <= 0, "it rises")
             yield _true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
             if optimizer.evaluations_max is not None:
                 fits = found.evaluations <= optimizer.evaluations_max
-                yield _true(f"{what}evaluations: at most the stated", fits, str(found.evaluations))
+                yield _true(f"{what}evaluations: allowed", fits, str(found.evaluations))
             budget = optimizer.evaluations_min + 5
             spent = optimizer.search(problem, length, warm, SEED, Limits(budget)).evaluations
-            yield _true(f"{what}a budget is kept", spent <= budget, f"{spent} of {budget} spent")
+            yield _true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
 def check_camera(section: CameraSection, setup: Setup) -> Findings:
@@ -323,7 +322,7 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
     yield _members("camera", camera, Camera)
     try:
         with camera:
-            yield Finding("a frame when it is entered", "" if camera.newest else "there is none")
+            yield Finding("newest: a frame once opened", "" if camera.newest else "there is none")
             until = clock.now() + STARTED_S * 1e9
             found = camera.frames()
             while len(found) < 5 and clock.now() < until:
@@ -332,7 +331,7 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
                 found += camera.frames()
             now = clock.now()
             if len(found) < 2:
-                yield Finding("frames come", f"{len(found)} in {seconds(now):.0f} s")
+                yield Finding("frames: at least 2", f"{len(found)} in {seconds(now):.0f} s")
                 return
             numbers, times = [one.number for one in found], [one.sampled_ns for one in found]
             yield Finding(
@@ -340,7 +339,7 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
             )
             yield Finding("frames: times rise", "" if times == sorted(times) else str(times))
             late = [one for one in found if not one.sampled_ns <= one.received_ns <= now]
-            yield Finding("frames: exposed, received, now", "not in this order" if late else "")
+            yield Finding("frames: received after exposure", "not all" if late else "")
             count = {len(one.poses) for one in found}
             robots = len(setup.names)
             yield Finding("frames: a pose per robot", "" if count == {robots} else f"{count}")

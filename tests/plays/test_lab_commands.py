@@ -72,7 +72,7 @@ def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):
     assert done.returncode == 1
     assert says in done.stdout
     if "hardware" in actuator:
-        assert "not answered: add --yes if there is no terminal" in done.stderr
+        assert "questions not answered: add --yes if there is no terminal" in done.stderr
         done = tetractl(tmp_path, *command, "--yes")
         assert done.returncode == 0, done.stdout
         assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout

@@ -88,14 +88,14 @@ def northward(x, y, heading, u, a, v, t):
     ("motion", "what"),
     [
         (replace(EXACT, step=drifting), "step: the same twice"),
-        (replace(EXACT, step=northward), "step: turns with heading and u"),
-        (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: x of step"),
-        (replace(EXACT, turn=lambda h, u, a, t: h), "turn: the headings of step"),
+        (replace(EXACT, step=northward), "step: rotates with heading and u"),
+        (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: same x as step"),
+        (replace(EXACT, turn=lambda h, u, a, t: h), "turn: same headings as step"),
         (
             compiled(advance=lambda known: lambda x, y, c, s, cu, su, k: (x, y, c, s)),
-            "advance: x of step",
+            "advance: same x as step",
         ),
-        (compiled(differentiate=scaled(0, 1.01)), "differentiate: dx of step"),
+        (compiled(differentiate=scaled(0, 1.01)), "differentiate: same dx as step"),
         (compiled(differentiate=scaled(3, 1.01)), "differentiate: d(dx)/dheading"),
         (compiled(differentiate=scaled(6, -1)), "differentiate: d(dy)/du"),
         (compiled(differentiate=scaled(7, 1.01)), "differentiate: d(heading')/du"),
@@ -186,8 +186,8 @@ class Other(Mppi):
     [
         ("", None),
         ("key", "12 signals: the same for the same key"),
-        ("warm", "12 signals, warm start: left as it was"),
-        ("budget", "12 signals: a budget is kept"),
+        ("warm", "12 signals, warm start: not changed"),
+        ("budget", "12 signals: evaluations: in budget"),
         ("cost", "12 signals: cost: J of the signals"),
     ],
 )
@@ -249,7 +249,7 @@ def test_what_is_wrong_with_a_device_is_found_and_nothing_moves():
 def test_the_command_says_what_was_checked(tmp_path):
     done = tetractl(tmp_path, "kinds", "--check", "tetractl.model.motion.arc:ARC")
     assert (done.returncode, done.stderr) == (0, "")
-    assert "ok     advance: x of step" in done.stdout.splitlines()
+    assert "ok     advance: same x as step" in done.stdout.splitlines()
     assert done.stdout.endswith("tetractl.model.motion.arc:ARC: 0 of 23 checks failed\n")
     (tmp_path / "mine.py").write_text(
         "from dataclasses import replace\nfrom tetractl.model.motion.exact import EXACT\n"
@@ -257,4 +257,4 @@ def test_the_command_says_what_was_checked(tmp_path):
     )
     done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
     assert done.returncode == 1
-    assert "WRONG  step: turns with heading and u" in done.stdout
+    assert "WRONG  step: rotates with heading and u" in done.stdout

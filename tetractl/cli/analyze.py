@@ -32,13 +32,13 @@ def analyze(
         ),
     ] = None,
 ) -> int:
-    """Predict how well the robots of a spec can be steered together; nothing is run.
+    """Predict how well the robots of a spec can be steered together; no trial is run.
 
-    Along good plans, by the multistart optimiser, it predicts the mean total error under the noise
-    that the spec's simulated plant assumes (errors of a and speed, the walk of the headings, the
-    noise of the measurement), the shortest plan that reaches the targets, the ellipse of each
-    robot's end, and the error with robots more or less alike, and with fewer robots. If two robots
-    are too alike, it looks for a better a.
+    Searches good plans with the multistart optimiser. Along them, predicts the mean total error
+    under the noise of the spec's simulated plant (errors of a and speed, random walk of the
+    headings, measurement noise), the shortest plan that reaches the targets, the ellipse of each
+    robot's end position, and the error if the robots were more or less alike, or fewer. If two
+    robots are too alike, searches for a better value of a.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """

@@ -41,7 +41,7 @@ from tetractl.cli import (
 )
 from tetractl.core.errors import Exit, TetractlError, printable
 
-PLAIN = (  # typer's words for a bad value, and those that errors of specs use
+PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
     (
         "Input should be a valid integer, unable to parse string as an integer",
         "is not a whole number",
@@ -55,7 +55,7 @@ PLAIN = (  # typer's words for a bad value, and those that errors of specs use
 )
 
 
-_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a line break within a paragraph that is no list
+_BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
 
 
 class _Plain:
@@ -152,7 +152,7 @@ def run_app() -> int:
     """Run the command that the arguments name; return one of the codes of `Exit`."""
     try:
         code = app(standalone_mode=False)
-        sys.stdout.flush()  # here, so that an error of the stream is handled below
+        sys.stdout.flush()  # here, so that an error of stdout is handled below
     except TetractlError as error:
         complain(str(error), error.hint)
         return error.exit
@@ -180,7 +180,7 @@ def run_app() -> int:
 
 
 def _plainly(message: str) -> str:
-    """Return typer's message on a bad option, in the words that errors of specs use."""
+    """Return typer's message on a bad option, reworded like the errors of specs."""
     for theirs, ours in PLAIN:
         message = message.replace(theirs, ours)
     return re.sub(r"^'(--?[\w-]+)':", r"\1:", message)
@@ -192,7 +192,7 @@ def _usage_hint(error: TyperException) -> str | None:
 
 
 def complain(message: str, hint: str | None = None) -> None:
-    """Print an error to stderr: `error:` and its line or lines, then the hint."""
+    """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one."""
     lines = [f"error: {message}", *([f"hint: {hint}"] if hint else [])]
     for line in "\n".join(lines).split("\n"):
         print(printable(line), file=sys.stderr)

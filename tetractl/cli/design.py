@@ -42,15 +42,15 @@ def design(
             "-o",
             "--out",
             metavar="FILE",
-            help="YAML file to write: a spec of the motion; with --plant, what was identified, "
-            "which a spec names as `identified`.",
+            help="YAML file to write: a spec of the motion; with --plant, the identified values, "
+            "for the field `identified` of a spec.",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Propose a motion from which the robots can be identified well.
 
-    It stays inside the arena and away from obstacles, by the spec's values. --plant sim or lab
+    By the spec's values, robots stay inside the arena and away from obstacles. --plant sim or lab
     drives it, in the lab with all checks of a run, and identifies the robots from its log.
 
     Example: tetractl design experiments/three_m3pi.yaml --plant sim
@@ -116,10 +116,10 @@ def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
     knots = [0, *(i for i in range(1, len(u)) if u[i] != u[i - 1])]
     print(
         f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} "
-        "away from edges and obstacles at least, by the spec's values"
+        "or more from edges and obstacles, computed with the spec's values"
     )
     print("  " + ", ".join(f"{design.directions[i]:.3f}" for i in knots) + " rad")
-    print("predicted standard deviations of a fit to it:")
+    print("predicted standard deviations of the values identified from it:")
     print(f"  dead time {design.dead_time_std:.5f} s")
     for name, a, bias in zip(setup.names, design.a_std, design.heading_bias_std, strict=True):
         print(f"  {name}: a {100 * a:.2f} %, heading bias {bias:.4f} rad")

@@ -35,8 +35,8 @@ def export(
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
 
-    The names of columns end in their units. `log` and `trial` join the tables. Existing files of
-    these names are overwritten.
+    The names of columns end in their units. Each table has the columns `log` and `trial`, by which
+    tables can be joined. Existing files of these names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables --format parquet
     """
@@ -79,7 +79,7 @@ def _files(output: Path, table: str | None, kind: str | None) -> tuple[dict[str,
         names = TABLES if table is None else (table,)
         return {name: output / f"{name}.{kind}" for name in names}, kind
     if table is None:
-        raise UsageError(f"{output}: one file holds one table", "name it with --table")
+        raise UsageError(f"{output}: one file holds one table", "name the table with --table")
     if kind not in (None, ending):
         raise UsageError(f"{output}: ends in .{ending}, but --format is {kind}")
     check_format(ending)

@@ -1,4 +1,4 @@
-"""`tetractl identify`: how robots move and commands act, from logs."""
+"""`tetractl identify`: estimates a, speed, heading bias, dead time and noise from logs."""
 
 import sys
 from datetime import UTC, datetime
@@ -21,7 +21,7 @@ NewFile = Annotated[
         "-o",
         "--out",
         metavar="FILE",
-        help="YAML file to write the values to; a spec uses it by its field `identified`.",
+        help="YAML file to write the values to; a spec names it in its field `identified`.",
     ),
 ]
 
@@ -42,7 +42,7 @@ def identify(
     All logs, simulated or from a lab, must be of the same robots; their data is pooled. The true
     poses in a simulation's log are not used. The dead time counts from the sending of a direction.
 
-    `tetractl design SPEC` proposes a motion from which much can be identified.
+    `tetractl design SPEC` proposes a motion from which robots can be identified well.
 
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
     """
@@ -63,7 +63,7 @@ def identify(
         log = open_trial(path)
         damaged |= log.damage is not None
         if not any(command.direction is not None for command in log.commands):
-            print(f"warning: {path}: no direction was sent in it", file=sys.stderr)
+            print(f"warning: {path}: the log has no direction that was sent", file=sys.stderr)
             continue
         tracks.append(track_of(log))
         if expected is None:

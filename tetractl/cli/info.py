@@ -10,7 +10,7 @@ import typer
 from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
-SHOWN = 240  # characters of a line that are shown; --json has the whole line
+SHOWN = 240  # characters shown of a line; --json prints the whole line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +26,7 @@ def info(
 
     Times count from the first direction sent.
 
-    Everything is read and checked. Exits with 1 if the log is damaged or has no result.
+    The whole log is read and checked. Exits with 1 if the log is damaged or has no result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
@@ -127,7 +127,7 @@ def _estimate(found: "Overview") -> dict[str, str]:
 
 
 def _deviating(value: float, std: float) -> str:
-    """Return a value with its standard deviation as text, to two digits of the deviation."""
+    """Return "VALUE +- DEVIATION", rounded to two significant digits of the deviation."""
     digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
     digits = min(max(digits, 0), 9)
     return f"{value:.{digits}f} +- {std:.{digits}f}"

@@ -13,7 +13,7 @@ from tetractl.experiment.yaml.problems import did_you_mean
 
 FOLDER = "experiments"
 NAMED = ("base", "identified")
-"""Fields that name another file, relative to the file they stand in."""
+"""Fields of a spec that name another file, relative to the spec's folder."""
 
 
 def shipped_folder() -> Path:
@@ -33,7 +33,7 @@ def example_names() -> list[str]:
 
 
 def example_files(name: str) -> dict[str, str]:
-    """Return an example and the files that it names: paths in the examples' folder, and texts.
+    """Return the texts of an example and of the files it names, by path in the examples' folder.
 
     Raises UsageError if there is no such example.
     """
@@ -82,10 +82,10 @@ def init(
         ),
     ] = None,
 ) -> int:
-    """Write NAME.yaml, a commented spec that runs as it is. A file that is there is left alone.
+    """Write NAME.yaml, a commented spec that runs as it is. An existing file is left unchanged.
 
-    With --example it writes a spec, study or fault script that is shipped, and the files it names,
-    below experiments/: the commands' examples then run as they stand. An unknown NAME lists them.
+    With --example it writes a shipped spec, study or fault script, and the files it names, to
+    experiments/, as the examples of other commands expect. An unknown NAME lists the names.
 
     Example: tetractl init first
 
@@ -126,7 +126,7 @@ def _example(name: str) -> int:
         path = Path(FOLDER) / inner
         if number and path.exists():  # a file that another example wrote
             continue
-        _write(path, text, "move it away, or edit it as it is")
+        _write(path, text, "rename that file, or edit it")
     return Exit.DONE
 
 
@@ -152,5 +152,5 @@ def template(name: str, file: str, kind: str) -> str:
     from tetractl.experiment.yaml.core_yaml import dump
 
     text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
-    named = dump({"name": name}).strip("{}\n")  # in quotes if the name reads as a number
+    named = dump({"name": name}).strip("{}\n")  # in quotes if YAML would read the name as a number
     return text.replace("@NAME@", named).replace("@FILE@", file)

@@ -1,4 +1,4 @@
-"""`tetractl lab`: the commands around a run with real robots."""
+"""`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
 import math
 from functools import partial
@@ -60,7 +60,7 @@ def _agreed(questions: "Sequence[str]") -> bool:
     import sys
 
     if questions and not sys.stdin.isatty():
-        typer.echo("not answered: add --yes if there is no terminal", err=True)
+        typer.echo("questions not answered: add --yes if there is no terminal", err=True)
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
@@ -82,7 +82,7 @@ def stop(
         ),
     ] = "api2",
 ) -> int:
-    """Stop every robot in radio reach permanently, by the spec's actuator or an m3pi radio's port.
+    """Stop every robot in radio range permanently, by the spec's actuator or an m3pi radio's port.
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
@@ -140,13 +140,13 @@ def calibrate(
     ] = None,
     yes: Yes = False,
 ) -> int:
-    """Measure the actuator's values of each robot by moving it a little; or a microscope's scale
-    and rotation from two marks of a stage micrometer.
+    """Calibrate each robot's actuator by moving the robot a little; or a microscope's scale and
+    rotation by two marks of a stage micrometer.
 
-    m3pi robots: wheels, wheel distance and heading offset. They move one after another, each within
-    about 0.3 m; space or Esc stops them. A microscope: the two places may also be those of one
-    speck before and after the stage moved; nothing is moved or opened. Name the file in the spec as
-    `lab.calibration`.
+    For m3pi robots it measures wheel speeds, wheel distance and heading offset. Robots move one
+    after another, each within about 0.3 m; space or Esc stops them. For a microscope, nothing is
+    moved or opened; the two places may also be those of one speck before and after the stage was
+    moved. Name the file in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """

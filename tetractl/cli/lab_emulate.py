@@ -1,4 +1,4 @@
-"""`tetractl lab emulate`: runs an emulated lab for another process to connect to."""
+"""`tetractl lab emulate`: runs an emulated lab, to which another process connects."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`tetractl lab survey`: finds the cells of a dish and proposes which to steer."""
+"""`tetractl lab survey`: finds the cells in a dish and proposes which cells to steer."""
 
 import sys
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ def survey(
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> int:
-    """Find the cells of a dish, see how each answers the field, and propose which to steer.
+    """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
     The field turns for `robots.seconds` of the spec. Every cell with a magnet is listed with 95 %
     intervals; choices of cells are ranked by the error that `tetractl analyze` predicts, with the
@@ -68,7 +68,7 @@ def survey(
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
         raise UsageError(
-            f"{spec}: lists its robots, so there are none to choose",
+            f"{spec}: lists its robots, so a survey has no cells to choose",
             "a survey needs robots: {choose: N, ...}",
         )
     refuse_existing(output)
@@ -95,7 +95,7 @@ def survey(
     else:
         for one in found:
             numbers = ", ".join(str(cell.number) for cell in one.cells)
-            error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "no plan reaches"
+            error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "none, no plan found"
             print(f"cells {numbers}: predicted mean total error {error}")
     if not found or not np.isfinite(found[0].error):
         print("no choice of these cells can be steered to the targets", file=sys.stderr)
@@ -112,10 +112,10 @@ def survey(
 def _print_cells(
     cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
 ) -> None:
-    """Print each cell with 95 % intervals, and the pairs that turn too much alike."""
+    """Print each cell with 95 % intervals, and the pairs of cells that turn too much alike."""
     for cell in cells:
-        magnet = "" if cell.magnetised else ", does not answer the field"
-        near = "" if cell.free else ", was near the edge: do not rely on a"
+        magnet = "" if cell.magnetised else ", does not respond to the field"
+        near = "" if cell.free else ", was near the edge: its a is unreliable"
         print(
             f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
             f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"

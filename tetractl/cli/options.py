@@ -1,4 +1,4 @@
-"""Shared by several commands: options, loading a spec, its warnings, confirmation before robots
+"""Shared by commands: options, loading of specs and logs, warnings, confirmation before robots
 move."""
 
 import sys
@@ -79,7 +79,7 @@ def warn_of_damage(log: "TrialLog") -> None:
 
 
 def refuse(found: "Sequence[PlacedWarning]") -> None:
-    """Raise UsageError if there are warnings, as `--strict` asks."""
+    """Raise UsageError if a spec has warnings; called with `--strict`."""
     if found:
         count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
         raise UsageError(

@@ -25,7 +25,7 @@ def plot(
         ),
     ] = None,
     kind: Annotated[
-        str, typer.Option(metavar="NAME", help="The figure to draw, one of those above.")
+        str, typer.Option(metavar="NAME", help="The figure to draw, a name from the list above.")
     ] = "trajectory",
 ) -> int:
     """Draw a figure of a trial and print the name of its file.

@@ -1,4 +1,4 @@
-"""`tetractl recover`: copies what is intact of a damaged log to a complete file."""
+"""`tetractl recover`: copies the intact records of a damaged log to a complete file."""
 
 import json
 import sys

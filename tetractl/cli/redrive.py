@@ -73,7 +73,7 @@ def redrive(
 
 
 def _table(apart: "Apart") -> "Table":
-    """Return the table of each robot's distances: at a few times, then the largest and the last."""
+    """Return a table of distances between two paths: at a few times, the largest, the last."""
     import numpy as np
 
     from tetractl.core.table.table import Column, Table, fixed
@@ -89,6 +89,6 @@ def _table(apart: "Apart") -> "Table":
         for name, values in zip(apart.names, distances.T, strict=True)
     )
     return Table(
-        "The same directions at the same times: distance of the two paths of each robot",
+        "The same directions at the same times: distance between each robot's two paths",
         (Column("time", times, "s"), *columns),
     )

@@ -68,9 +68,9 @@ def rerun(
 
 
 def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
-    """Return the spec that a log was run with, on a plant, and its trial's index in the batch.
+    """Return the spec of a log, changed to the given plant, and the trial's index in its batch.
 
-    A log of the lab has its calibration in the spec already; no file is read for it.
+    No calibration file is read: the spec in a log of the lab has the calibration's values.
     """
     from tetractl.experiment.load import LoadedSpec
     from tetractl.experiment.plants import on_plant
@@ -85,7 +85,7 @@ def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
 
 
 def compare(log: Path, again: Path) -> int:
-    """Print whether two logs of a trial have the same content; FAILED if they have not."""
+    """Print whether two logs of a trial have the same content; return FAILED if they differ."""
     from tetractl.log.read.reader import content_digest, read_result, read_trial
     from tetractl.replay.difference import trial_difference
     from tetractl.replay.verify import host_differences
@@ -93,7 +93,7 @@ def compare(log: Path, again: Path) -> int:
     first, second = read_result(log), read_result(again)
     if not (first.simulated and second.simulated):
         kinds = ("simulated" if one.simulated else "of the lab" for one in (first, second))
-        text = "the log is {}, the new one {}: done once more, not repeated"
+        text = "the log is {}, the new one {}: the two are not compared"
         print(text.format(*kinds), file=sys.stderr)
         return Exit.DONE
     one, two = (content_digest(path) for path in (log, again))
@@ -105,7 +105,7 @@ def compare(log: Path, again: Path) -> int:
     if difference := trial_difference(is_now, was):
         print(printable(f"  {difference}"), file=sys.stderr)
     if first.recovered or not first.outcome.complete:
-        print(f"  {log} is of a trial that did not run to its end, or damaged", file=sys.stderr)
+        print(f"  {log} is damaged, or its trial did not run to its end", file=sys.stderr)
     if first.experiment.controller.deadline is not None:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
     if was.start.resolved != is_now.start.resolved:

@@ -1,4 +1,4 @@
-"""`tetractl serve` and `tetractl open`: a trial in a log viewer, logs in the browser."""
+"""`tetractl serve` and `tetractl open`: show a trial in a log viewer, or logs in the browser."""
 
 import sys
 import threading
@@ -62,8 +62,7 @@ def serve(
     A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a
     terminal the keys of `tetractl replay` do so too.
 
-    The trials of a SPEC are run as `tetractl run SPEC --serve` does, which has the options of a
-    run.
+    The trials of a SPEC are run as by `tetractl run SPEC --serve`; that command has more options.
 
     Example: tetractl serve trial-000.mcap
     """

@@ -1,8 +1,8 @@
 """Standard output and error, written by threads, so that no terminal or pipe delays a run.
 
-If a terminal has closed or stopped taking text, a pipe is not read, or the disk is full, only the
-output is lost, and the command goes on. A command that moves robots is ended, by `hung_up_unread`,
-once its output has no reader any more.
+If a terminal has closed or stopped accepting text, a pipe is not read, or the disk is full, only
+the output is lost, and the command goes on. `hung_up_unread` ends a command that moves robots once
+no process reads its output.
 """
 
 import io
@@ -21,20 +21,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-# output is dropped once stderr has taken nothing for this long, until it takes some again
+# output is dropped after stderr, or a terminal on stdout, has accepted nothing for this long
 MESSAGES_S = 1.0
-TERMINAL_S = 10.0  # the same for stdout on a terminal; a pipe's reader may take any time,
-INTERRUPTED_S = 2.0  # but not once the command is to end
-PIECE = 4096  # bytes written at a time, so that slow progress is seen as progress
-POLL_S = 0.2  # between two checks whether a reader is left
+TERMINAL_S = 10.0  # a pipe on stdout may be read at any time
+INTERRUPTED_S = 2.0  # for stdout after a signal to end the command
+PIECE = 4096  # bytes written at a time: few, so that a slow reader is not mistaken for none
+POLL_S = 0.2  # time between two checks whether any process still reads the output
 GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
 class PatientWriter(io.RawIOBase):
-    """Writes bytes to a file descriptor; waits if it is slow, but not if it is stuck.
+    """Writes bytes to a file descriptor, and drops them if the descriptor is stuck.
 
-    If the descriptor takes nothing for `patience_s`, bytes are dropped, without waiting, until it
-    takes some again. Bytes that it refuses are lost too; if `tells`, the OSError is raised once.
+    If the descriptor accepts nothing for `patience_s`, bytes are dropped without waiting until it
+    accepts bytes again. If a write fails, its bytes are lost; `tells` raises the OSError once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -44,9 +44,9 @@ class PatientWriter(io.RawIOBase):
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
-        # queued by a write that a signal interrupted: the buffer repeats that write
+        # bytes queued by a write that a signal interrupted: the buffer repeats that write
         self._queued = b""
-        self._moved_s = 0.0  # when the descriptor last took bytes, or the queue was empty
+        self._moved_s = 0.0  # when the descriptor last accepted bytes, or the queue was empty
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()
 
@@ -120,7 +120,7 @@ class PatientWriter(io.RawIOBase):
                 self._changed.notify_all()
 
     def _taken(self, piece: bytes) -> int:
-        """Return how many bytes the descriptor took."""
+        """Write bytes; return how many the descriptor accepted."""
         try:
             return os.write(self._descriptor, piece)
         except BlockingIOError:  # another program made the terminal non-blocking
@@ -143,8 +143,7 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write as much of the buffer as the descriptor takes; raise OSError if errors are reported
-        (`tells`)."""
+        """Write what the descriptor accepts of the buffer; raise OSError once if `tells`."""
         self.flush()
         self.writer.finish()
 
@@ -164,12 +163,11 @@ def open_streams() -> Output:
 
 
 def settle() -> None:
-    """Write or drop what the standard streams have buffered, while their threads still run.
+    """Write or drop the standard streams' buffered text, while their threads still run.
 
-    A buffer keeps what it could not write; at the interpreter's end, when the threads have ended,
-    it would be written again.
+    Otherwise the interpreter would write the text at its end, when the threads have ended.
     """
-    for stream in (sys.stdout, sys.stderr) * 2:  # a failure is raised once, then the rest is lost
+    for stream in (sys.stdout, sys.stderr) * 2:  # the second flush drops the rest
         with suppress(OSError, ValueError):
             stream.flush()
 

@@ -1,4 +1,4 @@
-"""`tetractl study`: many arms of trials with the same seeds, here, in shares or on a cluster."""
+"""`tetractl study`: runs arms of trials with the same seeds, here, in shares or on a cluster."""
 
 import os
 import sys
@@ -142,7 +142,7 @@ def _run(
     jobs: int | None,
     quiet: bool,
 ) -> bool:
-    """Run the trials that are lacking; return whether a signal stopped them."""
+    """Run the lacking trials; return whether a signal stopped the study."""
     from contextlib import nullcontext, suppress
     from functools import partial
 
@@ -161,7 +161,7 @@ def _run(
     if cluster is None and tasks:
         named = {arm.controller: arm for arm in loaded.arms}
         for arm in named.values():
-            with suppress(TetractlError):  # each trial's own error reports the failure
+            with suppress(TetractlError):  # the failure is reported with its trial
                 warm_up(arm.spec.experiment, partial(announce_compiling, quiet))
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     here = on_this_machine(jobs or available or 1, len(tasks), interrupt)

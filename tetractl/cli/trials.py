@@ -122,9 +122,9 @@ def run_command(
     json: bool,
     unattended: bool,
 ) -> tuple[int, Path]:
-    """Run the trials of a spec, or `only` one, and print the statistics; or say what would be run.
+    """Run the trials of a spec, or trial `only`, and print the statistics; or print the spec.
 
-    Return the exit code and the folder. The trials are served at `port`, unless it is None.
+    Return the exit code and the logs' folder. Trials are served at `port`, unless it is None.
     """
     from rich.console import Console
 
@@ -158,11 +158,11 @@ def run_command(
 
 
 def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
-    """Run a trial, with its log in a folder, and return the log.
+    """Run a trial, write its log to a folder, and return the path of the log.
 
-    In the lab this needs consent and passes the same checks as a run; the space bar and Esc stop
-    the robots. Raises TetractlError for a trial that was aborted, KeyboardInterrupt for one that
-    was interrupted.
+    In the lab, robots move after the operator's consent or `yes`, and after all checks of a run;
+    the space bar and Esc stop them. Raises TetractlError for a trial that was aborted,
+    KeyboardInterrupt for one that was interrupted.
     """
     from rich.console import Console
 
@@ -200,10 +200,10 @@ def stoppable(
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt, leave_on_signals
 
-    experiment.plant.require_devices()  # before a minute of compiling
+    experiment.plant.require_devices()  # before compiling, which may take a minute
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
-    leave_on_signals(Exit.INTERRUPTED)  # again, after everything is printed
+    leave_on_signals(Exit.INTERRUPTED)  # for signals after the block
     in_lab = not experiment.plant.simulated
     with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
         yield interrupt
@@ -266,7 +266,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
 def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, json: bool) -> int:
     """Print the statistics of the whole folder, then how the run ended; return the exit code.
 
-    Raises the error of a trial that reached no outcome.
+    Raises the error of a trial that failed without an outcome.
     """
     from tetractl.cli.streams import first_signal_callback
     from tetractl.run.task import log_path

@@ -11,20 +11,20 @@ from tetractl.core.errors import Exit
 if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
 
-SHOWN = 20  # problems of one log that are printed
+SHOWN = 20  # number of problems printed of one log
 
 
 def verify(
     logs: Logs,
     as_json: AsJson = False,
 ) -> int:
-    """Compute every control decision again from the log alone, and check the log against itself.
+    """Compute every control decision again from the log alone, and check that its records agree.
 
     A simulation is run again as well, and the messages for viewers are compared with the records.
 
     On the machine that wrote a log, every number must be the same to the last bit. On another
-    machine, the costs of the logged plans are evaluated again; the output says which of the two was
-    done. If anything differs, exits with 1 and names the first step and field that differ.
+    machine, only the costs of the logged plans are evaluated again; the output names the check that
+    was made. If anything differs, exits with 1 and names the first step and field that differ.
 
     Example: tetractl verify logs/batch
     """

@@ -46,7 +46,7 @@ def warm(
     for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
         began_s = perf_counter()
         with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):
-            for experiment in experiments:  # the first spec compiles most, others may add a little
+            for experiment in experiments:  # the first spec compiles most of the code
                 warm_up(experiment, lambda text: None)
         print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
     print(f"kept in {cache_folder()}", file=sys.stderr)

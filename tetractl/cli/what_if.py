@@ -1,4 +1,4 @@
-"""`tetractl what-if`: what another controller would have decided."""
+"""`tetractl what-if`: print what another controller would have decided."""
 
 from collections.abc import Iterator
 from dataclasses import asdict

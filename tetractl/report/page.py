@@ -28,20 +28,19 @@ from tetractl.results.tables import page_trials, tables
 ASSETS = files("tetractl.report") / "assets"
 TOTAL = "the sum over the robots of the distance to the target"
 MANY = 100
-"""Above this number, trials are shown without plans and searches, so that a page stays below 20
-MB."""
+"""With more trials, the page leaves out plans and searches, to stay below 20 MB."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
 
 
 def report(
     paths: Sequence[Path], title: str | None, progress: Callable[[int, int], None]
 ) -> tuple[str, list[str]]:
-    """Return the page of some logs, folders or patterns, and the logs that could not be read.
+    """Return the HTML page of logs, folders or patterns, and the paths of unreadable logs.
 
     Each folder and each arm of a study is a group; logs given one by one are one group together.
     Trials of a study without a log are only in the tables. `progress` is called with the number of
-    logs read and of all. Raises UsageError if there is no log, or if the trials of a group belong
-    to several experiments.
+    logs read and the number of all logs. Raises UsageError if there is no log, or if the trials of
+    a group belong to several experiments.
     """
     groups, unread = _groups(paths)
     logged = [group.batch.logs for group in groups]
@@ -77,7 +76,7 @@ def report(
 
 
 def _groups(paths: Sequence[Path]) -> tuple[list[Group], list[str]]:
-    """Describe each folder and the single logs; return them and what could not be read."""
+    """Return a group per folder and one for all single logs, and the paths of unreadable logs."""
     paths = without_others(paths)
     folders = [str(path) for path in paths if path.is_dir()]
     single = [str(path) for path in paths if not path.is_dir()]
@@ -125,7 +124,7 @@ def _header(title: str, groups: Sequence[Group]) -> str:
 
 
 def _cards(group: Group) -> str:
-    """Return the two figures of a single group."""
+    """Return the HTML of a group's mean total error and of its number of trials in obstacles."""
     total, show = group.total, lengths(group.total.mean)
     interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
     return (
@@ -137,7 +136,7 @@ def _cards(group: Group) -> str:
 
 
 def _overview(groups: Sequence[Group]) -> Table:
-    """Return the same figures of several groups as a table."""
+    """Return the table of the mean total error and the trials in obstacles of several groups."""
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
     return Table(
@@ -181,13 +180,14 @@ def _json(value: Any) -> str:
 
 
 def _errors(groups: Sequence[Group], numbers: Mapping[str, int], drawn: Sequence[str]) -> str:
-    """Return the figure of every total error, each dot a link to its trial, and those of `drawn`"""
+    """Return the section of errors: a dot per total error, linked to its trial, and figures
+    `drawn`."""
     picture = of_groups(groups, numbers) + "".join(drawn)
     return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
 
 
 def _statistics(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
-    """Return the tables of each group, those of their comparison, and all of it as JSON."""
+    """Return the tables of each group and of their comparison, and the same data as JSON."""
     found = contrast(groups)
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts = []

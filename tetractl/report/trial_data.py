@@ -20,9 +20,9 @@ from tetractl.replay.dish_pictures import MOST, DishPictures
 FRAMES_HZ = 30.0
 """Largest rate of camera frames on the page [Hz]: that of a screen."""
 PLAN_ERROR = 1e-3
-"""How far a plan on the page may be from the logged one, of the longer side of the arena."""
+"""Largest error of a plan on the page, relative to the arena's longer side."""
 HISTORY_ERROR = 5e-3
-"""How far a search's curve of log J over the iterations may be from the logged one, of its size."""
+"""Largest error of a curve of log J over the iterations, relative to the curve's size."""
 MISSING = -32768
 """The 16-bit number for NaN."""
 LARGEST = 32767
@@ -36,7 +36,7 @@ def floats(values: ArrayLike) -> dict[str, Any]:
 def rounded(values: ArrayLike) -> dict[str, Any]:
     """Return an array in 16 bits: {"i2": base64, "scale": s, "offset": o}, value = o + s i.
 
-    The error of a value is at most 1/131,068 of the extent of all values. What is not finite
+    Rounding errors are at most 1/131,068 of the range of all values. A value that is not finite
     becomes `MISSING`.
     """
     wanted = np.asarray(values, dtype=float)
@@ -59,12 +59,12 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
     direction sent.
 
-    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
-    Of each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
+    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`. Of
+    each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
     the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
-    positions and `history` the iterations and J of the chosen search; entries `at[k]` to
-    `at[k + 1]` are those of step k. Both are thinned to the points which straight lines between
-    them need. `dish` holds a microscope's pictures, for a trial with `plans`.
+    positions and `history` the iterations and J of the chosen search; step k has the entries
+    `at[k]` to `at[k + 1]`. Points of both that straight lines replace are left out. `dish` holds a
+    microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
@@ -121,7 +121,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
-    """Return the frames to keep, from the first direction on and at most at `FRAMES_HZ`."""
+    """Return the indices of frames from the first direction on, at most at `FRAMES_HZ`."""
     times = log.mocap_ns
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
     if not len(from_start):
@@ -165,18 +165,18 @@ def _histories(log: TrialLog) -> dict[str, Any]:
 
 
 def _on_log_axes(history: Floats) -> Floats:
-    """Return the points (n, 2) of a curve of log J over the iterations, from 0 to 1 in both."""
+    """Return the points (n, 2) of log J over the iterations, both axes scaled to length 1."""
     heights = np.log(np.clip(np.nan_to_num(history, posinf=np.inf), 1e-300, 1e300))
     size = float(np.ptp(heights)) or 1.0
     return np.column_stack([np.linspace(0, 1, len(history)), heights / size])
 
 
 def corners(curves: Sequence[Floats], error: float) -> "list[np.ndarray[Any, np.dtype[np.intp]]]":
-    """Return the indices of some points of each curve, (n, N, 2) of N robots: in rising order, with
-    the first and the last.
+    """Return the rising indices of the points to keep of each curve (n, N, 2) of N robots.
 
-    No point of the N robots is further than `error` from the straight line between the points kept
-    before and after it (Douglas and Peucker 1973). All spans of all curves are divided at once.
+    The first and last points are kept. Every other point is within `error` of the straight line
+    between the points kept before and after it (Douglas and Peucker 1973). All spans of all curves
+    are divided at once.
     """
     lengths = np.array([len(curve) for curve in curves], dtype=np.intp)
     ends = np.cumsum(lengths)

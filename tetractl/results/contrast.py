@@ -39,17 +39,16 @@ _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "s
 
 @dataclass(frozen=True, slots=True)
 class Contrast:
-    """The total errors of two groups; differences are those of `one` minus those of `other`.
+    """Comparison of the total errors of two groups; differences are `one` minus `other`.
 
-    With `pairs`, trials with the same disturbances, `difference` is that of the paired t test and
-    `standardised` is of the pairs; else `difference` is Welch's, and `both` the interval from those
-    of the two means. The interval and the p of `difference` are of one test, of the means. `rank_p`
-    is of Wilcoxon's signed-rank or rank-sum test, which asks which group has larger errors more
-    often. `why_unpaired` is "" with pairs. Each `..._holm` is corrected for all contrasts that are
-    tested. `detects` is the difference, in standard deviations (of the differences, or of the
-    values), that these numbers of trials show in 80 % of all studies. `verdict` is "lower",
-    "higher" or "undecided", or None with a `reason`. Groups with different plants (`alike` False)
-    are not tested; their p is NaN.
+    `pairs` is the number of pairs of trials with the same disturbances; without pairs,
+    `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
+    Welch's t test; `both` is its interval computed from the intervals of the two means. `rank_p` is
+    the p of Wilcoxon's signed-rank test or, without pairs, rank-sum test. Each `..._holm` is a p
+    corrected for the number of contrasts. `detects` is the difference that the test finds in 80 %
+    of all studies of this size, in standard deviations of the paired differences or of the values.
+    `verdict` is "lower", "higher" or "undecided", or None with a `reason`. Groups with different
+    plants (`alike` False) are not tested; their p is NaN.
     """
 
     one: Group
@@ -78,7 +77,7 @@ class Contrast:
 
     @property
     def tests(self) -> str:
-        """The tests of the means and of the ranks."""
+        """Names of the tests of means and of ranks, as "paired t, signed rank"."""
         return f"{PAIRED_T}, {SIGNED_RANK}" if self.pairs else f"{WELCH_T}, {RANK_SUM}"
 
     @property
@@ -91,7 +90,7 @@ class Contrast:
 
 @dataclass(frozen=True, slots=True)
 class GroupComparison:
-    """Groups, and their contrasts: of each pair, or of each group with a baseline."""
+    """Groups, and the contrasts of every two groups or of each group with a baseline."""
 
     groups: tuple[Group, ...]
     contrasts: tuple[Contrast, ...] = ()
@@ -159,12 +158,12 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return the paired differences, one minus other, if the disturbances of the trials match.
-    Pairs have the same seed and number. Without pairs the text gives the reason; otherwise it is
-    "". A simulation draws its disturbances from the seed and the spec without the controller.
+    """Return the differences (n,) of paired total errors, `one` minus `other`, and "" or a reason.
+    Pairs are simulated trials with the same seed, number and disturbances; the controller does not
+    affect the disturbances. If there are no pairs, the text is the reason.
     """
     if not (one.origin.simulated and other.origin.simulated):
-        return np.zeros(0), "no two trials in a lab are alike"
+        return np.zeros(0), "no two trials in a lab have the same disturbances"
     ours, theirs = (
         group.experiment.model_dump(mode="json", exclude=_NOT_THE_WORLD) for group in (one, other)
     )
@@ -182,7 +181,7 @@ def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
 
 
 def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
-    """Return the total errors of the trials that count by seed and number."""
+    """Return the total error of each counted trial, by its seed and number."""
     return {
         (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
     }
@@ -205,7 +204,7 @@ def _verdict(found: Contrast, p_holm: float) -> tuple[str | None, str | None]:
     """Return the verdict, or None and the reason.
 
     "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
-    difference on that side of 0, and a corrected p below 0.05.
+    difference below or above 0, and a corrected p below 0.05.
     """
     if not found.alike:
         return None, "plants are not alike"

@@ -1,6 +1,4 @@
-"""Describes a batch of trials: its errors with intervals, how the trials ended, and which of them
-should be examined.
-"""
+"""Describes a batch of trials: errors with intervals, outcomes, and logs to be examined."""
 
 import math
 from dataclasses import dataclass
@@ -20,7 +18,7 @@ from tetractl.results.statistic import Value, statistics
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The published result, and the difference from it by Welch's t (measured minus published).
+    """The published result, and by Welch's t the measured mean minus the published one.
 
     `difference` is None if the two are not comparable, such as an undisturbed simulation and
     real robots.
@@ -34,8 +32,8 @@ class Published:
 class Scaled:
     """The mean error of one robot scaled to another kind of robot by the ratio of speeds.
 
-    error = (total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`; lengths
-    are the same in body lengths. NaN if no robot moves. `published` scales the reference.
+    `error` = (mean total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`;
+    NaN if every speed is 0. `published` is the published mean error, scaled by the same factor.
     """
 
     scale: Scale
@@ -142,7 +140,7 @@ def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
 
 @dataclass(frozen=True, slots=True)
 class Flagged:
-    """A log to be examined; `outcome` is how its trial ended."""
+    """A log to be examined, its trial's outcome, and the reasons."""
 
     path: str
     outcome: str
@@ -152,9 +150,9 @@ class Flagged:
 def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
-    A trial is flagged if it does not count, its log is damaged, a robot entered an obstacle, it
-    ended at `steps max`, or in a lab its log holds warnings. In a simulation warnings are no
-    reason, since the spec requests the disturbances.
+    A trial is flagged if it is not in the means, its log is damaged, a robot entered an obstacle or
+    was lost, or the trial ended at `steps max`. Warnings flag trials in a lab only, since in a
+    simulation the spec requests the disturbances.
     """
     found = []
     for trial in batch.trials:
@@ -186,5 +184,5 @@ def _notes(trial: ResultSummary) -> list[str]:
     if trial.recovered:
         notes.append("read from a damaged log")
     if not counts(trial):
-        notes.append(trial.result.reason or "its errors are not known")
+        notes.append(trial.result.reason or "its errors are unknown")
     return notes

@@ -1,4 +1,4 @@
-"""Estimates with intervals: a mean and a share. Differences are in `difference`.
+"""Estimates a mean or a share with its interval; `mean_difference` compares two means.
 
 All are closed formulas without resampling, so the same values always give the same interval. An
 estimate from too few values is NaN, with a reason.
@@ -17,7 +17,7 @@ from tetractl.core.table.table import NONE, lengths
 
 CONFIDENCE = 0.95
 
-FAR = 10  # multiple of the median that is the bound of the tail if the spec has none
+FAR = 10  # errors above this multiple of the median are the tail, if the spec states no bound
 _FEWEST = 3  # least number of values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
@@ -49,7 +49,7 @@ class Interval:
         return math.isfinite(self.low) and math.isfinite(self.high)
 
     def text(self, show: Callable[[float], str]) -> str:
-        """Return both ends in a format, or the reason why there is no interval."""
+        """Return both ends, each formatted by `show`, or the reason why there is no interval."""
         if self.known:
             return f"{show(self.low)} to {show(self.high)}"
         return f"none: {self.reason}" if self.reason else NONE
@@ -66,12 +66,12 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """How many of n values lie above a `bound`, and Wilson's interval of their share.
+    """The number of n values above a `bound`, and Wilson's interval of their share.
 
-    The mean of a few values says little about rare large ones: an event with a probability of 2 %
-    is missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
-    otherwise it is 10 medians. Without values, or with a median that is not positive, the fields
-    are None.
+    The mean of a few values does not show rare large ones: an event with a probability of 2 % is
+    missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
+    otherwise the bound is 10 medians. Without values, or with a median that is not positive, the
+    fields are None.
     """
 
     bound: float
@@ -103,7 +103,7 @@ class Distribution:
     """Summary of n values: mean, standard deviation (n - 1), median, range, confidence interval of
     the mean, and the number of values above a bound.
 
-    With n = 0 every field is NaN, with n = 1 only the deviation.
+    With n = 0 every field is NaN; with n = 1 only the standard deviation is NaN.
     """
 
     n: int
@@ -154,7 +154,7 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Return the tail of values (n,) above a bound, None for FAR medians."""
+    """Return the tail of values (n,) above `bound`, or above FAR medians if `bound` is None."""
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:
@@ -172,7 +172,7 @@ def published_distribution(n: int, mean: float, std: float) -> Distribution:
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
-    """Return the bound below which |t| lies with a confidence, t being Student's."""
+    """Return the bound that Student's |t| does not exceed with probability `confidence`."""
     return float(special.stdtrit(degrees, (1 + confidence) / 2))
 
 

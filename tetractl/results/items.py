@@ -20,8 +20,8 @@ _NOT_COMPARED = MeanDifference(math.nan, Interval.none("not compared"), math.nan
 def as_items(found: GroupComparison) -> dict[str, Any]:
     """Return the object that `stats --format json` prints.
 
-    One group gives the items of `group_items`, several give `groups` and `comparisons`. Numbers are
-    not rounded; NaN stands for unknown values.
+    For one group it has the items of `group_items`, for several `groups` and `comparisons`. Numbers
+    are not rounded; unknown values are NaN.
     """
     if len(found.groups) == 1:
         return group_items(found.groups[0])
@@ -33,7 +33,7 @@ def as_items(found: GroupComparison) -> dict[str, Any]:
 
 
 def group_items(group: Group) -> dict[str, Any]:
-    """Return the items of one group; lengths in `unit`, times in the unit of their key."""
+    """Return the items of one group; lengths in `unit`, times in the unit that ends their key."""
     names = [robot.name for robot in group.experiment.robots]
     batch, origin = group.batch, group.origin
     return {
@@ -164,15 +164,15 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
 
 
 def data_table(found: GroupComparison) -> Table:
-    """Return the table that `stats --format csv` prints: of one group one row per trial, attempts
-    after them; of several a row per comparison, with the numbers of the JSON."""
+    """Return the table of `stats --format csv`: one row per trial of a single group, earlier
+    attempts last; one row per comparison of several groups, with the numbers of the JSON."""
     if len(found.groups) == 1:
         return trials_table(found.groups[0].batch)
     return Table.of_records("comparisons", [flat(contrast_items(one)) for one in found.contrasts])
 
 
 def trials_table(batch: Batch) -> Table:
-    """Return one row per trial, then those of earlier attempts, which have `attempt` True.
+    """Return one row per trial, then one row per earlier attempt, with `attempt` True.
 
     The names of lengths end in their unit.
     """
@@ -182,7 +182,7 @@ def trials_table(batch: Batch) -> Table:
 
 
 def _row(trial: ResultSummary) -> dict[str, Any]:
-    """Return the row of one trial by column."""
+    """Return the row of one trial: its values by the names of the columns."""
     fields, unit = _trial(trial), trial.experiment.units.length
     total, errors = fields.pop("total_error"), fields.pop("robot_errors")
     names: Sequence[str] = [robot.name for robot in trial.experiment.robots]

@@ -1,4 +1,4 @@
-"""Differences of two batches: of means, effect sizes, standard deviations, and ranks.
+"""Compares two batches: means, effect sizes, standard deviations and ranks.
 
 Tests by ranks assume no distribution. Their p-values are two-sided and exact as long as there are
 at most EXACT values: the distribution of the sum of ranks is enumerated over all equally probable
@@ -53,7 +53,7 @@ def welch(n1: int, mean1: float, std1: float, n2: int, mean2: float, std2: float
 
 
 def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
-    """Interval of the difference of two means from the interval of each, which may be skewed.
+    """Return the interval of the difference of two means from their own intervals.
 
     With means m, m', lower ends l, l' and upper ends u, u', by Zou and Donner (Statistics in
     Medicine 27, 2008): from m - m' - sqrt((m - l)^2 + (u' - m')^2) to m - m' + sqrt((u - m)^2 +
@@ -72,7 +72,7 @@ def from_both_intervals(ours: Distribution, theirs: Distribution) -> Interval:
 
 
 def _reach(values: Distribution) -> tuple[float, float]:
-    """Return how far an interval reaches below and above its mean; 0 for values all equal."""
+    """Return the distances from the mean to the ends of its interval; 0 if all values are equal."""
     if values.n > 1 and values.std == 0:
         return 0.0, 0.0
     return values.mean - values.ci95.low, values.ci95.high - values.mean
@@ -84,10 +84,10 @@ def paired_t(differences: Floats) -> MeanDifference:
     differences = np.sort(differences)  # the order of the pairs must not matter
     mean = float(differences.mean()) if n else _NAN
     if n < 2:
-        return MeanDifference(mean, Interval.none("needs two pairs"), _NAN, _NAN)
+        return MeanDifference(mean, Interval.none("an interval needs two pairs"), _NAN, _NAN)
     error = float(differences.std(ddof=1)) / math.sqrt(n)
     if not error > 0:
-        return MeanDifference(mean, Interval.none("all pairs differ alike"), _NAN, n - 1)
+        return MeanDifference(mean, Interval.none("all differences are equal"), _NAN, n - 1)
     half = t_quantile(n - 1) * error
     p_value = 2 * float(special.stdtr(n - 1, -abs(mean) / error))
     return MeanDifference(mean, Interval(mean - half, mean + half, "paired t"), p_value, n - 1)
@@ -102,12 +102,12 @@ class Effect:
 
 
 def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
-    """Effect size of two batches without assuming normal values or equal deviations.
+    """Return the effect size of two batches, whose values need not be normal or equally spread.
 
     delta = 2 theta - 1, theta = U / (m n) with the Mann-Whitney U. The interval is Newcombe's score
     interval of theta (Statistics in Medicine 25, 2006, method 5), which holds for small batches and
-    for batches that do not overlap: the roots of (theta - t)^2 = z^2 V(t) with V(t) = t (1 - t)
-    (1 + N (1 - t) / (2 - t) + N t / (1 + t)) / (m n), N = (m + n) / 2 - 1.
+    for batches without overlap. Its ends are roots of (theta - t)^2 = z^2 V(t), V(t) = t (1 - t) (1
+    + N (1 - t) / (2 - t) + N t / (1 + t)) / (m n), N = (m + n) / 2 - 1.
     """
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
@@ -156,11 +156,11 @@ def standardised(differences: Floats) -> Effect:
     """
     n = len(differences)
     if n < 2:
-        return Effect(math.nan, Interval.none("needs two pairs"))
+        return Effect(math.nan, Interval.none("an interval needs two pairs"))
     ordered = np.sort(differences)  # the order of the pairs must not matter
     std = float(ordered.std(ddof=1))
     if not std > 0:
-        return Effect(math.nan, Interval.none("all pairs differ alike"))
+        return Effect(math.nan, Interval.none("all differences are equal"))
     value = float(ordered.mean()) / std
     half = Z * math.sqrt(1 / n + value**2 / (2 * (n - 1)))
     return Effect(value, Interval(value - half, value + half, "Hedges"))
@@ -169,9 +169,9 @@ def standardised(differences: Floats) -> Effect:
 def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
     """Compare the standard deviations of values (m,) and (n,), which need not be normal.
 
-    By the jackknife of Miller (Ann. Math. Statist. 39, 1968): each value of a side of n has the
-    pseudo-value n ln s^2 - (n - 1) ln s_i^2, with the variance s_i^2 of the others; the difference
-    of their means, by Welch's t, is that of the two ln s^2.
+    Miller's jackknife (Ann. Math. Statist. 39, 1968): value i of n has the pseudo-value n ln s^2 -
+    (n - 1) ln s_i^2, where s^2 is the variance of all values and s_i^2 that of all but value i.
+    Welch's t test compares the means of both sides' pseudo-values.
     """
     # the result must not depend on the order of the trials
     sides = [np.sort(ours), np.sort(theirs)]
@@ -180,7 +180,7 @@ def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
     one, other = (float(side.std(ddof=1)) for side in sides)
     pseudo = [_pseudo_values(side) for side in sides]
     if not (one > 0 and other > 0) or not all(np.isfinite(values).all() for values in pseudo):
-        why = "all values of a side, or all but one, are equal"
+        why = "all values of one batch, or all but one, are equal"
         return Ratio(math.nan, Interval.none(why), math.nan)
     (m, mean, std), (n, mean2, std2) = (
         (len(values), float(values.mean()), float(values.std(ddof=1))) for values in pseudo
@@ -195,7 +195,7 @@ def deviation_ratio(ours: Floats, theirs: Floats) -> Ratio:
 def _pseudo_values(values: Floats) -> Floats:
     n = len(values)
     squares = (values - values.mean()) ** 2
-    # sum of squares of the other values about their own mean
+    # sum of squares of all values but one, about their own mean
     without = squares.sum() - squares * n / (n - 1)
     with np.errstate(divide="ignore", invalid="ignore"):
         every = np.log(squares.sum() / (n - 1))
@@ -203,17 +203,17 @@ def _pseudo_values(values: Floats) -> Floats:
 
 
 def detectable(pairs: int, tests: int = 1) -> float:
-    """Return the mean difference, in deviations of the differences, that `pairs` show in POWER of
-    all studies, at the strictest level that Holm's correction of `tests` asks for.
+    """Return the mean difference that the paired t test finds with probability POWER, in standard
+    deviations of the differences, at the strictest level of Holm's correction for `tests`.
 
-    NaN for fewer than 2 pairs. By the noncentral t distribution.
+    It follows from the noncentral t distribution; NaN for fewer than 2 pairs.
     """
     return _detectable(pairs - 1, math.sqrt(pairs), tests) if pairs > 1 else math.nan
 
 
 def detectable_between(m: int, n: int, tests: int = 1) -> float:
-    """Return the same as `detectable` for two means of m and n unpaired values, in standard
-    deviations."""
+    """Return the difference of the means of m and n unpaired values that a t test finds with
+    probability POWER, in standard deviations of the values; NaN if m or n is below 2."""
     if min(m, n) < 2:
         return math.nan
     return _detectable(m + n - 2, math.sqrt(m * n / (m + n)), tests)
@@ -226,14 +226,14 @@ def _detectable(degrees: int, root: float, tests: int) -> float:
 
     def missing(size: float) -> float:
         low, high = special.nctdtr(degrees, size * root, [-bound, bound])
-        # it is NaN in the far tail, where the power is 0
+        # the lower tail is NaN far from the mean, where it is 0
         return float(1 - high + np.nan_to_num(low)) - POWER
 
     found = optimize.root_scalar(missing, bracket=(0.0, (1.5 * bound + 3) / root), method="brentq")
     return float(found.root)
 
 
-EXACT = 60  # values
+EXACT = 60  # largest number of values for an exact p-value
 
 
 def signed_rank(differences: Floats) -> float:
@@ -245,7 +245,7 @@ def signed_rank(differences: Floats) -> float:
     n = len(kept)
     if n == 0:
         return math.nan
-    # twice the ranks are whole numbers, since mean ranks may be halves
+    # ranks are doubled to be whole numbers, since the mean rank of tied values may be a half
     double = _double_ranks(np.abs(kept))
     positive, total = int(double[kept > 0].sum()), int(double.sum())
     if n > EXACT:
@@ -283,8 +283,8 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for multiple comparisons, by Holm (Scand. J. Statist. 6, 1979).
 
-    The i-th smallest of k is multiplied by k - i + 1, and is at least the one before. NaN stays,
-    and does not count.
+    The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value
+    before it if that is larger. NaN stays NaN and is not counted in k.
     """
     order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
     found, least = [math.nan] * len(p_values), 0.0

@@ -36,8 +36,8 @@ class Batch:
     """Trials that form one batch.
 
     `attempts` are earlier logs of the same trials: set aside by `--resume`, or incomplete while a
-    complete log of the trial exists. `damaged` are logs and rows that no trial could be read from,
-    attempts among them. The path of a trial from a study's row is the file and line of the row.
+    complete log of the trial exists. `damaged` are logs and rows without a readable trial,
+    including attempts. The path of a trial read from a row is the row's file and line.
     """
 
     trials: tuple[ResultSummary, ...]
@@ -74,7 +74,7 @@ class Batch:
 
     @property
     def whole(self) -> bool:
-        """Whether no log or row of the batch is damaged, attempts excepted."""
+        """Whether no log or row of the batch is damaged; attempts do not matter."""
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
@@ -98,9 +98,9 @@ class Source:
 
     @classmethod
     def of(cls, paths: Sequence[Path | str], rows: bool = True) -> "Source":
-        """List the files of logs, folders and patterns, attempts among them.
+        """List the files of logs, folders and patterns, including attempts.
 
-        Raises UsageError for a path without any.
+        Raises UsageError for a path without a trial.
         """
         places = [Path(path) for path in paths]
         kept = {place: found for place in places if (found := find_rows(place))} if rows else {}
@@ -110,7 +110,7 @@ class Source:
         return cls(name + more, logs, [file for found in kept.values() for file in found])
 
     def by_arm(self, folder: Path) -> "list[Source]":
-        """Return the source of each arm if `folder` contains a study and nothing else."""
+        """Return a source per arm if `folder` holds only a study, otherwise this source."""
         logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
@@ -119,7 +119,7 @@ class Source:
         return [Source(rows.parent.name, logs[rows.parent], [rows]) for rows in self.rows]
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
-        """Read every result; `on_log` is called with the number of logs read and of all logs."""
+        """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
         trials: list[ResultSummary] = []
         damaged: list[Damaged] = []
         for done, log in enumerate(self.logs, start=1):
@@ -142,8 +142,8 @@ def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
 
 
 def sources(paths: Sequence[str]) -> list[Source]:
-    """Return the batches that paths name: each of several folders is one, as is each arm of a
-    study whose folder is the only path; any other paths are one batch together."""
+    """Return one batch per folder of several folders, or per arm of the study whose folder is the
+    only path; otherwise all paths are one batch."""
     paths = [str(path) for path in without_others(paths)]
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
         found = [one_source([path]) for path in paths]
@@ -166,7 +166,7 @@ def one_source(paths: Sequence[str]) -> Source:
 def _add_unlogged(
     files: Iterable[Path], trials: list[ResultSummary], damaged: list[Damaged]
 ) -> None:
-    """Add the trials of files of rows to those read from logs, each once.
+    """Add the trials in a study's files of rows to `trials`, unless their logs were read.
 
     A log takes precedence over the row of its trial, unless the end of the log is lost: then the
     log counts as damaged and the row is used. Logs that were set aside are attempts and do not
@@ -192,9 +192,9 @@ def _add_unlogged(
                 trials.append(row)
                 for log in logged:
                     trials.remove(log)
-                    damaged.append(Damaged(log.path, f"its end is lost, and read from {row.path}"))
+                    damaged.append(Damaged(log.path, f"its end is lost; read from {row.path}"))
         if lost:
-            problem = f"{lost} trials have neither a log nor a row that can be read"
+            problem = f"{lost} trials have neither a readable log nor a readable row"
             damaged.append(Damaged(str(file), f"{problem}; the study runs them again"))
 
 
@@ -210,9 +210,7 @@ def experiment_of(batch: Batch) -> Experiment:
     """
     if not batch.trials:
         if batch.attempts:
-            raise UsageError(
-                "the only logs are of earlier attempts", "complete the batch with --resume"
-            )
+            raise UsageError("all logs are earlier attempts", "complete the batch with --resume")
         if batch.lost:
             raise LogError("no log can be read: {0.path}: {0.problem}".format(batch.lost[0]))
         raise UsageError("no trial to summarise")
@@ -221,13 +219,13 @@ def experiment_of(batch: Batch) -> Experiment:
         if other.origin is not first.origin:
             raise UsageError(
                 f"{first.path} is of the {first.origin}, {other.path} of the {other.origin}",
-                "give the logs of one, and the others with --against",
+                "give the logs of one plant, and the others with --against",
             )
         if other.experiment is first.experiment:
             continue
         if found := differences(first.experiment, other.experiment):
             raise UsageError(
-                f"{first.path} and {other.path} are not the same experiment: {listing(found)}",
+                f"{first.path} and {other.path} have different experiments: {listing(found)}",
                 "give the logs of one batch, and the other batch with --against",
             )
     _refuse_copies(batch.trials)
@@ -252,7 +250,7 @@ def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return `path: value != value` for each field in which two experiments differ.
 
     Fields that do not change a trial are left out: the description, the number and seed of the
-    trials, and the bound of the tables; also robots that each trial chose by the same rule.
+    trials, and the error bound; also the robots, if both trials chose them by the same rule.
     """
     found = one.chosen is not None and one.chosen == two.chosen
     left_out = _BOOKKEEPING | ({"robots"} if found else set())

@@ -1,7 +1,7 @@
 """Outcomes of the trials of a batch, least distances between robots, and solve times.
 
-Distances are of the true paths of the robots' centres; percentiles are over every step of every
-trial.
+Distances are those of the true paths of the robots' centres; percentiles of solve times are over
+all steps of all trials.
 """
 
 from collections import Counter
@@ -57,9 +57,9 @@ Distances = Callable[[Verdict], Sequence[float]]
 
 
 def least(key: str, label: str, of: Distances) -> Statistic:
-    """Return the least of a distance over all robots and trials, as a statistic.
+    """Return the statistic of the least distance over all robots and trials.
 
-    A trial whose log has no such distance is left out; its column is empty.
+    A trial whose log lacks the distance is left out; its column is empty.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
@@ -84,14 +84,14 @@ APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:
-    """Return the sum of distances at each way-point; None for those never passed."""
+    """Return the sum of distances at each way-point, None if the way-point was never passed."""
     wanted = len(trial.experiment.setup.legs) - 1
     known = (*trial.result.passed, *[None] * wanted)[:wanted]
     return {f"way_point_{i}": error for i, error in enumerate(known, 1)}
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's share of the hold's time inside; None without a complete hold."""
+    """Return each robot's share of the hold's time inside; None for an incomplete hold."""
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
@@ -108,8 +108,8 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 def mean_of_each(
     of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return the mean of each column of the trials as a statistic, one row per column; none if the
-    spec requests none."""
+    """Return the statistic of the mean of each column that `of` returns for a trial, a row per
+    column."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         columns = [of(trial) for trial in trials]

@@ -31,17 +31,17 @@ def _nothing(trial: ResultSummary) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """`of_batch` returns the value of a batch of trials, all of one experiment and at least one;
-    `of_trial` the columns of one trial in CSV, which are its items in JSON too."""
+    """`of_batch` returns the value for one or more trials of one experiment; `of_trial` returns the
+    columns of one trial in CSV, which are also its items in JSON."""
 
     of_batch: Callable[[Sequence[ResultSummary]], Value]
     of_trial: Callable[[ResultSummary], dict[str, Any]] = _nothing
 
 
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
-    """Return the statistic of one number per trial: mean and 95 % interval over complete trials.
+    """Return the statistic of a number per trial: its mean and 95 % interval over complete trials.
 
-    A trial for which it is not finite is left out of the mean; its column is empty.
+    A trial without a finite number is left out of the mean; its column is empty.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
@@ -62,7 +62,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
 
 
 def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the number of trials that fulfil a condition, as a statistic."""
+    """Return the statistic of the number of trials for which a condition holds."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
@@ -72,8 +72,8 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
 
 def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the number of trials that fulfil a condition, with Wilson's 95 % interval of their
-    share, as a statistic."""
+    """Return the statistic of the number of trials for which a condition holds, with Wilson's 95 %
+    interval of their share."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
@@ -87,5 +87,5 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
 
 def statistics() -> list[Statistic]:
-    """Return every statistic that can be used, the built-in ones first."""
+    """Return every usable statistic, the built-in ones first."""
     return list(STATISTICS.usable().values())

@@ -14,7 +14,7 @@ from tetractl.results.estimate import FAR, Distribution, Interval, known_distrib
 from tetractl.results.open_batch import listing
 
 _SHOWN = 20  # largest number of flagged trials in a table
-_OTHER_SCALE = 100.0  # multiple of the smallest mean from which an error has six digits
+_OTHER_SCALE = 100.0  # an error above this multiple of the smallest mean is shown with six digits
 _ABREAST = 3  # largest number of groups in one table
 
 Show = Callable[[float], str]
@@ -37,13 +37,13 @@ def error_table(
     scale: float | None = None,
     finest: int = 9,
 ) -> Table:
-    """Return one row per named distribution of errors. The decimals show three digits of the least
-    mean, or of `scale`, and are at most `finest`."""
+    """Return one row per named distribution of errors. Values have as many decimals as show three
+    digits of the least mean, or of `scale`, and at most `finest`."""
     means = [values.mean for _, values in named if values.mean > 0]
     least = min(means, default=0.0) if scale is None else scale
     decimals = lengths(least, finest)
 
-    def show(value: float) -> str:  # a much larger result has its own number of digits
+    def show(value: float) -> str:  # a much larger value needs fewer decimals
         return f"{value:g}" if value > _OTHER_SCALE * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
@@ -95,9 +95,9 @@ def _errors(groups: Sequence[Group]) -> Table:
 
 
 def processors_note(types: Iterable[str]) -> str:
-    """Return a note on simulated trials of several types of processor, "" for those of one.
+    """Return a note if trials were simulated on several types of processor, otherwise "".
 
-    The same trial may differ in its last bits between two of them.
+    Results of the same trial may differ in their last bits between two types.
     """
     found = Counter(filter(None, types))
     if len(found) < 2:
@@ -108,7 +108,7 @@ def processors_note(types: Iterable[str]) -> str:
 
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
-    """Return how the trials of some groups ended: a row per statistic, a named column per group."""
+    """Return a table of some groups: a row per statistic, a column per group."""
     columns = [dict(_figures(group)) for group in groups]
     labels = list(dict.fromkeys(label for column in columns for label in column))
     return Table(
@@ -124,7 +124,7 @@ def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
 
 
 def _figures(group: Group) -> list[tuple[str, str]]:
-    """Return the figures of one group, each with its label."""
+    """Return the label and the text of each statistic of one group."""
     rows = [("plant", str(group.origin))]
     if group.origin is Origin.DISTURBED:
         rows.append(("  its disturbances", "assumed in the spec, not measured"))
@@ -148,7 +148,7 @@ def _figures(group: Group) -> list[tuple[str, str]]:
         label = f"robot error scaled to {scaled.scale.name} [{unit}]"
         rows += [
             (label, show(scaled.error)),
-            (f"  95 % interval of that [{unit}]", scaled.ci95.text(show)),
+            (f"  its 95 % interval [{unit}]", scaled.ci95.text(show)),
             ("  in body lengths", digits(scaled.body_lengths(scaled.error))),
         ]
         if math.isfinite(scaled.published):
@@ -164,7 +164,7 @@ def _figures(group: Group) -> list[tuple[str, str]]:
 
 
 def tail_label(values: Distribution) -> str:
-    """Return the name of a row or column of tails."""
+    """Return the label of the row or column of tails."""
     bound = "error_bound" if values.tail.stated else f"{FAR} medians"
     return f"trials above {bound}, 95 % interval"
 
@@ -250,7 +250,7 @@ def finest(experiment: Experiment) -> int:
 
 
 def page_trials(group: Group, numbers: Mapping[str, int]) -> Table:
-    """Return the table of a page: the number of each trial there, its errors and how it ended."""
+    """Return the table of a report: each trial's number on the page, its errors and its outcome."""
     trials = group.batch.trials
     show = lengths(group.total.mean)
     return Table(

@@ -1,4 +1,4 @@
-"""The tables of a trial: one row per control step, pose, estimate and event, and one of the trial.
+"""The tables of a trial: one row per control step, pose, estimate or event, or one for the trial.
 
 Every column has its unit: s, ms, rad, rad/s, the length unit of the experiment such as mm, mm/s.
 Times count from the first direction sent. `log` and `trial` are in every table, so that tables can
@@ -77,7 +77,7 @@ def poses(log: TrialLog) -> Table:
 
 
 def estimates(log: TrialLog) -> Table:
-    """Return one row per control step and robot: what the controller estimated, with standard
+    """Return one row per control step and robot: the controller's estimates and their standard
     deviations."""
     setup = log.start.setup
     of = {
@@ -106,7 +106,7 @@ def estimates(log: TrialLog) -> Table:
 
 
 def events(log: TrialLog) -> Table:
-    """Return one row per event: a lost command, lost tracking, the reason of the end."""
+    """Return one row per event, such as a lost command, lost tracking, or the end."""
     found = log.events
     columns = {
         "time_s": [event.time_s for event in found],

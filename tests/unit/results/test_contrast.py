@@ -116,7 +116,7 @@ def test_trials_of_the_same_world_are_paired_whatever_their_order():
     [
         ({"plant": DISTURBED | {"dead_time": 0.1}}, "differ in more than the controller"),
         ({"seed": 2}, "no seed and trial in common"),
-        ({"origin": Origin.LAB}, "no two trials in a lab are alike"),
+        ({"origin": Origin.LAB}, "no two trials in a lab have the same disturbances"),
     ],
 )
 def test_other_worlds_are_not_paired(fields, why):

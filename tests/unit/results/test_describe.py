@@ -136,7 +136,7 @@ def test_two_experiments_in_one_batch_are_refused_with_what_differs():
     trials[1] = replace(trials[1], experiment=other)
     with pytest.raises(UsageError) as caught:
         group(trials)
-    assert "trial-000.mcap and trial-001.mcap are not the same experiment" in str(caught.value)
+    assert "trial-000.mcap and trial-001.mcap have different experiments" in str(caught.value)
     assert "controller.motion: euler != exact" in str(caught.value)
     assert "plant.dead_time: 0.0 != 0.15" in str(caught.value)
     assert caught.value.hint
@@ -220,7 +220,7 @@ def test_an_attempt_that_cannot_be_read_is_counted_and_leaves_the_batch_whole():
 
 
 def test_nothing_but_attempts_is_no_batch():
-    with pytest.raises(UsageError, match="the only logs are of earlier attempts"):
+    with pytest.raises(UsageError, match="all logs are earlier attempts"):
         group([replace(one, path="trial-000.attempt-1.mcap") for one in batch([[1.0]])])
 
 

@@ -82,7 +82,7 @@ def test_pairs_agree_with_scipy(pairs):
 def test_one_pair_or_pairs_that_differ_alike_carry_no_interval():
     assert paired_t(np.array([])).ci95.reason == paired_t(np.array([3.0])).ci95.reason
     alike = paired_t(np.full(9, 2.0))
-    assert (alike.value, alike.ci95.reason) == (2.0, "all pairs differ alike")
+    assert (alike.value, alike.ci95.reason) == (2.0, "all differences are equal")
 
 
 @given(samples, samples)

@@ -1,4 +1,4 @@
-"""Checks that a log is consistent: values stored twice, and values that follow from others."""
+"""Checks that a log is consistent: values stored twice, and values computed from others."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,9 +21,9 @@ from tetractl.replay.recompute import ROUNDING
 
 REST = 1e-6  # tolerance for the position of a robot at rest, relative to a coordinate
 STOPPING_S = 1.0  # longest time until a stop is sent on a busy host
-STOPPING_NS = 500_000_000  # longest time from a stop's first repetition to its end
-LAST_FRAMES = 120  # number of a lab trial's last frames, one of which shows the final poses
-SLACK = 2.0  # factor on the lab's limits for the frames after its last check
+STOPPING_NS = 500_000_000  # longest time from a stop's first repetition to its last
+LAST_FRAMES = 120  # a lab trial's final poses are those of one of this many last frames
+SLACK = 2.0  # factor on the lab's limits, for frames after the lab's last check
 
 
 @dataclass(slots=True)
@@ -67,7 +67,7 @@ def _run(log: TrialLog) -> Iterator[Difference]:
         ours[FORMAT] = "1"
     for key in sorted(ours.keys() | log.run.keys()):
         if ours.get(key) != log.run.get(key):
-            text = f"states {log.run.get(key)!r}, but the resolved spec and the run make it "
+            text = f"states {log.run.get(key)!r}, but the resolved spec and the run give "
             yield Difference(None, f"run.{key}", text + repr(ours.get(key)))
 
 
@@ -93,7 +93,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
     signal."""
     rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
-    for command in log.commands:  # the stop may be sent together with the last step
+    for command in log.commands:  # the stop may have the time of the last step
         sent.setdefault(command.sent_ns, []).append(command)
     period_ns = round(log.experiment.controller.period * SECOND)
     before: Step | None = None
@@ -111,7 +111,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         yield from _at(k, found)
         same_time = sent.get(command.sent_ns, ())
         if all(first_difference(command, one) for one in same_time) and not log.damage:
-            yield Difference(k, "command", "differs from what is on /commands")
+            yield Difference(k, "command", "differs from the message on /commands")
         standing = k == 0 or (before is not None and before.plan.pauses)
         late = not standing and step.solve_ns > period_ns
         if step.deadline_missed != late:
@@ -167,7 +167,7 @@ def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
     """Check the verdict of a lab's plant against the logged frames."""
     if not log.damage:
         if not _stands(log, result.verdict.final):
-            yield Difference(None, "result.final", "is not where the robots were seen last")
+            yield Difference(None, "result.final", "differs from the robots' last poses")
         if result.outcome.complete:
             yield from _rest(log)
         if log.stop:
@@ -199,7 +199,7 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
             text = f"false, with clearance {verdict.clearance[i]}"
             yield Difference(None, f"result.entered.{i}", text)
         elif stated != touches and not (stated and log.damage):
-            text = f"{stated}, the logged path makes it {touches}"
+            text = f"{stated}, but {touches} by the logged path"
             yield Difference(None, f"result.entered.{i}", text)
 
 
@@ -213,8 +213,8 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """Check that the last frames of a complete lab trial show every robot and, unless it swims, at
-    rest.
+    """Check that the last frames of a complete lab trial show every robot, and that it rests unless
+    it swims.
     """
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
@@ -239,13 +239,13 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """Check that the duration in the lab begins after the first frame and before the first
+    """Check that the duration in the lab counts from a time between the first frame and first
     command."""
     first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
     if not least - 1e-6 <= result.duration_s <= most + STOPPING_S:
-        text = f"states {result.duration_s} s, the commands make it {least} to {most} s"
+        text = f"states {result.duration_s} s, but {least} to {most} s by the commands"
         yield Difference(None, "result.duration_s", text)
 
 

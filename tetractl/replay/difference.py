@@ -15,7 +15,7 @@ COORDINATES = ("x", "y", "heading")
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first value that differs from the log: in step `step`, None for the trial."""
+    """The first value that differs from the log; `step` is None outside of control steps."""
 
     step: int | None
     field: str
@@ -38,7 +38,7 @@ class Tolerance:
     absolute: float = 0.0
 
     def differs(self, ours: NDArray[Any], logged: NDArray[Any]) -> NDArray[np.bool_]:
-        """Return where two arrays of one shape differ."""
+        """Return which elements of two arrays of the same shape differ."""
         if ours.dtype != np.float64 or logged.dtype != np.float64:
             return np.asarray(ours != logged)
         with np.errstate(invalid="ignore"):  # inf - inf
@@ -118,7 +118,7 @@ def trial_difference(
 ) -> Difference | None:
     """Return the first difference of two trials except in solve times, None if they agree.
 
-    Common commands, frames and steps are compared first, then their numbers.
+    Commands, frames and steps in both trials are compared first, then how many each trial has.
     """
     counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
     common = tuple(map(min, *counts))
@@ -126,7 +126,7 @@ def trial_difference(
     if found is None:
         return None
     name, *place = found[0].split(".")
-    if name in ("mocap", "truth", "valid") and place:  # the frame's number, not its row
+    if name in ("mocap", "truth", "valid") and place:  # number of the frame, not its row
         place[0] = str(logged.frames[int(place[0])])
         place[2:] = [COORDINATES[int(axis)] for axis in place[2:]]
     if name == "steps" and len(place) > 1:
@@ -135,7 +135,7 @@ def trial_difference(
 
 
 def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return the compared parts of a trial, in order, with a given number of commands, frames and
+    """Return the parts to compare, in order; `common` is the number of commands, frames and
     steps."""
     commands, frames, steps = common
     result = trial.result

@@ -11,7 +11,7 @@ from tetractl.log.read.trial_log import TrialLog
 
 PIXELS_MAX = 8192  # longest side of a picture [px]
 SHOWN = 720  # longer side as shown [px]
-QUALITY = 60  # as JPEG counts
+QUALITY = 60  # JPEG quality, 1 to 100
 MOST = 120  # largest number of pictures per trial in a report
 
 
@@ -37,13 +37,11 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the picture for a time: the newest before, or else the first; None
-        without pictures.
-        """
+        """Return the index of the newest picture at a time, or of the first; None without pictures."""
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:
-        """Return the grey levels (height, width), the upper row first."""
+        """Return the grey levels (height, width) of a picture, the upper row first."""
         return np.asarray(self._pictures[which])
 
     def jpeg(self, which: int) -> bytes:

@@ -1,6 +1,6 @@
-"""Checks the film in a log by finding the cells in the crops again, with the same code.
+"""Checks the film in a log: searches the logged crops for the cells again, with the same code.
 
-The blob of each crop is searched again, and a robot's logged pose must be at its blob. With another
+Each crop must contain the logged blob, and a robot's logged pose must be at its blob. With another
 version of OpenCV, results may differ by a pixel: then only the checksums are compared, with a note.
 """
 
@@ -23,7 +23,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.difference import Difference
 
 SAME = 1e-9  # relative tolerance of a blob's numbers on another machine
-NEAR_UM = 25.0  # half a body: largest distance of a followed cell from its blob
+NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
 
 
 class FilmCheck:
@@ -35,7 +35,7 @@ class FilmCheck:
         self.notes: list[str] = []
 
     def differences(self) -> Iterator[Difference]:
-        """Yield the first difference between the film and the crops searched again."""
+        """Yield the first difference between the logged cells and those found again."""
         log = self._log
         wanted = "opencv" in log.start.plant.facts  # earlier logs have no film
         if log.damage or not (wanted or self._entries):
@@ -47,13 +47,13 @@ class FilmCheck:
         stamps = np.column_stack([log.received_ns, log.mocap_ns]) + begin
         times = [(received, exposed) for received, exposed in stamps.tolist()]
         if sorted(by_time) != sorted(times):
-            yield Difference(None, channels.CELLS, "is not of each camera frame, once")
+            yield Difference(None, channels.CELLS, "does not have one message per camera frame")
             return
         again, until = self._comparable(), time.thread_time() + limits.seconds_limit()
         for row, at in enumerate(times):
             if again and time.thread_time() > until:
                 again = False
-                self.notes.append(f"film: from frame {log.frames[row]} on it takes too long")
+                self.notes.append(f"film: frame {log.frames[row]} and later take too long")
             try:
                 self._check(row, by_time[at], again)
             except (DecodeError, ValueError) as error:
@@ -68,7 +68,7 @@ class FilmCheck:
         except ImportError:
             here = "missing"
         if there != here:
-            text = f"film: not comparable, found by OpenCV {there}, here it is {here}"
+            text = f"film: not comparable: written with OpenCV {there}, read with {here}"
             self.notes.append(text)
         return there == here
 
@@ -105,7 +105,7 @@ class FilmCheck:
             gap = np.hypot(*(log.mocap[row, robot, :2] - at)) * metres * 1e6
             if not gap <= NEAR_UM:
                 name = log.start.setup.names[robot]
-                raise ValueError(f"{name} is {gap:.1f} um from its picture")
+                raise ValueError(f"{name} is {gap:.1f} um from its blob")
 
 
 def _search_again(film: CellFilm, tolerance: float) -> None:

@@ -18,13 +18,13 @@ from tetractl.log.read.trial_log import Event, TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """One instant of a trial of N robots after M frames and K control steps; lengths in its unit.
+    """A trial of N robots at one instant, after M frames and K control steps; lengths in its unit.
 
     `time_s` counts from the first direction sent. `poses` (N, 3) are the newest measured poses and
-    `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the
-    newest control step and `totals` (K,) the total error at each. `end_s` is the duration of the
-    trial and `steps_end` the number of its control steps; None and 0 if the trial is not over.
-    `events` are the messages so far, oldest first.
+    `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the newest
+    control step and `totals` (K,) the total error at each step. `end_s` is the duration of the
+    trial and `steps_end` the number of its control steps; None and 0 for a running trial. `events`
+    are the messages so far, oldest first.
     """
 
     setup: Setup
@@ -50,11 +50,10 @@ def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
 
 
 class Recording:
-    """A recorded trial, of which `at` returns any instant.
+    """A recorded trial; `at` returns its state at any time.
 
     Times [ns] are on the trial's clock. A control step begins when its command is sent; `began_ns`
-    is the time of the first direction, which is 0 for users, and `event_ns` are the times of the
-    events.
+    is the time of the first direction, shown to users as 0, and `event_ns` are the times of events.
     """
 
     def __init__(self, log: TrialLog) -> None:
@@ -76,7 +75,7 @@ class Recording:
         self._poses = _held(log.mocap, log.valid, log.start.setup.starts.array())
 
     def at(self, time_ns: int) -> Moment:
-        """Return the instant at a time of the trial [ns]."""
+        """Return the state of the trial at a time [ns]."""
         log = self.log
         seen = int(np.searchsorted(log.mocap_ns, time_ns, side="right"))
         done = int(np.searchsorted(self.step_ns, time_ns, side="right"))
@@ -242,10 +241,9 @@ class Player:
                 self._clock.pause()
 
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
-        """Apply a command of other controls: play or pause, at a rate, from a time [ns] or from
-        now.
+        """Play or pause at a rate, from a time [ns] or, if None, from now.
 
-        A rate out of bounds is limited to the range; a rate of NaN is ignored.
+        The rate is limited to RATE_MIN to RATE_MAX; NaN keeps it.
         """
         if at_ns is not None:
             self._seek(at_ns)
@@ -299,12 +297,12 @@ class Player:
         self._seek(time_ns)
 
     def _after(self, times: Integers, otherwise: int) -> int:
-        """Return the first of some times [ns] after now."""
+        """Return the first of the rising `times` [ns] after now, or `otherwise`."""
         index = int(np.searchsorted(times, self.now, side="right"))
         return int(times[index]) if index < len(times) else otherwise
 
     def _before(self, times: Integers, otherwise: int) -> int:
-        """Return the last of some times [ns] before now."""
+        """Return the last of the rising `times` [ns] before now, or `otherwise`."""
         index = int(np.searchsorted(times, self.now, side="left"))
         return int(times[index - 1]) if index else otherwise
 
@@ -319,7 +317,7 @@ def span(recording: Recording, start_s: float, until_s: float | None) -> tuple[i
         begins = f"at {first_s:.4g}" if first_s else "with the first command, at 0"
         raise UsageError(f"--start {start_s:g} lies before the log, which begins {begins}")
     if start_s > end_s:
-        raise UsageError(f"--start {start_s:g} lies behind the end: the trial lasts {end_s:g} s")
+        raise UsageError(f"--start {start_s:g} lies after the end: the trial lasts {end_s:g} s")
     if until_s is not None and not start_s < until_s:
         raise UsageError(f"--start {start_s:g} must lie before --until {until_s:g}")
     began_ns = recording.began_ns

@@ -1,10 +1,10 @@
 """Computes each decision of a trial again with the controller rebuilt from the log.
 
-There are two ways. *Re-computed*: every search is run again and every number must come out with the
-same bits, which holds on the machine and versions that wrote the log. *Re-evaluated*: the searches
-are taken as logged, and J of what they found, the choice among them and the predicted path are
-computed again, to TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
-difference in the last bit of one cost may change the leading particle and then the whole search.
+There are two ways. *Re-computed*: every search is run again and must give the same bits, as it does
+on the machine and with the versions that wrote the log. *Re-evaluated*: the searches' results are
+read from the log, and their J, the choice among them and the predicted path are computed again, to
+TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the last
+bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -57,10 +57,10 @@ class _TooLongError(Exception):
 class Rerun:
     """Repeats the logged searches of a trial, in place of a controller's optimisers.
 
-    A search that ended at the deadline is repeated with the number of clock readings that spends
-    the logged evaluations: only a reading can end a search, so this number suffices. With
-    `search_again` False the logged searches are returned, and their contradictions are in `wrong`.
-    From `start` on, `limit_s` may pass on `cpu`, the processor time of the thread [s].
+    A search that ended at the deadline is repeated with a clock that passes the deadline at the
+    reading after which the logged number of evaluations was done. With `search_again` False the
+    logged searches are returned, and their contradictions are in `wrong`. `limit_s` is the longest
+    processor time from `start` on, read from `cpu` [s].
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float], limit_s: float) -> None:
@@ -92,11 +92,11 @@ class Rerun:
         return 0 if self._left else _LONG_AGO
 
     def wrap(self, optimizer: OptimizerSection) -> Optimizer:
-        """Return an optimiser that repeats the logged searches by this one."""
+        """Return an optimiser that repeats the logged searches with `optimizer`."""
         return _Repeated(optimizer, self)
 
     def next(self) -> tuple[int, Search]:
-        """Return the next logged search and its index in its step."""
+        """Return the index in its step of the next logged search, and the search."""
         if not self._left:
             raise NoSearchError
         return self._left.pop(0)
@@ -126,16 +126,16 @@ class _Repeated:
             return found
 
         _require_affordable(self._optimizer, problem, length)
-        if not self._rerun.started:  # compiling does not count
+        if not self._rerun.started:  # the time of compiling does not count
             least = Limits(self._optimizer.evaluations_min)
             self._optimizer.search(problem, 1, np.zeros(1), key, least)
             self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
-        few, many = 1, 2  # the least number of readings that spends the logged evaluations
+        few, many = 1, 2  # bounds of the least number of readings for the logged evaluations
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
-                return found  # the search ends without the deadline
+                return found  # the search ended before the deadline
             few, many = many, 2 * many
         while few < many:
             middle = (few + many) // 2
@@ -154,7 +154,7 @@ class _Repeated:
         index: int,
         logged: Search,
     ) -> None:
-        """Note in `wrong` how a logged search contradicts its problem or its optimiser."""
+        """Add contradictions between a logged search and its problem or optimiser to `wrong`."""
         name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
@@ -167,7 +167,7 @@ class _Repeated:
             wrong.append((f"{name}.history", "does not fall to the cost"))
         for field in self._optimizer.contradictions(logged, warmed, limits):
             value = getattr(logged, field)
-            text = f"logged {value}, which its history and the spec's limits cannot lead to"
+            text = f"logged {value}, which contradicts its history and the spec's limits"
             wrong.append((f"{name}.{field}", text))
 
 
@@ -192,11 +192,11 @@ def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: i
 def recompute(
     log: TrialLog, search_again: bool, cpu: Callable[[], float] = time.thread_time
 ) -> Difference | None:
-    """Decide every step of a log once more; return the first difference, None for none.
+    """Compute every decision of a log again; return the first difference or None.
 
-    `search_again` True runs the searches again and compares bits, False takes them as logged. Steps
-    after a gap are not checked, since the controller's state is lost. Steps for which the processor
-    time of the thread, `cpu` [s], exceeds the limit count as a difference.
+    `search_again` True runs the searches again and compares bits, False uses the logged searches.
+    Steps after a gap are not checked, since the controller's state is lost. Exceeding the limit of
+    processor time, read from `cpu` [s], is a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
@@ -217,7 +217,7 @@ def recompute(
             if rerun.expired():
                 raise _TooLongError
         except (_TooLongError, MemoryError):
-            text = f"not decided again: from here on it takes over {limit_s:g} s or much memory"
+            text = f"not computed again: from here on it takes over {limit_s:g} s or much memory"
             return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
         except NoSearchError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
@@ -229,7 +229,7 @@ def recompute(
                 step.k, "plan", f"the controller ends the trial: {_outcome_text(decision)}"
             )
         if decision.generator != step.plan.generator:
-            text = f"logged {step.plan.generator}, seed and trial make it {decision.generator}"
+            text = f"logged {step.plan.generator}, but {decision.generator} by seed and trial"
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
             # missing in the log: lost, or of an earlier version
@@ -258,7 +258,7 @@ def plan_again(
 def first_steps(log: TrialLog) -> list[Step]:
     """Return the steps up to the first gap, of steps or, in a damaged log, of camera frames."""
     lost = log.damage.lost if log.damage else ()
-    torn = len(lost) > (log.result is None)  # not only the end is lost
+    torn = len(lost) > (log.result is None)  # not only the end of the log is lost
     gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
     return [
         step for k, step in enumerate(log.steps) if step.k == k and step.observation.frame < gap
@@ -270,8 +270,9 @@ def _outcome(
 ) -> Difference | None:
     """Check that the controller ends the trial as logged, on a frame of the last period.
 
-    The log does not mark the frame of the end: in a simulation it is the newest frame one control
-    period after the last command, in the lab one of the newest. The stop may have been sent later.
+    The log does not name the frame on which the trial ended: in a simulation it is the newest frame
+    one control period after the last command, in the lab one of the newest. The stop may have been
+    sent later.
     """
     result, stop = log.result, log.stop
     if result is None or stop is None:
@@ -304,7 +305,7 @@ def _outcome(
         said.append("goes on" if isinstance(decision, Plan) else _outcome_text(decision))
     if not result.outcome.complete and (not said or said[0] in ("goes on", "cannot go on")):
         return None
-    why = f"the controller says {said[0]!r}" if said else "there is no frame to decide it on"
+    why = f"the controller decides {said[0]!r}" if said else "there is no frame to decide on"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
 
 

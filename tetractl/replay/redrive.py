@@ -17,15 +17,16 @@ from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field, stopped_ns
 
-EARLY = 0.25  # fraction of a control period by which a stop may precede its end
+EARLY = 0.25  # a stop may precede the end of a control period by this fraction of the period
 
 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
-    """Return the direction in force in each control period of a log [rad], and a remainder [s].
+    """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
 
-    Periods count from the first direction sent, also that of a square. A direction sent within the
-    first half of a period counts for all of it. The remainder is the time beyond a period for which
-    the last one was held. UsageError if no direction was sent, or if the field was off at times.
+    Periods count from the first direction sent, which may be that of a preceding square. A
+    direction sent in the first half of a period counts for the whole period. The remainder is the
+    time for which the last direction was held after the last whole period. UsageError if no
+    direction was sent, or if the field was off at times.
     """
     require_field(log)
     sent = sorted(
@@ -48,7 +49,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> LoadedSpec:
     """Return a spec whose controller sends given directions [rad], one per control period.
 
-    The robots stand until the first, and no arrival ends the trial.
+    The robots stand still until the first direction, and arrival does not end the trial.
     """
     controller = SequenceSection(
         period=spec.experiment.controller.period,
@@ -86,8 +87,8 @@ class Apart:
 def paths_apart(recorded: TrialLog, again: TrialLog) -> Apart:
     """Return the distances between two trials of the same robots, at the recorded frames.
 
-    The positions of the trial driven again are interpolated between its frames. Times before the
-    first direction and after the end of either are left out.
+    The positions of `again` are interpolated between its frames. Times before the first direction
+    and after the end of either trial are left out.
     """
     names = recorded.start.setup.names
     if names != again.start.setup.names:

@@ -1,10 +1,10 @@
-"""The simulation of a trial run again, by the plant rebuilt from the spec and the seed.
+"""Repeats the simulation of a trial, with the plant rebuilt from the spec and the seed.
 
 The controller of the repeated trial returns the logged plans. Commands, frames, true poses,
 operator messages, verdict and the plant's facts must come out as logged.
 
-On the machine and versions that wrote the log they must come out with the same bits; elsewhere
-within `ROUGHLY`, since a sine may differ in its last bit.
+They must have the same bits on the machine and with the versions that wrote the log; elsewhere they
+may differ by `ROUGHLY`, since a sine may differ in its last bit.
 """
 
 import copy
@@ -59,7 +59,7 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
 
 
 def _samples(log: TrialLog) -> float:
-    """Return how many positions of robots the simulation evaluates, times obstacles."""
+    """Return the number of robot positions that the simulation evaluates, times (1 + obstacles)."""
     last = max(log.stop.sent_ns if log.stop else 0, *(one.sent_ns for one in log.commands), 0)
     rate = max(getattr(log.experiment.plant, "truth_rate", 0.0), log.start.plant.camera_rate_hz)
     setup = log.start.setup
@@ -87,8 +87,8 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a repeated trial with the log's values where the last bit matters: facts, which are
-    text, and whether a robot that just touches an obstacle entered it."""
+    """Return a repeated trial with the log's values of what a last bit may change: facts (text),
+    and whether a robot entered an obstacle that it only touches."""
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict
@@ -113,13 +113,13 @@ class _Ending:
     plant: Plant
     clock: Clock
     sent_ns: int
-    plans: bool  # whether planning takes time on the plant
+    plans: bool  # whether the plant simulates the time of planning
 
     @property
     def delay_ns(self) -> int:
-        """How much later than now the stop was decided [ns]."""
+        """Time from now until the stop was decided [ns]."""
         now = self.clock.now()
-        if self.plans:  # the time until the stop is sent is random; a copy of the plant draws it
+        if self.plans:  # the delay of the stop is random: a copy of the plant draws it
             now = copy.deepcopy(self.plant).stop().sent_ns
         return self.sent_ns - now
 
@@ -147,7 +147,7 @@ class _LoggedPlans:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
         if not 0 <= step.plan.delay_ns <= self._period_ns:
-            raise AbortError(f"step {step.k} pauses {step.plan.delay_ns} ns after its decision")
+            raise AbortError(f"step {step.k} waits {step.plan.delay_ns} ns after its decision")
         return step.plan
 
 
@@ -173,13 +173,13 @@ class _Recorder(Recorder):
     def _sent(self) -> None:
         self._left -= 1
         if self._left < 0:
-            raise AbortError(f"{len(self._log.commands)} commands are logged, more are sent")
+            raise AbortError(f"{len(self._log.commands)} commands are logged, but more were sent")
         if self._left == 0 and self._ending.delay_ns == 0:
             raise AbortError(ENDED)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the end, with outcome and reason from the log, as the logged plans do not determine
-        them.
+        """Keep the stop and the result, with outcome and reason from the log: plans do not
+        determine them.
         """
         logged = self._log.result
         assert logged

@@ -1,7 +1,7 @@
-"""The particle swarm of a logged search: logs do not hold it, so the search is run again.
+"""Repeats a logged search to obtain its particle swarm, which logs do not contain.
 
-The controller, rebuilt from the log, asks for the searches of a control step once more and gets the
-logged ones back; the problem, the warm start and the key of these calls determine the swarm.
+The controller, rebuilt from the log, repeats a control step and receives the logged searches; the
+problem, the warm start and the key that it passes to `search` determine the swarm.
 """
 
 import time
@@ -26,12 +26,12 @@ from tetractl.run.task import trial_seeds
 
 GRID = 61
 SEEN = [0, 1]
-"""The signals that are the two dimensions."""
+"""Indices of the two signals that are the two dimensions."""
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The swarm after iteration z in two dimensions: coordinates (np, 2) and u_gb (2,) [rad]."""
+    """The swarm after iteration z: two signals of each particle (np, 2) and of u_gb (2,) [rad]."""
 
     z: int
     particles: Floats
@@ -41,12 +41,12 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class SwarmHistory:
-    """A search by particle swarm, seen in two dimensions of its sequence.
+    """A particle swarm search in two dimensions: the first two signals of a sequence.
 
     `path` (Z + 1, 2) is the course of the first particle and `path_best` (2,) its local best at the
     end. `costs` (GRID, GRID) is J on a grid over (12) in the two dimensions, row by row upwards,
-    the other signals being those of u_gb. `repeated` is whether J(u_gb) agrees with the log in
-    every iteration.
+    with the other signals of u_gb. `repeated` is whether J(u_gb) agrees with the log in every
+    iteration.
     """
 
     frames: tuple[Frame, ...]
@@ -66,7 +66,7 @@ class _Asked:
 
 
 class _SpyOptimizer:
-    """An `Optimizer` that records the arguments of each search and delegates to another one."""
+    """An `Optimizer` that records the arguments of each search and returns the logged search."""
 
     def __init__(self, section: OptimizerSection, answers: Optimizer, asked: list[_Asked]) -> None:
         self._section, self._answers, self._asked = section, answers, asked
@@ -83,9 +83,9 @@ class _SpyOptimizer:
 def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     """Run the chosen search of control step 0 again and return its swarm.
 
-    `shown` are the shares of its iterations, 0 to 1, of which there is to be a frame. Raises
-    LogError for a search that was not by a particle swarm, has a single signal, does not follow
-    from the log, or takes longer than `limits` allows.
+    The swarm has a frame for each share of its iterations in `shown`, 0 to 1. Raises LogError for a
+    search that was not by a particle swarm, has a single signal, does not follow from the log, or
+    takes longer than `limits` allows.
     """
     rerun = Rerun(False, time.thread_time, limits.seconds_limit())
     rerun.start()
@@ -93,7 +93,7 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     section, logged = asked.optimizer, log.steps[0].plan.search
     if not isinstance(section, Pso):
         raise LogError(
-            f"{log.path}: has no swarm, as its optimiser is {section.type}",
+            f"{log.path}: has no swarm: its optimiser is {section.type}",
             "run it with --set controller.optimizer.type=pso",
         )
     if asked.length < 2:
@@ -115,12 +115,12 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
         rerun.timer,
     )
     rerun.begin(step.plan.searches)
-    with suppress(TetractlError, NoSearchError):  # the searches until here are recorded
+    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
         controller.plan(step.observation)
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(
             f"{log.path}: its first search cannot be run again",
-            "tetractl verify says what differs",
+            "tetractl verify prints the difference",
         )
     return asked[step.plan.chosen]
 
@@ -164,7 +164,7 @@ def _run(
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Return J on a grid over two dimensions, the other signals as in u_gb."""
+    """Return J on a grid over the two dimensions; the other signals are those of u_gb."""
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))
     for row, value in enumerate(axis):

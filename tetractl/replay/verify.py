@@ -1,9 +1,9 @@
-"""Verify a log: check it against itself, simulate it again, and compute every decision again.
+"""Verifies a log: checks that its records agree, and repeats its simulation and every decision.
 
-Messages for viewers follow from the records of the trial: the decoded records are encoded again by
-the writer's own encoder, and every message and its times must come out with the same bytes. If
-another machine or version wrote the log, numbers need only agree to `NEARLY`, and how the arena is
-drawn may differ.
+Messages for viewers are computed from the records of the trial: the decoded records are encoded
+again by the log writer's encoder, and every message and its times must have the same bytes. If
+another machine or version wrote the log, numbers must agree to `NEARLY`, and the arena may be drawn
+differently.
 """
 
 import time
@@ -44,12 +44,12 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference of each topic and of the required operator messages. Yields
-    nothing for a damaged log, or for format 1, which is no longer written.
+    """Yield the first difference of each topic and of the required operator messages; none for a
+    damaged log, or for format 1, which is no longer written.
     """
     if log.damage or raw.run.version == 1:
         return
-    called_for: list[Entry] = []  # of /log
+    called_for: list[Entry] = []  # the required messages of /log
     yield from _messages(raw, log, same_host, called_for)
     yield from _operator_messages(raw, log, called_for)
     if not same_host:
@@ -59,7 +59,7 @@ def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator
         (channels.LAYOUT, layout.layout(log.start.setup)),
     ):
         if raw.text(name) != text:
-            yield Difference(None, name, "is not what the experiment makes it")
+            yield Difference(None, name, "differs from that of the experiment")
     for name in (channels.SPEC, channels.ENVIRONMENT):
         if name not in raw.attachments:
             yield Difference(None, name, "missing")
@@ -68,7 +68,7 @@ def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator
 def _messages(
     raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
 ) -> Iterator[Difference]:
-    """Compare all topics except /log message by message, since a log may hold very many.
+    """Compare all topics except /log, one message at a time to save memory.
 
     Messages encoded for /log are appended to `called_for`.
     """
@@ -77,7 +77,7 @@ def _messages(
     count, until = dict.fromkeys(left, 0), time.thread_time() + limits.seconds_limit()
     for made in _encoded(raw, log):
         if time.thread_time() > until:
-            text = f"not encoded again: takes over {limits.seconds_limit():g} s"
+            text = f"not encoded again: it would take over {limits.seconds_limit():g} s"
             yield Difference(None, made.topic, f"{text}; {limits.FACTOR}=2 allows twice as much")
             return
         if made.topic == channels.LOG:
@@ -127,16 +127,16 @@ def _entry_difference(
     if entry is None:
         return Difference(None, name, "missing")
     if entry[1:3] != made[1:3]:
-        return Difference(None, name, f"stamped {entry[1:3]}, the records make it {made[1:3]}")
+        return Difference(None, name, f"has the times {entry[1:3]}, but {made[1:3]} by the records")
     if not same_host and made.topic in DRAWN:
         return None
     try:
         ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
     except DecodeError:
-        return Difference(None, name, "is no message of its channel")
+        return Difference(None, name, "not a message of its channel")
     found = first_difference(ours, logged, EXACT if same_host else NEARLY)
     if found is None:
-        return Difference(None, name, "holds other bytes") if same_host else None
+        return Difference(None, name, "has other bytes") if same_host else None
     return Difference(None, f"{name}.{found[0]}", found[1])
 
 
@@ -156,15 +156,15 @@ def _operator_messages(
     shown = (replace(note, text=printable(note.text, TEXT)) for note in notes)
     logged = Counter(log.notes)
     for note in (Counter(shown) - logged).elements():
-        yield Difference(None, "log", f"nothing on /log says {note.text!r} at {note.t_ns} ns")
+        yield Difference(None, "log", f"/log lacks {note.text!r} at {note.t_ns} ns")
         break
     if len(logged) < len(log.notes):
         note, _ = logged.most_common(1)[0]
-        yield Difference(None, "log", f"/log says {note.text!r} twice at {note.t_ns} ns")
+        yield Difference(None, "log", f"/log has {note.text!r} twice at {note.t_ns} ns")
     stated = raw.metadata[channels.RESULT].get(WARNINGS)
     warnings = sum(note.level in ("warning", "error") for note in log.notes[:-1])
     if stated is not None and stated != str(warnings):
-        text = f"states {stated}, on /log are {warnings}"
+        text = f"states {stated}, but /log has {warnings}"
         yield Difference(None, f"result.{WARNINGS}", text)
 
 
@@ -242,7 +242,7 @@ def verify(path: Path) -> Verification:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """Return the differences between the log's host and this one that change bits, one line
+    """Return the differences between the log's host and this one that may change bits, a line
     each."""
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
@@ -255,7 +255,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 
 def _difference(key: str, there: str | None, here: str | None) -> str:
-    """Return how a fact of two hosts differs; of lists of words, only the words that differ."""
+    """Return text on a fact that differs on two hosts; of a list of words, only those."""
     if there is not None and here is not None and key in provenance.LISTS:
         ours, theirs = set(here.split()), set(there.split())
         only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))

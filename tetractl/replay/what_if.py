@@ -22,12 +22,12 @@ from tetractl.replay.recompute import first_steps, plan_again
 from tetractl.run.task import trial_seeds
 
 SAME = 1e-9
-"""Directions that differ by less are the same [rad]."""
+"""Directions that differ by less than this [rad] count as the same."""
 
 
 @dataclass(frozen=True, slots=True)
 class StepPrediction:
-    """The recorded decision at control step k, and that of the other controller.
+    """The recorded decision and the other controller's decision at control step k.
 
     `difference` [rad] is the other direction minus the one sent, in [-pi, pi]. `recorded_error` and
     `other_error` are the sums of distances to the targets at the predicted ends of both plans, and
@@ -48,7 +48,7 @@ class StepPrediction:
 
 @dataclass(frozen=True, slots=True)
 class WhatIf:
-    """The predictions for a trial; `ended` is the reason if later steps have none, otherwise ""."""
+    """The predictions for a trial; `ended` is why later steps have no prediction, or ""."""
 
     unit: str
     steps: tuple[StepPrediction, ...]
@@ -71,7 +71,7 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
         path = setting.partition("=")[0].strip()
         if path.split(".")[0] != "controller":
             raise UsageError(
-                f"--set {setting}: only what is under 'controller' can be replaced in a log",
+                f"--set {setting}: only fields of 'controller' can be replaced in a log",
                 "to change the plant or the robots, run the spec again",
             )
     other = parse_spec(log.start.resolved, "the log's spec", sets).experiment
@@ -89,8 +89,8 @@ def what_if(
 ) -> WhatIf:
     """Return the decisions of another experiment's controller at each step of a log.
 
-    `timer` [ns] is the clock of its deadline, if it has one. Steps behind a gap in the log are
-    left out. UsageError if the field is off at times, by either controller.
+    `timer` [ns] is the clock of the controller's deadline. Steps after a gap in the log are left
+    out. UsageError if either controller switches the field off at times.
     """
     require_field(log)
     if other.controller.switches_field:

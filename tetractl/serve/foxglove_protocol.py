@@ -39,7 +39,7 @@ class Request:
 
 @dataclass(frozen=True, slots=True)
 class PlaybackState:
-    """The state of a playback at a time [Unix ns]; `sought` if the time has jumped there."""
+    """The state of a playback at a time [Unix ns]; `sought` is True after a jump to that time."""
 
     playback: Playback
     time_ns: int
@@ -51,7 +51,7 @@ def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
     """Return the first messages to a client: the server's description, and the topics with their
     schemas.
 
-    The span of a recording [Unix ns] gives a viewer controls for the playback.
+    With the span of a recording [Unix ns], a viewer shows controls for the playback.
     """
     info: dict[str, object] = {"op": "serverInfo", "name": name, "capabilities": ["time"]}
     info["sessionId"] = secrets.token_hex(8)  # identifies the server to a viewer that reconnects
@@ -91,14 +91,14 @@ def time(time_ns: int) -> bytes:
 
 
 def playback_state(state: PlaybackState, request: bytes = b"") -> bytes:
-    """Return the message of a state; `request` is the name of the request that it answers."""
+    """Return the message of a playback's state; `request` names the request that it answers."""
     status = _STATUS[state.playback]
     fields = _STATE, status, state.time_ns, state.rate, state.sought, len(request)
     return struct.pack("<BBQfBI", *fields) + request
 
 
 def control(said: bytes) -> tuple[Request, bytes] | None:
-    """Return a request and its name, None for another message; struct.error for one cut short."""
+    """Decode a request and its name; None for another message, struct.error for one cut short."""
     if said[:1] != bytes([_CONTROL]):
         return None
     _, pausing, rate, seeking, seek_ns, length = struct.unpack_from("<BBfBQI", said)

@@ -1,8 +1,8 @@
-"""The log viewers that read a trial over WebSockets, Foxglove and Lichtblick.
+"""Serves a trial to the log viewers Foxglove and Lichtblick over WebSockets.
 
-The protocol is spoken by `websockets` (the extra `serve`); each viewer has two threads. Nothing
-waits for a viewer: each has a queue of `BACKLOG` messages, of which the oldest are dropped. A
-viewer cannot publish messages or call services; it can only control the playback of a recording.
+`websockets` (the extra `serve`) implements the protocol; each viewer has two threads. No trial
+waits for a viewer: each viewer has a queue of `BACKLOG` messages, of which the oldest are dropped.
+A viewer cannot publish messages or call services; it can only control the playback of a recording.
 The source is a recorded trial or running trials.
 """
 
@@ -36,11 +36,11 @@ from tetractl.serve import foxglove_protocol
 from tetractl.serve.foxglove_protocol import PlaybackState, Request
 
 BACKLOG = 2048
-"""Messages that may wait for one viewer: three seconds of a trial with a camera of 120 Hz."""
+"""Length of a viewer's queue: three seconds of a trial with a camera of 120 Hz."""
 CLOSE_S = 0.25
 """Time for the viewers to receive their last messages, and again to end their connections [s]."""
 REQUEST_BYTES = 1 << 16
-CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # which `websockets` answers
+CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # messages that `websockets` answers
 
 _QUIET = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr
@@ -50,8 +50,8 @@ _QUIET.propagate = False
 class Viewers:
     """Sends a trial called `name` to viewers, and receives their requests.
 
-    A recording has the span `span_ns` [Unix ns]; `asked` is called, in another thread, with each
-    request of a viewer and returns the state that follows from it.
+    A recording has the span `span_ns` [Unix ns]; `asked` is called in another thread with each
+    request of a viewer, and returns the new state of the playback.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Viewers:
         self._lock = threading.Lock()
         self._clients: set[_Client] = set()
         self._newest: dict[str, Entry] = {}
-        self._time_ns = 0  # 0 until a message was sent
+        self._time_ns = 0  # log time of the last message, 0 before the first
         self._state: PlaybackState | None = None
 
     @property
@@ -153,7 +153,7 @@ class Viewers:
                 for one in asked["subscriptions"]:
                     topic = foxglove_protocol.TOPICS[one["channelId"]]
                     client.subscriptions[topic] = foxglove_protocol.subscription(one["id"])
-                    # otherwise viewers show a text twice
+                    # otherwise a viewer would show an operator message twice
                     if topic in self._newest and topic != LOG:
                         client.message(self._newest[topic])
             elif asked["op"] == "unsubscribe":
@@ -200,7 +200,7 @@ class _Client:
             self._some.notify()
 
     def end(self) -> None:
-        """Close the connection after the queue was sent."""
+        """Close the connection once all queued messages are sent."""
         with self._some:
             self._ending = True
             self._some.notify()
@@ -246,7 +246,7 @@ class _Link:
             self._flush()
 
     def close(self, code: CloseCode = CloseCode.NORMAL_CLOSURE) -> None:
-        """Signal the end of messages."""
+        """Send the WebSocket's closing message."""
         with self._lock, suppress(OSError, InvalidState):
             self._websocket.send_close(code)
             self._flush()
@@ -346,7 +346,7 @@ class ServedReplay:
 class ServedRun:
     """Sends the messages of a log for one trial after another: an `Observer` of each.
 
-    A simulated trial, which would end before it is seen, is slowed to the pace of `wall`.
+    A simulated trial is slowed to the wall clock `wall`, so that people can watch it.
     """
 
     def __init__(self, viewers: Viewers, wall: Clock) -> None:

@@ -1,10 +1,11 @@
 """The server on the loopback address: a page, logs, a layout, and a live WebSocket for log viewers.
 
 Everything is below a path that begins with a random token, which keeps other users of this machine
-out: they can reach the port but do not know the link. A foreign `Host` is another site's name that
-points at this machine (DNS rebinding); a foreign `Origin` is a page of another site in the
-operator's browser, which a WebSocket does not keep out. Parts of a file (RFC 9110, section 14) and
-pages of another origin (CORS) are answered, since a log viewer reads a log piece by piece.
+out: they can reach the port but do not know the link. Requests with a foreign `Host`, another
+site's name for this machine (DNS rebinding), are refused, and so are WebSockets with a foreign
+`Origin`, a page of another site in the operator's browser. Requests for parts of a file (RFC 9110,
+section 14) and from pages of another origin (CORS) are answered, since a log viewer reads a log
+piece by piece.
 """
 
 import hmac
@@ -85,7 +86,7 @@ class LoopbackServer:
         return f"{self.page_url}logs/{quote(name)}"
 
     def close(self) -> None:
-        """Send the viewers their last messages, end their connections, and answer no more."""
+        """Send the viewers their last messages, end their connections, and stop the server."""
         if self.live:
             self.live.close()
         self._http.shutdown()
@@ -118,7 +119,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._answer(body=False)
 
     def do_OPTIONS(self) -> None:
-        """Allow what a viewer asks for before it reads a part of a file."""
+        """Answer the CORS preflight before a viewer's request for a part of a file."""
         if self._wanted() is None:
             self._refuse(HTTPStatus.NOT_FOUND)
             return
@@ -130,7 +131,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
-        """Hand the WebSocket to `converse`, with the request, which was read here."""
+        """Call `converse` with the WebSocket's connection and the request that was read here."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):
@@ -142,7 +143,7 @@ class _Handler(BaseHTTPRequestHandler):
         converse(self.connection, f"{line}{head}\r\n".encode("latin-1"))
 
     def _let_in(self, token: str) -> bool:
-        """Return whether a request has the right token, in constant time, and our `Host`."""
+        """Return whether a request has our `Host` and, compared in constant time, the token."""
         ours = (f"{ADDRESS}:{self._site.port}", f"localhost:{self._site.port}")
         right = hmac.compare_digest(token.encode(), self._site.token.encode())
         return right and self.headers.get("Host") in ours
@@ -171,7 +172,7 @@ class _Handler(BaseHTTPRequestHandler):
                 self._refuse(HTTPStatus.NOT_FOUND)
 
     def _wanted(self) -> bytes | Path | None:
-        """Return the page, the layout, the file of a log, or None for what is not served."""
+        """Return the page, the layout or a log's file; None for any other address."""
         _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
         if not self._let_in(token):
             return None
@@ -207,7 +208,7 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(block)
             left -= len(block)
         if left > 0:
-            self.close_connection = True  # the file was cut meanwhile
+            self.close_connection = True  # the file has become shorter meanwhile
 
     def _allow(self) -> None:
         self.send_header("Access-Control-Allow-Origin", "*")
@@ -228,7 +229,7 @@ class _Handler(BaseHTTPRequestHandler):
 def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
     """Whether a request comes from a program, a desktop viewer or the page of a known viewer.
 
-    Known are Foxglove's, any page served by this machine, and the viewer at the address `viewer`.
+    Known viewers are Foxglove, any page served by this machine, and the viewer at address `viewer`.
     """
     if origin is None or origin in (FOXGLOVE, "file://"):
         return True
@@ -239,7 +240,7 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
 
 
 def byte_range(asked: str, size: int) -> tuple[int, int] | None:
-    """Return the first and last byte of a `Range` header, None if it cannot be satisfied.
+    """Return the first and last byte that a `Range` header requests, None if that is impossible.
 
     Several ranges are not supported and give None.
     """

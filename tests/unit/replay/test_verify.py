@@ -213,7 +213,7 @@ def test_an_outcome_is_not_changed_with_all_that_says_it(tmp_path, contents, out
     said = {last: last._replace(data=note.SerializeToString())}
     found = verify(rewrite(contents, tmp_path / "changed.mcap", said, change))
     assert found.problems[0].field == "outcome"
-    assert "the controller says 'steps max'" in found.problems[0].message
+    assert "the controller decides 'steps max'" in found.problems[0].message
 
 
 DIFFERENT = """
@@ -272,7 +272,7 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     entry = next(e for e in contents.entries if e.topic == "/tf")
     spoilt = {entry: entry._replace(data=entry.data[:-3])}
     found = verify(rewrite(contents, tmp_path / "changed.mcap", spoilt))
-    assert [str(one) for one in found.problems] == ["trial: /tf[0]: is no message of its channel"]
+    assert [str(one) for one in found.problems] == ["trial: /tf[0]: not a message of its channel"]
 
 
 @pytest.mark.parametrize(("simulated", "noticed"), [(False, True), (True, False)])

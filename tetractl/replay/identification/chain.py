@@ -5,12 +5,12 @@ random by w [1/sqrt(s)]. The residual of an interval of t seconds is then
 
     r_k = e_(k+1) - F_k e_k + w sqrt(T_k) n_k,      T_k = t_k (1 + 4 F_k + F_k^2) / 6,
 
-where F_k is the derivative of the model's end by its begin: a deviation early in an interval is
-multiplied by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1). The
-covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
-if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for displacements
-projected along a path it is the cosine of the angle between both intervals' paths. With A = L L^T,
-y = L^-1 r are independent and of deviation 1, and
+where F_k is the derivative of the model's end value by its start value: a deviation early in an
+interval is multiplied by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to
+1). The covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next
+to it if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for
+displacements projected along a path it is the cosine of the angle between both intervals' paths.
+With A = L L^T, y = L^-1 r are independent and of deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
 
@@ -40,7 +40,7 @@ LEAST = 1e-7  # least deviation, relative to that of the residuals
 
 @dataclass(frozen=True, slots=True)
 class SampleInterval:
-    """A value and its 95 % interval; an end is infinite if the motion does not bound it."""
+    """A value and its 95 % interval; an end is infinite if the data do not bound the value."""
 
     value: float
     low: float
@@ -57,7 +57,7 @@ class ChainNoise:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The K intervals of one robot: their length `t` (K,) [s], `slope` F (K,), and which count.
+    """The K intervals of one robot: length `t` (K,) [s], `slope` F (K,), and which are `used` (K,).
 
     `linked` (K,) is True for intervals that begin with the last frame of the interval before.
     `coupling` is G (K,), by default F.
@@ -75,7 +75,7 @@ class Chain:
         return noise.measured**2 * (1 + self.slope**2) + noise.walk**2 * walked + 1e-300
 
     def factor(self, noise: ChainNoise) -> Floats:
-        """Return L as its diagonal and the one below, (2, K); an interval not used has L = 1."""
+        """Return L as its diagonal and subdiagonal, (2, K); an interval not used has 1 and 0."""
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))
         s2 = noise.measured**2
@@ -87,7 +87,7 @@ class Chain:
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
-        """Return L^-1 of columns (K, M), 0 if an interval is not used."""
+        """Return L^-1 times columns (K, M), with 0 for intervals not used."""
         columns = np.where(self.used[:, None], columns, 0.0)
         found, info = _SOLVE(factor, columns, uplo="L")
         assert info == 0, "the diagonal of L is positive"

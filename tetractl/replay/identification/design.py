@@ -1,9 +1,9 @@
 """An informative motion: a sequence of directions, inside the arena, for accurate identification.
-The best of many random sequences is kept: it minimises the sum of the logarithms of the predicted
-variances (a D-optimal design) of the dead time and of each robot's a and heading bias, among those
-on which no robot comes within `margin` of the arena's edge, of an obstacle, or of another robot.
-The best sequence is then improved one direction at a time. Variances are predicted by the
-information of the turns of intervals of SHORTEST_S with the noise NOISE.
+Of many random sequences, the one is kept that minimises the sum of the logarithms of the predicted
+variances (a D-optimal design) of the dead time and of each robot's a and heading bias. No robot may
+come within `margin` of the arena's edge, an obstacle or another robot. The best sequence is then
+improved one direction at a time. Variances are predicted from the Fisher information of turns in
+intervals of SHORTEST_S, with the noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -27,17 +27,17 @@ from tetractl.replay.identification.turning import Turning, Turns
 HOLD_S = 0.4  # least time for which a direction is held
 NOISE = ChainNoise(0.01, 0.03)  # noise of headings [rad], and their random walk [rad/sqrt(s)]
 CANDIDATES, CHANGES = 60, 120
-# random directions per knot; failures before going back, and knots to go back
+# most draws per direction; after a failed draw, probability to go back, and by how many directions
 TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3
-TURN = 2.0  # largest change of direction [rad]: a robot that must turn back may turn either way
+TURN = 2.0  # largest change of direction [rad]: near pi, a robot may turn either way
 WEAK = np.array([0.5, 2.0, 1.0])  # prior standard deviations of dead time, ln a and bias
 AWAY = 0.15  # margin relative to the arena's shorter side; smaller for robots that start nearer
 
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A sequence of directions, one per control period, and the predicted deviations of a fit to
-    it.
+    """A sequence of directions, one per control period, and the predicted deviations of fitted
+    values.
 
     `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative, `heading_bias_std` (N,)
     [rad]; `clearance` is the least distance kept to edge and obstacles [length unit].
@@ -57,7 +57,7 @@ class Design:
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of a given duration; UsageError if the arena is too small for it."""
+    """Return a design of about `seconds`; UsageError if the robots have no room for it."""
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))
@@ -99,7 +99,7 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
 
 
 class _Room:
-    """Where robots may drive: away from the arena's edge, obstacles and each other."""
+    """The free space: away from the arena's edge, obstacles and other robots."""
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -110,11 +110,11 @@ class _Room:
         self.margin = min(AWAY * side, 0.5 * here)
 
     def clearance(self, directions: Floats, period: float) -> float:
-        """Return the least distance that a sequence keeps, half of it between two robots."""
+        """Return the least clearance under a sequence of directions."""
         return self.distance(_path(self.setup, directions, period))
 
     def distance(self, path: Floats) -> float:
-        """Return the clearance of poses (..., N, 3)."""
+        """Return the least distance of poses (..., N, 3) to an edge, or half that of two robots."""
         x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
         least = float(self.setup.arena.inside(x, y).min())
         for shape in self._obstacles.shapes:
@@ -128,11 +128,11 @@ class _Room:
 def _random_sequence(
     rng: np.random.Generator, count: int, setup: Setup, room: _Room, seconds: float
 ) -> Floats | None:
-    """Return random directions, each held for `seconds`, under which the robots stay inside; None
-    if not found.
+    """Return `count` random directions, held for `seconds` each, that keep robots in `room`, or
+    None.
 
-    Each is at most TURN from the one before, the first from where the robots head. If no direction
-    is possible, the last few are drawn again.
+    Each differs by at most TURN from the one before, the first from the robots' mean heading. If no
+    direction is possible, the last few are drawn again.
     """
     knots: list[float] = []
     states = [setup.starts]
@@ -167,8 +167,8 @@ def _path(setup: Setup, directions: Floats, period: float) -> Floats:
 
 
 def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> Floats:
-    """Return x, y, heading (M, N, 3) under a direction: between its begin and end, frames at least
-    SHORTEST_S apart, and last at its end."""
+    """Return x, y, heading (M, N, 3) under direction `u`: frames at least SHORTEST_S apart, then
+    the end."""
     count = max(1, int(seconds / SHORTEST_S))
     t = np.append((np.arange(count) + 0.5) / count, 1.0)[:, None] * seconds
     moved = step(poses.x, poses.y, poses.heading, np.array(u), setup.a, setup.speed, t)
@@ -180,7 +180,7 @@ def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
 
 
 def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
-    """Return the predicted deviations of dead time, ln a and heading biases, (1 + 2 N,)."""
+    """Return the predicted standard deviations (1 + 2 N,) of dead time, ln a and heading biases."""
     n = len(setup.names)
     drives = drives_of([_driven(setup, directions, dead_time)])
     turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))
@@ -194,7 +194,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
 
 
 def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
-    """Return the track of robots that move as expected; each direction acts at its `begin`."""
+    """Return the track of robots that move as the spec expects under the directions."""
     seen = _path(setup, directions, setup.period_s)[:, :-1]
     per, n = seen.shape[1:3]
     begin = np.arange(len(directions), dtype=np.float64) * setup.period_s

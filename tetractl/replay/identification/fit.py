@@ -1,11 +1,11 @@
 """A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
 
-The start is what the controller's filters find as the robots drive (`control.filter`), from each of
-RATES. Each of ROUNDS rounds then infers lost commands from the robots' turns, leaves out intervals
-that deviate from the model by more than OUTLYING standard deviations, fits the measurement noise
-and the random walk of the headings, and fits the parameters by Gauss-Newton steps on the whitened
-residuals. A parameter's 95 % interval holds the values for which the deviance, at its least over
-all other parameters, is within LIMIT of its least.
+The fit starts from the final estimates of the controller's filters (`control.filter`), which start
+from the expected a times each of RATES. Each of ROUNDS rounds then infers lost commands from the
+robots' turns, leaves out intervals that deviate from the model by more than OUTLYING standard
+deviations, fits the measurement noise and the random walk of the headings, and fits the parameters
+by Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval has the values for
+which the deviance, minimised over all other parameters, exceeds its minimum by at most LIMIT.
 
 Weak normal priors around the start, WEAK, keep unobservable parameters bounded.
 """
@@ -22,13 +22,13 @@ from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
 from tetractl.replay.identification.tracks import Drives, Track
 from tetractl.replay.identification.turning import Turning, Turns
 
-OUTLYING = 4.0  # deviations
+OUTLYING = 4.0  # standard deviations
 ROUNDS = 5
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the filters start
 WEAK = (0.5, 2.0, 1.0)  # prior standard deviations of tau [s], ln a and beta [rad]
-# largest distance from the estimate at which an interval's end is searched
+# largest distances from tau, ln a and beta at which an interval's end is searched
 FAR = 1.0, 3.0, 1.5
-STEP = (0.03, 0.3, 0.3)  # the longest Gauss-Newton step
+STEP = (0.03, 0.3, 0.3)  # longest Gauss-Newton step of tau, ln a and beta
 NEWTON = 3  # Gauss-Newton steps at each point of a profile
 POINTS = 6  # number of points on each side of a profile
 
@@ -37,7 +37,7 @@ POINTS = 6  # number of points on each side of a profile
 class Fitted:
     """The most likely parameters and the ends of their 95 % intervals, infinite if not found.
 
-    `chains` and `noises` are those of each robot's turns, `used` (K, N) the intervals that count.
+    `chains` and `noises` describe each robot's turns; `used` (K, N) are the intervals used.
     """
 
     best: Turning
@@ -50,7 +50,7 @@ class Fitted:
 
 
 def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
-    """Return the fit of tracks and of the `drives` in them; it starts from the `prior`."""
+    """Fit the parameters to tracks and their `drives`; `prior` has the expected values."""
     longest = max(tracks, key=lambda track: len(track.time))
     starts = [_filtered(longest, prior._replace(a=prior.a * rate)) for rate in RATES]
     first = min((_Fit(drives, start) for start in starts), key=_Fit.misfit)
@@ -89,14 +89,12 @@ class _Fit:
         self._factors: list[Floats] = []
 
     def misfit(self) -> float:
-        """Return a robust measure of the difference between predicted and measured turns at the
-        start.
-        """
+        """Return the mean absolute error of the predicted turns, each capped at 0.2 rad."""
         r = np.abs(self.turns.missed(self.p))
         return float(np.minimum(r, 0.2)[self.used].mean()) if self.used.any() else np.inf
 
     def improve(self) -> None:
-        """Do one round: losses, outliers, noise, parameters."""
+        """Do one round: infer losses, leave out outliers, fit the noise, fit the parameters."""
         usable = self.turns.drives.intervals.usable
         if not self._noises:
             r = self.turns.missed(self.p)
@@ -118,7 +116,7 @@ class _Fit:
             self.p = self._newton(self.p, None)
 
     def _whitened(self, p: Turning, derivatives: bool) -> tuple[Floats, Floats]:
-        """Return y (N K,) and, with `derivatives`, those of the prediction, (N K, 1 + 2 N)."""
+        """Return y (N K,) and, with `derivatives`, the prediction's derivatives (N K, 1 + 2 N)."""
         r, count = self.turns.missed(p), self.used.shape[1]
         by = self.turns.derivatives(p) if derivatives else np.empty((*r.shape, 0))
         ys, rows = [], []
@@ -132,7 +130,7 @@ class _Fit:
         return np.concatenate(ys), np.concatenate(rows) if rows else np.empty((0, 0))
 
     def _newton(self, p: Turning, fixed: int | None) -> Turning:
-        """Return the parameters after a Gauss-Newton step of all but the `fixed` one."""
+        """Return the parameters after a Gauss-Newton step, in which parameter `fixed` stays."""
         y, by = self._whitened(p, True)
         v = p.vector()
         normal = by.T @ by + np.diag(self._weak**-2.0)
@@ -150,7 +148,7 @@ class _Fit:
         return float(y @ y + (((p.vector() - self._center) / self._weak) ** 2).sum())
 
     def _end(self, which: int, sign: int, deviation: float, least: float) -> float:
-        """Return an end of the interval of a parameter: where the profile reaches LIMIT."""
+        """Return an end of a parameter's interval: the value at which the profile reaches LIMIT."""
         best = self.p.vector()
         p, reach = self.p, 1.96 * deviation
         inside, outside = 0.0, np.inf

@@ -1,6 +1,4 @@
-"""Identifies robots from tracks: each quantity of each robot with its 95 % interval; the values as
-a table and as a file for specs.
-"""
+"""Identifies robots from tracks: each value with its 95 % interval, as tables and for a spec."""
 
 import math
 from dataclasses import dataclass
@@ -20,9 +18,9 @@ from tetractl.replay.identification.turning import Turning
 LEAST = 20  # least number of intervals of a robot for a fit
 SPEED_ROUNDS = 3
 DEAD_TIME_STD = 0.1  # prior standard deviation of the dead time [s]
-# prior standard deviations, the first two relative
+# prior standard deviations of a (relative), speed (relative) and heading bias [rad]
 A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2
-UNKNOWN_A = 3.0  # rad/s, if no value is expected
+UNKNOWN_A = 3.0  # prior a if none is expected [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +28,10 @@ class RobotFound:
     """The identified values of one robot; lengths in the tracks' unit.
 
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
-    `heading_noise` [rad] and `position_noise` [length unit] are the deviations of the camera, the
-    latter along the robot's path; `heading_walk` [rad/sqrt(s)] is the random walk of the heading.
-    `lost` counts commands inferred lost, and `intervals` those between two frames that were used.
+    `heading_noise` [rad] and `position_noise` [length unit] are standard deviations of
+    measurements, of positions along the robot's path; `heading_walk` [rad/sqrt(s)] is the random
+    walk of the heading. `lost` is the number of commands inferred lost, `intervals` that of frame
+    intervals used.
     """
 
     name: str
@@ -48,7 +47,7 @@ class RobotFound:
 
 @dataclass(frozen=True, slots=True)
 class IdentifiedRobots:
-    """The result of identification from some tracks.
+    """The identified values of all robots.
 
     `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the time from the
     exposure of the answered frame to the sending of the direction, None if it is not known.
@@ -64,10 +63,10 @@ class IdentifiedRobots:
 
 
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
-    """Identify the robots of some tracks, all of the same robots.
+    """Identify the robots of some tracks, which all show the same robots.
 
-    `a` (N,) [rad/s] and the dead time [s] are the expected values, within a factor of some 5
-    and 0.3 s; None if unknown. UsageError if the tracks contain too few data.
+    `a` (N,) [rad/s] and the dead time [s] are expected values: right within a factor of about 5 and
+    within 0.3 s. `a` is None if unknown. UsageError if the tracks contain too few data.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)
@@ -129,12 +128,12 @@ def _prior(drives: Drives, a: Floats | None, dead_time: float) -> Prior:
 
 
 def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, SampleInterval]:
-    """Return speed and position noise of a robot, from its displacements along the predicted path.
+    """Return a robot's speed and position noise, from its displacements along the predicted path.
     An interval's displacement is speed times the predicted length per unit of speed, plus the
     camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)  # factor by which noise of the heading shortens the predicted path
+    length = np.hypot(x, y)  # `shown` is the factor by which heading noise shortens this
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]
@@ -175,7 +174,7 @@ MOST = 6  # decimals
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
-    """Return the `Identified` section; `when` is a time in words."""
+    """Return the section `identified` of a spec; `when` is its date and time as text."""
     return Identified(
         identified=when,
         origin=found.origin,

@@ -1,5 +1,5 @@
-"""Tracked poses of robots and the directions they were sent: the data of identification, from logs
-and from CSV files, poses in one and commands in another, as `tetractl export` writes.
+"""The data of identification: tracked poses of robots and the directions sent to them, from logs or
+from CSV files, poses in one and commands in another, as `tetractl export` writes.
 """
 
 import math
@@ -17,9 +17,9 @@ from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 
-SHORTEST_S = 0.035  # shortest interval: frames that follow faster are left out
+SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
 DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
-SETTLED_S = 0.5  # from the first direction after a pause until all robots drive again
+SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
 APART_S = 1000.0  # time between two tracks that are joined
 
 
@@ -28,10 +28,10 @@ class Track:
     """One trial of N robots: M camera frames and C commands, times in seconds of one clock.
 
     `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
-    [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command
-    was sent and `u` (C,) its direction [rad]. Nothing after `until` counts: the robots receive a
-    stop. `frame_age` is the median time from the exposure of the frame that a command answers to
-    its sending [s], None if that is not known.
+    [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
+    sent and `u` (C,) its direction [rad]. Data after `until` [s] are not used: the robots receive a
+    stop. `frame_age` is the median time [s] from a frame's exposure to the sending of the command
+    that answers it, None if unknown.
     """
 
     source: str
@@ -64,7 +64,7 @@ class Intervals(NamedTuple):
 
 
 class Directions(NamedTuple):
-    """C directions u (C,) [rad], and the times `when` (C,) [s] of the frames they answer."""
+    """C directions u (C,) [rad], and the times `when` (C,) [s] at which they were sent."""
 
     when: Floats
     u: Floats
@@ -74,8 +74,8 @@ class Directions(NamedTuple):
 class Drives:
     """Consecutive tracks with APART_S between them: K intervals between frames of N robots.
 
-    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if
-    an interval begins with the frame that the one before ended with.
+    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if an
+    interval begins with the last frame of the interval before.
     """
 
     intervals: Intervals
@@ -115,7 +115,7 @@ def track_of(log: TrialLog) -> Track:
 
 
 def _paused(log: TrialLog) -> Bools:
-    """Return which frames (M,) show robots in a pause, or entering or leaving one."""
+    """Return which frames (M,) show robots that stand still, stop or start to drive."""
     sent = [one.sent_ns for one in log.commands if one.direction is not None]
     found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
     for stop in (one.sent_ns for one in log.commands if one.stops):
@@ -138,7 +138,7 @@ def require_field(log: TrialLog) -> None:
 def stopped_ns(log: TrialLog) -> int | None:
     """Return the time [ns] of the final stop's first arrival, None if that is not known.
 
-    A lab repeats its stop, and the log's own stop is the last of them.
+    A lab sends several stops, and `log.stop` is the last one.
     """
     last = max((one.sent_ns for one in log.commands if one.direction is not None), default=-1)
     stops = [one.sent_ns for one in log.commands if one.direction is None and one.sent_ns > last]
@@ -191,7 +191,7 @@ def _drive(track: Track, begin: float) -> Drives:
     usable = seen & began & told[:, None]
     some = usable.any(axis=1)
     index = np.flatnonzero(some)
-    changes = np.append(True, np.diff(track.u) != 0)  # a repeated direction changes nothing
+    changes = np.append(True, np.diff(track.u) != 0)  # repeated directions are left out
     return Drives(
         Intervals(
             since=time[:-1][some] - origin + begin,
@@ -219,14 +219,14 @@ def _thinned(time: Floats) -> list[int]:
 def substeps(
     intervals: Intervals, when: Floats, tau: float
 ) -> list[tuple[NDArray[np.int64], Floats]]:
-    """Return which of C directions, sent at `when` (C,) [s], act in each interval, oldest first.
+    """Return which of the directions sent at `when` (C,) [s] act in each interval, oldest first.
 
-    Each is a pair of their numbers (K,) and the seconds (K,) for which they act a dead time `tau`
-    [s] after they were sent, 0 if there are fewer. The first direction also counts as acting before
-    its time.
+    Each pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
+    interval has fewer directions. A direction acts `tau` [s] after it was sent, the first also
+    before.
     """
     acts = when + tau
-    ends = np.append(acts[1:], np.inf)  # the last direction acts without end
+    ends = np.append(acts[1:], np.inf)  # the last direction acts until the end
     first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
     last = acts.searchsorted(intervals.until, "left") - 1
     found, begin = [], intervals.since
@@ -248,11 +248,11 @@ Trial = tuple[str, str]
 
 
 def csv_tracks(paths: list[Path]) -> list[Track]:
-    """Return the tracks in some CSV files, of which each holds poses or commands.
+    """Return the tracks in some CSV files, each of poses or of commands.
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s. Columns log and trial, if present, say which poses
-    and commands belong together. UsageError names what is missing.
+    time_s, direction_rad and perhaps observed_s. Columns log and trial, if present, assign poses
+    and commands to tracks. Raises UsageError if data are missing.
     """
     poses: dict[Trial, list[Row]] = {}
     commands: dict[Trial, list[Row]] = {}
@@ -282,7 +282,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     if lonely or not poses:
         which = f"{named[lonely[0]]}: " if lonely else ""
         raise UsageError(
-            f"{which}poses and commands are needed of each trial",
+            f"{which}both poses and commands are needed of each trial",
             "name both files, such as poses.csv steps.csv of `tetractl export`",
         )
     return [_track(poses[trial], commands[trial], unit, named[trial], trial) for trial in poses]
@@ -322,7 +322,7 @@ def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: 
 
 
 def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
-    """Return the number of a row in a column; NaN if it is `optional` and missing."""
+    """Return the number in a column of a row; NaN if it is `optional` and missing."""
     text = row.get(column, "").strip()
     if not text and optional:
         return math.nan

@@ -1,8 +1,9 @@
-"""How robots turn under the directions they were sent: residuals of a model of N robots.
+"""The turns of N robots under the directions sent to them, and their prediction by a model.
 
-A direction acts `tau` after it was sent, at a robot with turning rate a and heading bias beta as
-the closed form of (1)-(3) says. The model begins each interval at the heading measured. A robot
-that lost a direction follows the one before; its probability is inferred from how the robot turns.
+A direction acts `tau` after it was sent, and turns a robot of turning rate a and heading bias beta
+by the closed form of (1)-(3). The model starts each interval at the measured heading. A robot that
+lost a direction follows the one before; the probability of a loss is inferred from the robot's
+turns.
 """
 
 from dataclasses import dataclass, replace
@@ -17,8 +18,8 @@ from tetractl.replay.identification.tracks import Drives, substeps
 
 NUDGE_S, NUDGE = 0.001, 1e-4  # steps of tau [s], and of ln a, beta and headings, for derivatives
 SURE = 0.01  # probability below which a loss counts as impossible
-FEW = 0.5  # number of lost commands added to those found when the loss rate is estimated
-LARGE = 100.0  # cap of a squared deviation, so that intervals that fit neither have no influence
+FEW = 0.5  # number added to the lost commands when the loss rate is estimated
+LARGE = 100.0  # cap of a squared deviation, so that outliers have little influence
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +38,14 @@ class Turning:
 
     @classmethod
     def of(cls, vector: Floats) -> "Turning":
-        """Return the parameters of such a vector."""
+        """Return the parameters in a vector as returned by `vector`."""
         count = (len(vector) - 1) // 2
         return cls(float(vector[0]), vector[1 : 1 + count], vector[1 + count :])
 
 
 class Turns:
-    """The turns of K intervals and their prediction by the model. `lost` (C, N) is the probability
-    that a robot lost a direction, initially 0.
+    """The turns in K intervals, measured and predicted. `lost` (C, N) is the probability that a
+    robot lost a direction, initially 0.
     """
 
     def __init__(self, drives: Drives) -> None:
@@ -52,13 +53,13 @@ class Turns:
         count = len(drives.directions.u)
         self.lost = np.zeros((count, drives.moved.shape[1]))
         self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
-        self._followed = self._own, self._own  # if uncertain commands arrived, and if they did not
+        self._followed = self._own, self._own  # if uncertain commands arrived, or were lost
 
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
 
-        If it is in doubt whether a direction arrived, the mean of both, by their probabilities.
-        `ahead` [rad] is added to the headings measured.
+        If it is uncertain whether a direction arrived, both motions are averaged by their
+        probabilities. `ahead` [rad] is added to the measured headings.
         """
         arrived, lost = self._followed
         found = self._under(p, arrived, ahead)
@@ -70,11 +71,11 @@ class Turns:
         return x, y, turn
 
     def missed(self, p: Turning) -> Floats:
-        """Return the turns measured minus those predicted (K, N) [rad]."""
+        """Return the measured minus the predicted turns (K, N) [rad]."""
         return wrap(self.drives.intervals.turned - self.motion(p)[2])
 
     def derivatives(self, p: Turning) -> Floats:
-        """Return the derivatives of the predicted turn by tau, ln a and beta, (K, N, 3)."""
+        """Return the derivatives (K, N, 3) of the predicted turns by tau, ln a and beta."""
         low = max(0.0, p.tau - NUDGE_S)
         pairs = (
             (replace(p, tau=p.tau + NUDGE_S), replace(p, tau=low), p.tau + NUDGE_S - low),
@@ -85,17 +86,17 @@ class Turns:
         return np.stack(turns, axis=-1)
 
     def chains(self, p: Turning, used: Bools) -> list[Chain]:
-        """Return the chain of each robot, of the intervals `used` (K, N)."""
+        """Return each robot's chain; `used` (K, N) is False for intervals to leave out."""
         more, less = self.motion(p, NUDGE)[2], self.motion(p, -NUDGE)[2]
         slopes = 1 + (more - less) / (2 * NUDGE)
         seconds, after = self.drives.seconds, self.drives.after
         return [Chain(seconds, slopes[:, i], used[:, i], after) for i in range(used.shape[1])]
 
     def believe(self, p: Turning, chains: list[Chain], noises: list[ChainNoise]) -> None:
-        """Estimate the probability that each robot lost each command, from its turns under it.
+        """Estimate the probability `lost` of each command from the robot's turns.
 
-        Bayes' rule combines the likelihood of the turns under the direction and under the previous
-        one with the share of lost commands so far.
+        Bayes' rule combines the likelihoods of the turns under the command's direction and under
+        the previous one with the share of lost commands so far.
         """
         hard = np.where(self.lost > 0.5, np.vstack([self._own[:1], self._own[:-1]]), self._own)
         before = np.vstack([hard[:1], hard[:-1]])
@@ -132,7 +133,7 @@ class Turns:
     def _under(
         self, p: Turning, followed: NDArray[np.int64], ahead: float = 0.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the motion where each robot follows the directions numbered (C, N)."""
+        """Return the motion if robots follow the directions of index `followed` (C, N)."""
         start = self.drives.intervals.heading + ahead
         u = self.drives.directions.u[followed]
         x, y, heading = np.zeros_like(start), np.zeros_like(start), start

@@ -88,7 +88,7 @@ design spec.yaml --yes | --logs and --yes need --plant
 design lab.yaml --plant lab | there is no terminal to ask at | add --yes
 redrive LOG --plant lab --yes | lab
 what-if logs | --set
-what-if LOG --set plant.dead_time=0 | only what is under 'controller' can be replaced
+what-if LOG --set plant.dead_time=0 | only fields of 'controller' can be replaced
 analyze spec.yaml -o a.txt | a.txt: cannot write '.txt' pictures
 analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1

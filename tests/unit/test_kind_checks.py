@@ -87,7 +87,7 @@ def northward(x, y, heading, u, a, v, t):
 @pytest.mark.parametrize(
     ("motion", "what"),
     [
-        (replace(EXACT, step=drifting), "step: the same twice"),
+        (replace(EXACT, step=drifting), "step: repeats exactly"),
         (replace(EXACT, step=northward), "step: rotates with heading and u"),
         (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: same x as step"),
         (replace(EXACT, turn=lambda h, u, a, t: h), "turn: same headings as step"),

@@ -88,7 +88,7 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
     """Return a repeated trial with the log's values of what a last bit may change: facts (text),
-    and whether a robot entered an obstacle that it only touches."""
+    and whether a robot entered an obstacle that it touches."""
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict

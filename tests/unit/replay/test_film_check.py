@@ -89,7 +89,7 @@ def test_another_opencv_is_not_comparable_and_no_failure(shown, tmp_path):
     found = verify(path)
     assert found.ok
     (note,) = [note for note in found.notes if "film" in note]
-    assert "not comparable, found by OpenCV 4.0.1" in note
+    assert "not comparable: written with OpenCV 4.0.1" in note
 
 
 def test_a_log_whose_film_was_taken_out_is_noticed(shown, tmp_path):

@@ -255,7 +255,7 @@ def test_the_time_that_verifying_takes_is_bounded(log):
     ticks = iter(range(0, 100_000, 4))
     found = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks))
     assert found is not None
-    assert "not decided again: from here on it takes over 15 s" in found.message
+    assert "not computed again: from here on it takes over 15 s" in found.message
 
 
 def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):

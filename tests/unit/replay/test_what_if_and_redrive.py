@@ -39,7 +39,7 @@ def test_where_the_other_controller_would_have_ended_the_trial_is_told():
 @pytest.mark.parametrize(
     ("setting", "says"),
     [
-        ("plant.dead_time=0.1", "only what is under 'controller'"),
+        ("plant.dead_time=0.1", "only fields of 'controller'"),
         ("controller.period=0.1", "differs from the recorded 0.2"),
     ],
 )

@@ -93,7 +93,7 @@ def test_a_group_does_not_differ_from_itself():
     found = arm("a", ERRORS)
     same = only(found, found)
     assert (same.verdict, same.delta.value, same.difference.value) == (None, 0.0, 0.0)
-    assert same.reason == "no interval: all pairs differ alike"
+    assert same.reason == "no interval: all differences are equal"
     assert same.differs == ()
 
 

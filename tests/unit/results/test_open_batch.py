@@ -82,7 +82,7 @@ def test_rows_without_a_result_are_missed_only_where_there_is_no_log(tmp_path):
     assert (found, count) == ({0: True}, 1)
     (one,) = damaged
     assert (one.path, one.problem.partition(";")[0]) == (
-        str(arm / ROWS), "2 trials have neither a log nor a row that can be read"
+        str(arm / ROWS), "2 trials have neither a readable log nor a readable row"
     )  # fmt: skip
     assert [task.key for task in run(tmp_path, SMALL, logs=FIRST).tasks] == [
         (arm.name, trial) for trial in range(3)

@@ -381,7 +381,7 @@ def test_the_swarm_is_that_of_the_logged_search(log):
 
 def test_no_swarm_without_particles(log):
     other = experiment(controller={"optimizer": {"type": "multistart"}})
-    with pytest.raises(LogError, match="has no swarm, as its optimiser is multistart"):
+    with pytest.raises(LogError, match="has no swarm: its optimiser is multistart"):
         draw("swarm", [replace(log, experiment=other)])
 
 

@@ -39,7 +39,7 @@ def cache_folder() -> Path:
     own = Path(tempfile.mkdtemp(prefix="tetractl-"))  # 0700
     atexit.register(shutil.rmtree, own, ignore_errors=True)
     os.environ[FOLDER] = str(own)
-    say_once(f"{why}; compiled code is kept in a folder of this run's own and compiled again next")
+    say_once(f"{why}; compiled code is kept in a temporary folder and removed after this run")
     return own
 
 
@@ -68,7 +68,7 @@ def claim(folder: Path) -> str | None:
 
 
 def exposed(folder: Path) -> str | None:
-    """Return a sentence on which other users could put files into a folder, None if no other can.
+    """Return a sentence that states how other users can write to a folder, None if they cannot.
 
     The folder has to be the user's, and each parent the user's or root's; a parent that others can
     write to must be sticky, as the temporary folder is. A group of which the user is the only

@@ -17,11 +17,11 @@ class CellFilm:
     `crops` (K, T, T) are cut out of the picture minus its background, the input of the search for
     contours, so that the search can be repeated; the upper left pixel of each is at `corners` (K,
     2), column and row. `blobs` (K, 6) are the blobs found in the crops: x, y [px], axis [rad],
-    long, wide [px], strength [grey levels]. `robots` (K,) are the robots' indices, -1 for a
-    stranger; `merged` (K,) is True for cells that share a blob. `limits` (4,) are those of the
-    search. `sure` (N,) is the probability that each robot's cell is still the same one, NaN if the
-    cell is not seen. `whole` is the picture itself and `background` the picture subtracted, both
-    present in some frames only.
+    length, width [px], strength [grey levels]. `robots` (K,) are the robots' indices, -1 for a
+    stranger; `merged` (K,) is True for cells that share a blob. `limits` (4,) are low and high
+    threshold [grey levels], least and most area [px^2] of the search. `sure` (N,) is the
+    probability that each robot's cell is still the same one, NaN if the cell is not seen. `whole`
+    is the picture itself and `background` the picture subtracted, both only in some frames.
     """
 
     sampled_ns: int
@@ -37,7 +37,7 @@ class CellFilm:
 
 
 def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
-    """Return a square of a picture by its upper left pixel; parts outside the picture are 0."""
+    """Return the square whose upper left pixel is at a column and row; 0 outside the picture."""
     found = np.zeros((side, side), np.uint8)
     left, top = max(column, 0), max(row, 0)
     part = picture[top : max(row + side, 0), left : max(column + side, 0)]

@@ -66,7 +66,7 @@ def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
     """Call `done` every 2 ms of a clock until it returns true; return False if the timeout comes
     first.
 
-    In virtual time, waiting advances whatever the clock drives, so that tests need no thread.
+    In virtual time, waiting advances the devices that run on the clock, so tests need no thread.
     """
     end = clock.now() + round(timeout_s * SECOND)
     while not done():

@@ -6,11 +6,11 @@ GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
 """The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two more."""
 NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
-"""The shades that replace the paper's colours, which colour-blind readers can distinguish."""
+"""The paper's colours by name, in shades that colour-blind readers can distinguish."""
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Return a colour (#rrggbb) per robot: the spec's, that of its name, or the palette's next."""
+    """Return a colour (#rrggbb) per robot: the spec's, its name if in `NAMED`, or the next free."""
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
     free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
     unnamed = iter(range(len(chosen)))

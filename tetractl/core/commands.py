@@ -11,7 +11,7 @@ HALTS = "halts"
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """One camera frame, with the true poses at its exposure; these are None outside simulations.
+    """One camera frame and the true poses at its exposure; `truth` is None outside simulations.
 
     `film` holds the picture's crops, for a camera that follows cells.
     """

@@ -43,23 +43,23 @@ class End:
 
 
 class StopReason(StrEnum):
-    """Why a search ended; the value is what a log states."""
+    """Why a search ended; the value is the text in a log."""
 
     CRITERION = "criterion"  # the stop criterion of the optimiser, such as (20)
     ITERATIONS = "iterations"  # the optimiser's limit of iterations was reached
     TARGET = "target"  # a cost that is good enough was found
     EVALUATIONS = "evaluations"  # the limit allows no further evaluation
-    DEADLINE = "deadline"  # the time was up
+    DEADLINE = "deadline"  # the deadline passed
     FIXED = "given"  # there was no search: the spec gives the sequence
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
-        """Return the reason that a log states; the text itself if it is not one of these."""
+        """Return the reason with a text from a log; the text itself if no reason has it."""
         return next((reason for reason in cls if reason.value == text), text)
 
 
 PAUSE_S = 0.5
-"""Time for which the robots stand in a pause beyond one control period [s]."""
+"""Length of a pause, in addition to one control period [s]."""
 
 
 def never() -> bool:
@@ -143,8 +143,8 @@ class Plan:
 
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
     (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
-    `chosen` indexes the best. `generator` is the key all random draws of this step came from.
-    `estimate` are the values used for the plan, None if the controller estimates nothing. With
+    `chosen` indexes the best. `generator` is the key of all random draws in this step. `estimate`
+    are the estimates used for the plan, None if the controller estimates nothing. With
     `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
     then not sent. With `pauses` all robots are stopped instead, `delay_ns` after the decision, and
     stand for PAUSE_S. `leg` is the number of way-points passed; while the robots hold, one more
@@ -166,8 +166,8 @@ class Plan:
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return the plan with a path of all N robots: it was made for those in the mask `left`
-        (N,), and the others stay where they were `seen`.
+        """Return this plan for the robots in the mask `left` (N,) with a path of all N robots, in
+        which the others stay at their poses in `seen`.
         """
         if left.all():
             return self
@@ -208,7 +208,7 @@ class Region(Protocol):
         ...
 
     def packed(self) -> tuple[Any, ...]:
-        """Return the shapes as compiled code takes them, one `PackedShapes` for each kind."""
+        """Return the shapes in arrays for compiled code, one `PackedShapes` for each kind."""
         ...
 
 
@@ -257,7 +257,7 @@ class Problem:
 
     @property
     def drift(self) -> Floats:
-        """Return bias and flow as compiled code takes them, (4, N): cosine and sine, x and y."""
+        """Return cosine and sine of the bias, x and y of the flow, (4, N), for compiled code."""
         none = np.zeros(len(self.a))
         bias = none if self.bias is None else self.bias
         flow = (none, none) if self.flow is None else self.flow.T

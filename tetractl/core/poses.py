@@ -55,7 +55,7 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distance (N,) of each robot to its own one of points (N, 2)."""
+        """Return the distance (N,) of robot i to point i of points (N, 2)."""
         return np.hypot(*(self.xy - points).T)
 
 
@@ -70,8 +70,8 @@ class CameraFrame:
 
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
-    are tracked bodies that are not robots. `fault` is why the stream must not be trusted, "" if it
-    can be.
+    are tracked bodies that are not robots. `fault` is the reason not to use the stream's poses, ""
+    if there is none.
     """
 
     number: int
@@ -99,14 +99,14 @@ class Observation:
 
 
 INSIDE = 0.95
-"""The share of a normal distribution that lies in the ellipse."""
+"""The fraction of a normal distribution that lies in the ellipse."""
 DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
 """Distance from the ellipse's centre to its edge, in standard deviations."""
 
 
 def ellipse(covariance: Floats) -> tuple[float, float, float]:
-    """Return the ellipse that holds INSIDE of a normal distribution of a covariance (2, 2): its
-    half axes [length unit], the longer first, and the angle of the longer one [rad].
+    """Return half axes [length unit], longer first, and angle of the longer [rad] of the ellipse
+    that contains the fraction INSIDE of a normal distribution of a covariance (2, 2).
     """
     values, vectors = np.linalg.eigh(covariance)
     short, long = DEVIATIONS * np.sqrt(np.maximum(values, 0.0))

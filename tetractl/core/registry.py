@@ -37,10 +37,10 @@ class Kind:
 class Registry:
     """The kinds of one interface by name, such as the optimisers.
 
-    `builtin` maps a name to "module:attribute", and `base` is the class, written alike, that every
-    kind is derived from; "" if kinds are not classes. Other packages add their own as entry
-    points of `group`; built-in names take precedence, and of two packages that offer the same name
-    the first in alphabetical order is used. A module is imported when its kind is loaded.
+    `builtin` maps a name to "module:attribute"; `base` is the "module:attribute" of the class from
+    which every kind is derived, "" if kinds are not classes. Other packages add kinds as entry
+    points of `group`; built-in names take precedence, and if two packages offer the same name, the
+    first package in alphabetical order is used. A module is imported when its kind is loaded.
     """
 
     def __init__(self, group: str, what: str, builtin: Mapping[str, str], base: str = "") -> None:
@@ -75,11 +75,11 @@ class Registry:
         point = self._installed[name]
         try:
             found = point.load()
-        except Exception as error:  # whatever another package's module raises when it is imported
+        except Exception as error:  # a module of another package may raise anything
             text = str(error).partition("\n")[0]
             raise self._unusable(point, f"{type(error).__name__}: {text}") from error
         if self.base and not (isinstance(found, type) and issubclass(found, imported(self.base))):
-            raise self._unusable(point, f"it is no class derived from {self.base}")
+            raise self._unusable(point, f"it is not a class derived from {self.base}")
         return found
 
     def usable(self) -> dict[str, Any]:
@@ -111,7 +111,7 @@ class Registry:
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
-        # a name from two packages: the first package by name
+        # if two packages offer a name, the alphabetically first package provides it
         return {point.name: point for point in points}
 
 

@@ -72,13 +72,13 @@ class Shape(Protocol):
         ...
 
     def outline(self) -> Floats:
-        """Return the corners (M, 2), anticlockwise, of a simple polygon that draws the shape
-        without its growth.
+        """Return the corners (M, 2), anticlockwise, of a simple polygon that draws the shape before
+        it was grown.
         """
         ...
 
     def row(self) -> tuple[float, ...]:
-        """Return the shape's numbers for the compiled functions of `packed`."""
+        """Return the shape's parameters, a row of `packed`."""
         ...
 
 
@@ -88,7 +88,7 @@ class Setup:
 
     `unit` is the length unit of every number and `metres` its length [m]. `targets` (N, 2); `a`
     (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the
-    largest number of control steps and `iterations_max` that of an optimiser's iterations in one
+    largest number of control steps, `iterations_max` the largest number of iterations of one
     search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
     wheels; `watchdog_s` the time after which a robot that receives nothing stops, inf if it never
     does; `lag_s` the time constant with which wheels follow a command. `way_points` (M, N, 2) are

@@ -1,9 +1,9 @@
-"""Way-points and a hold, and measures of how well the robots kept to them.
+"""Way-points, a hold at the targets, and measures of how accurately the robots followed them.
 
 All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
 way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
 
-A robot is lost if it is a cell that left, divided or died, or was out of view too long.
+A robot is lost if it was not tracked for too long, such as a cell that left, divided or died.
 """
 
 from collections.abc import Iterable
@@ -71,9 +71,9 @@ class HoldTask:
 class TourMeasure:
     """Measures how N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
 
-    `step` is called with each control step's leg and observation, before that step's frames, which
-    `add` counts up to `until_ns`; the true poses are used if known. `loss` is the rule by which a
-    robot is lost.
+    For each control step, call `step` with its leg and observation, then `add` with its frames;
+    frames after `until_ns` are ignored. True poses are used if known. `loss` is the rule by which
+    a robot is lost.
     """
 
     def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
@@ -124,5 +124,5 @@ class TourMeasure:
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Share of the hold's frames with each robot within the radius, (N,); empty without any."""
+        """Fraction of the hold's frames with each robot within the radius, (N,); empty without."""
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

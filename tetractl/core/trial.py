@@ -15,7 +15,7 @@ from tetractl.core.tour import TourMeasure
 
 Integers = NDArray[np.int64]
 
-EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC: virtual trials start here, so logs repeat
+EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC, the start of simulated trials: logs repeat
 
 OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
 """Names of the files attached to every log; a file that a spec refers to must have another name."""
@@ -98,7 +98,7 @@ class Result:
         deadline_misses: int,
         tour: TourMeasure,
     ) -> Self:
-        """Return the result of a trial that ended in the poses of a verdict."""
+        """Return the result of a trial from the verdict and the record of its steps."""
         errors = verdict.final.distances(setup.targets)
         return cls(
             outcome=outcome,

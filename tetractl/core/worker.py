@@ -1,4 +1,4 @@
-"""Calls done in order by a background thread: a slow disk or screen does not delay the caller."""
+"""A background thread that makes calls in order: a slow disk or screen does not delay callers."""
 
 import queue
 import threading
@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def drained(waiting: deque[T]) -> list[T]:
-    """Take everything out of a queue that another thread may fill meanwhile, oldest first."""
+    """Remove and return a queue's items, oldest first; another thread may add some meanwhile."""
     found: list[T] = []
     while waiting:
         found.append(waiting.popleft())
@@ -26,12 +26,12 @@ def _nothing() -> float | None:
 class Worker:
     """A thread with a queue of at most `size` calls.
 
-    `put` fails if the queue stays full for `wait_s`, `drain` and `close` fail if the thread does
-    not finish within `patience_s`; the error is then `too_slow`. The first error, of these or of a
-    call itself, is kept as `failure`: the next `put`, `drain` or `check` raises it, once, and no
-    later call is done. The thread calls `idle` after each call, and again after the time [s] that
-    `idle` returned, unless that is None. With `batch_s` the thread lets calls collect for that time
-    [s]: if the other thread computes, switching threads at every call costs more than the calls do.
+    The error is `too_slow` if the queue stays full for `wait_s` in `put`, or the thread does not
+    finish within `patience_s` in `drain` or `close`. The first error, `too_slow` or raised by a
+    call, is kept as `failure`: the next `put`, `drain` or `check` raises it, once, and later calls
+    are dropped. The thread calls `idle` after each call, and again after the time [s] that `idle`
+    returned, unless that is None. The thread collects calls for `batch_s` before it makes them,
+    since switching threads at every call may cost more than the calls do.
     """
 
     def __init__(
@@ -87,10 +87,10 @@ class Worker:
             raise self.failure
 
     def close(self, last: Callable[[], object] = _nothing) -> None:
-        """Do the calls in the queue and then `last`, even after a failure, and end the thread.
+        """Make the calls in the queue and then `last`, even after a failure, and end the thread.
 
-        Raises nothing: see `failure`, or call `check`. A second call does nothing. If the thread
-        has stalled, this does not wait for it.
+        Never raises: read `failure`, or call `check`. A second `close` does nothing. A thread that
+        has stalled is not waited for.
         """
         if not self._thread.is_alive():
             return

@@ -21,9 +21,9 @@ def fixed(decimals: int) -> Callable[[float], str]:
 
 
 def lengths(scale: float, finest: int = 9) -> Callable[[float], str]:
-    """Return a format for lengths of about `scale`: three digits, one decimal below 1000.
+    """Return a format with three significant digits for lengths of about `scale`.
 
-    The format has at most `finest` decimals.
+    The format has at least one decimal below 1000, and at most `finest` decimals.
     """
     scale = abs(scale)
     size = math.floor(math.log10(scale)) if math.isfinite(scale) and scale > 0 else 1
@@ -139,7 +139,7 @@ class Table:
         return len(self.columns[0].values) if self.columns else 0
 
     def with_first(self, **constants: Any) -> "Table":
-        """Return the table with columns in front that have the same value in each row."""
+        """Return the table with further first columns, each with one constant value."""
         first = (Column(name, [value] * len(self)) for name, value in constants.items())
         return Table(self.title, (*first, *self.columns), self.note)
 

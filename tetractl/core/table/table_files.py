@@ -111,7 +111,7 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a pyarrow array; if no value is known, of text for words, otherwise of numbers."""
+    """Return a pyarrow array; without a known value, its type is text for words, else float."""
     import pyarrow
 
     values = column.known
@@ -162,8 +162,8 @@ class TableFiles:
         if keys != known:
             odd = sorted(set(keys) ^ set(known))
             raise UsageError(
-                f"{source}: its {name} have other columns than those before: {', '.join(odd[:4])}",
-                "export the logs of each experiment by themselves",
+                f"{source}: its {name} and earlier ones differ in columns: {', '.join(odd[:4])}",
+                "export the logs of each experiment separately",
             )
         try:
             self._files[name].add(table)

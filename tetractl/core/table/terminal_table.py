@@ -101,8 +101,8 @@ def _markdown(text: str) -> str:
 def latex(tables: Sequence[Table]) -> str:
     r"""Return `tabular` and `tabularx` environments that fit the width of the text.
 
-    The document needs the packages booktabs, graphicx and tabularx. Numbers wider than the text are
-    set in a smaller size, words are wrapped. The table's title and note stand below numbers.
+    The document needs the packages booktabs, graphicx and tabularx. Tables of numbers that are too
+    wide are set smaller, with title and note below; in tables of words the words are wrapped.
     """
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
     for table in tables:

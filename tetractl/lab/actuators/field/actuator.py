@@ -49,7 +49,7 @@ class FieldActuator:
         self._lock = threading.Lock()
         self._currents = OFF  # currents requested of the driver [A], held from `_sent_ns` ...
         self._sent_ns = clock.now() - self.period_ns
-        self._held_until_ns = self._sent_ns  # ... until then, when the driver goes to 0
+        self._held_until_ns = self._sent_ns  # ... until this time, when the driver goes to 0
 
     def __enter__(self) -> Self:
         try:
@@ -65,7 +65,7 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Steer other cells from now on: those that a trial found."""
+        """Steer the cells of a new setup from now on, after a trial has chosen them."""
         self._a, self._speed = setup.a, setup.speed
 
     @property
@@ -118,7 +118,7 @@ class FieldActuator:
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return a status without an answer for each cell, as only the driver can be asked."""
+        """Return a status for each cell with `answers` None: only the driver can be polled."""
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
@@ -213,7 +213,7 @@ def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
     reach = section.calibrated_coils().least_reach()
     if reach < section.strength_mt:
         found.append(
-            f"only {reach:.3g} of {section.strength_mt:g} mT can be had in every direction; in "
+            f"only {reach:.3g} of {section.strength_mt:g} mT can be reached in every direction; in "
             "some, cells turn more slowly"
         )
     if reply.current_max_ma > round(1000 * section.current_max_a):

@@ -1,4 +1,4 @@
-"""The current driver at the other end of a serial port: numbered frames out, replies in.
+"""The current driver on a serial port: packs numbered command frames and reads the replies.
 
 Command: 53 sequence flags, i16 x, i16 y [mA], CRC. Reply, only when polled: 54 sequence status
 version, i16 measured x, y [mA], u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames
@@ -54,12 +54,12 @@ class FieldCommand:
 
 @dataclass(frozen=True, slots=True)
 class FieldReply:
-    """The reply of a polled driver; `sequence` is that of the poll.
+    """The reply of a polled driver; `sequence` is the number of the poll's frame.
 
     The currents [mA] are measured. `supply_mv` 0 and `temperature_dc` `UNKNOWN_TEMPERATURE` (in
     tenths of a degree Celsius) mean not known. `received` and `rejected` count frames with a right
     and a wrong CRC, modulo 65536. The last three are the driver's own limits: the greatest current
-    [mA], the greatest change of a current [mA/s], and the silence after which it stops [ms].
+    [mA], the greatest change of a current [mA/s], and the watchdog's time without a frame [ms].
     """
 
     sequence: int
@@ -103,7 +103,7 @@ def decode_reply(frame: bytes) -> FieldReply:
 
 
 SILENCE_NS = SECOND // 2
-# the driver counts as off after more frames, over a longer time, than this without a reply
+# after more than this number of frames and this time without a reply, the driver counts as off
 UNANSWERED_MAX = 5
 TRIES = 5
 ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
@@ -147,7 +147,7 @@ class Driver:
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a command that polls; return when [ns]. AbortError if the port has failed."""
+        """Send a polling command; return the time of sending [ns]. AbortError if that fails."""
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
@@ -158,8 +158,8 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll with the field off, up to five times 0.1 s; return the reply, None if there was
-        none.
+        """Poll with the field off, up to five times, 0.1 s each; return the reply, None without
+        one.
 
         AbortError if the port has failed.
         """

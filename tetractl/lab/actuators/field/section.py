@@ -20,9 +20,9 @@ Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in th
 
 @dataclass(frozen=True, slots=True)
 class Coils:
-    """Two orthogonal coil pairs: `gain` [mT/A], negative if a winding is reversed, and `offset`,
-    the ambient field along each axis [mT]; `rotation` [rad]; greatest current of each [A], at least
-    enough to cancel the ambient field.
+    """Two orthogonal coil pairs, x and y: `gain` [mT/A], negative if a winding is reversed; ambient
+    field `offset` along each pair's axis [mT]; `rotation` [rad]; greatest current [A], which is at
+    least enough to cancel the ambient field.
     """
 
     gain: Pair
@@ -45,7 +45,7 @@ class Coils:
         return min(abs(gain) * self.current_max_a - abs(offset) for gain, offset in rooms)
 
     def currents(self, direction: float, strength: float) -> Pair:
-        """Return the currents [A] of a field: direction [rad], strength [mT].
+        """Return the currents [A] that make a field of a direction [rad] and strength [mT].
 
         If a current would exceed its limit, the strength is reduced and the direction kept.
         """
@@ -59,7 +59,7 @@ class Coils:
         return x, y
 
     def field(self, currents: Pair) -> Pair:
-        """Return the field of two currents [A] in the spec's axes [mT]."""
+        """Return the field [mT] that two currents [A] make, in the spec's axes."""
         x, y = (
             offset + gain * current
             for gain, offset, current in zip(self.gain, self.offset, currents, strict=True)
@@ -68,7 +68,7 @@ class Coils:
         return cos * x - sin * y, sin * x + cos * y
 
     def _axes(self, direction: float) -> Pair:
-        """Return the unit vector of a direction in the axes of the coils."""
+        """Return the unit vector of a direction [rad] in the axes of the coils."""
         return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
@@ -124,19 +124,16 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field at which the cells have their `a` [mT]; the field is weaker if the current limit is
-    reached.
+    """Field strength at which the cells' `a` holds [mT]; weaker where the current limit is reached.
     """
     coils: CoilsSection
-    """The coils, as measured by a field probe at the cells' place."""
+    """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
     """Greatest current of each coil pair [A]."""
     slew_max_a_s: float = Field(ge=1, le=10_000, allow_inf_nan=False)
     """Greatest change of each current [A/s]."""
     watchdog: float = Field(default=0.25, ge=0.05, le=5, allow_inf_nan=False)
-    """Time without a command after which the driver switches the field off [s]; this value is
-    built into the driver.
-    """
+    """Time without a command after which the driver's firmware switches the field off [s]."""
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
@@ -154,7 +151,7 @@ class FieldSection(ActuatorSection):
         return self
 
     def require_port(self) -> None:
-        """Raise AbortError if the port of the current driver is not there."""
+        """Raise AbortError if the current driver's port does not exist."""
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the current driver")
@@ -167,7 +164,7 @@ class FieldSection(ActuatorSection):
         }
 
     def calibrated_coils(self) -> Coils:
-        """Return the coils with the values of the section."""
+        """Return the coils described by this section."""
         x, y = self.coils.x, self.coils.y
         gain, offset = (x.gain_mt_a, y.gain_mt_a), (x.offset_mt, y.offset_mt)
         return Coils(gain, offset, self.coils.rotation, self.current_max_a)

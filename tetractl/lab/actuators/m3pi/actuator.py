@@ -73,9 +73,7 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Return the radio's problems and questions, and a warning about robots without a
-        watchdog.
-        """
+        """Return the radio's problems and questions; warn about robots without a watchdog."""
         warnings: tuple[str, ...] = ()
         if not self.section.protocol.watchdog:
             warnings = ("the robots have no watchdog: one that loses the radio drives on",)
@@ -110,11 +108,11 @@ class M3piActuator:
     def counts(
         self, direction: float, poses: Sequence[Pose | None], exposed_ns: int
     ) -> list[Counts]:
-        """Return the counts for a direction by (24)-(25), at the headings when the command arrives.
+        """Return the wheel counts by (24)-(25) for a direction [rad] and the predicted headings.
 
-        The headings are predicted over the age of the poses plus the radio's time: of wheels that
-        lag, by the commands sent, to those in which the robots would come to rest; otherwise by the
-        exact step of (3).
+        The headings are predicted to the time when the command arrives: the poses' age plus the
+        radio's delay. If wheels lag, these are the headings in which the robots would come to rest
+        after the commands already sent; otherwise the exact step of (3) predicts them.
         """
         arrives = self._clock.now() + RADIO_NS
         since = max(exposed_ns, arrives - AHEAD_MAX_NS)

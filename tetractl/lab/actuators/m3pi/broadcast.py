@@ -46,7 +46,7 @@ class BroadcastCommand:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The reply of a polled robot; `sequence` is that of the poll, 0 mV means unknown.
+    """The reply of a polled robot; `sequence` is the number of the poll's frame, 0 mV is unknown.
 
     `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
     """

@@ -1,10 +1,10 @@
 """Measures a robot by moving it a little: wheel order, gains, dead zones, r, heading offset.
 
 One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with k =
-gain / (2 r), whatever the heading offset. Both wheels together, with counts whose turning rates
-cancel, drive it straight at v = r (turning rate of one + of the other): this gives r, and the
-direction of travel gives the heading offset and the forward direction. The rigid body's x axis must
-point less than a right angle away from the robot's front, after the spec's own offset.
+gain / (2 r), for any heading offset. Both wheels together, with counts whose turning rates w1 and
+w2 cancel, drive it straight at v = r (|w1| + |w2|): this gives r, and the direction of travel gives
+the heading offset and the forward direction. With the spec's heading offset added, the rigid body's
+x axis must point less than a right angle away from the robot's front.
 """
 
 import math
@@ -42,7 +42,7 @@ FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot during calibr
 
 @dataclass(frozen=True, slots=True)
 class DrivenPath:
-    """Steady motion: turning rate [rad/s], and speed along and left of the heading [mm/s]."""
+    """Steady motion: turning rate [rad/s], speed along the heading and to its left [mm/s]."""
 
     turning: float
     along: float
@@ -95,7 +95,7 @@ def calibrate_robots(
     emergency: threading.Event,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure robots one after another; AbortError says which could not be measured and why."""
+    """Measure the named robots in turn; AbortError names a robot that cannot be measured, and why."""
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
@@ -114,17 +114,17 @@ def calibrate_robots(
 
 
 class ManualActuator(M3piActuator):
-    """An actuator that sends given counts in place of those for the direction."""
+    """An actuator that sends the wheel counts in `held` and ignores the direction."""
 
     held: tuple[Counts, ...] = ()
 
     def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
-        """Return the counts given last."""
+        """Return the counts in `held`."""
         return list(self.held)
 
 
 class _Bench:
-    """The calibration of one robot; the guard checks frames as in a run."""
+    """The calibration of one robot; the guard checks camera frames as in a run."""
 
     def __init__(
         self,
@@ -170,7 +170,7 @@ class _Bench:
         """Stop the robot and release the devices."""
         try:
             self.rig.loop.stop()
-        except KeyboardInterrupt:  # may be raised once: stop the robot regardless
+        except KeyboardInterrupt:  # stop the robot even if Ctrl-C interrupts the stop once
             self.rig.loop.stop()
             raise
         finally:
@@ -248,9 +248,9 @@ class _Bench:
         return Channel(1 if signs[0] > 0 else -1, float(steps @ rates / (steps @ steps)), dead)
 
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
-        """Hold counts for a while; return the motion once it is steady.
+        """Hold wheel counts for a time [s]; return the motion after the wheels have settled.
 
-        This is repeated if frames were missing, since the guard may have stopped the robot.
+        The robot moves again if frames were missing, since the guard may have stopped it.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count
@@ -282,18 +282,18 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the measurement was aborted, as when the robot drove too far."""
+        """Return whether the guard aborted; abort if the robot is too far from its first position."""
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose
             away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
             if away > ROAM_MM:
-                guard.abort(f"{away:.0f} mm away from where it stood")
+                guard.abort(f"{away:.0f} mm away from its first position")
         return bool(guard.reason)
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
-    """Fit a turning rate and a velocity in the robot's own frame to poses."""
+    """Fit turning rate and velocity in the robot's own frame to the (time [ns], pose) of frames."""
     seen = [(t, pose) for t, pose in poses if t >= since_ns]
     t = np.array([t for t, _ in seen]) / SECOND
     x, y, raw = np.array([(p.x, p.y, p.heading) for _, p in seen]).T

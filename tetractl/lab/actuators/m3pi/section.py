@@ -114,7 +114,7 @@ class M3piSection(XbeeSection, ActuatorSection):
                     yield ("robots", i, side, "dead_zone"), f"must be below its limit, {limit}"
 
     def require_port(self) -> None:
-        """Raise AbortError if the port of the radio is not there."""
+        """Raise AbortError if the radio's port does not exist."""
         from tetractl.lab.serial_port import require_port
 
         require_port(self.port, "the radio")
@@ -140,7 +140,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, of either program; if possible, latched until switched off."""
+        """Stop every robot in radio range, with either program; the mbed firmware latches the stop."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

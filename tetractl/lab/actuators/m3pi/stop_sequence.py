@@ -11,13 +11,12 @@ from tetractl.lab.actuators.xbee.link import Link
 
 
 def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Send stops to every robot in reach, ten times over 200 ms; return a description of what was
-    done.
+    """Send stops to every robot in radio range, ten times over 200 ms; return a text that says so.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
     stops on its own bytes, sent to each address and to all. The module is not checked, because
-    sending by a wrong module is better than no stop. If not `alone`, another process may use the
-    port as well.
+    sending through a wrong module is better than no stop. If not `alone`, another process may use
+    the port too.
     """
     clock = MonotonicClock()
     link = Link(module, clock)

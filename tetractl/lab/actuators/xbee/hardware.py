@@ -73,7 +73,7 @@ FAMILIES = (
 
 
 def family(hardware: bytes) -> Hardware | None:
-    """Return the family of a module by its HV, None if the HV is unknown."""
+    """Return the hardware family of a module by its HV value, None if it is unknown."""
     return next((f for f in FAMILIES if hardware and hardware[0] in f.codes), None)
 
 
@@ -83,9 +83,9 @@ def capable(found: Hardware | None) -> bool:
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
-    """Return the name of a module's protocol by HV and VR, None if unknown.
+    """Return the name of a module's protocol by its HV and VR values, None if unknown.
 
-    Without VR, it is known only for families with a single protocol.
+    If VR is empty, the protocol is known only for families with a single one.
     """
     found = family(hardware)
     if found is None or (found.protocols and not version):
@@ -106,9 +106,9 @@ class AskedModule(Protocol):
 
 
 def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
-    """Raise AbortError unless an 802.15.4 module in the spec's mode and rate answers.
+    """Raise AbortError unless an 802.15.4 module with the spec's mode and baud rate answers.
 
-    Return questions for the operator: for unknown hardware, whether its firmware is 802.15.4.
+    Return questions for the operator: whether unknown hardware runs 802.15.4 firmware.
     """
     # the first request may be lost behind an incomplete frame
     hardware = link.ask(b"HV") or link.ask(b"HV")

@@ -1,7 +1,4 @@
-"""The serial port with an XBee module behind it.
-
-Data that the port's thread has received is returned by `fetch`.
-"""
+"""A connection through a serial port to an XBee module."""
 
 from collections import deque
 from collections.abc import Callable
@@ -43,7 +40,7 @@ class Received:
 
 
 class Link:
-    """A connection to the module. Times are ns on `clock`; every failure is an AbortError and
+    """A connection to the module. Times are ns on `clock`; a failure raises AbortError and is
     final.
 
     `questions` about the module need an answer from the operator.

@@ -1,4 +1,4 @@
-"""The `apriltag` camera: robots by their tags in pictures; its problems, warnings and facts."""
+"""The `apriltag` camera: tracks robots by their tags and reports problems, warnings and facts."""
 
 import math
 import statistics
@@ -27,9 +27,9 @@ _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 class Seen:
     """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
     `strangers` are the poses of unknown tags, computed as if on the floor; both in the spec's unit.
-    `tags` are the numbers of all tags, repeated if seen several times. `sizes` are the ratios of
-    measured side to `size_mm` by robot, if seen. `blur` is the largest blur of the edges of robots'
-    and floor tags [modules], `side_px` their shortest side; None without such tags.
+    `tags` are the numbers of all tags, repeated if seen several times. `sizes` are each robot's
+    ratio of measured side to `size_mm`, None if not seen. `blur` [modules] is the largest blur of
+    an edge and `side_px` the shortest side of robots' and floor tags; None without these tags.
     """
 
     poses: tuple[Pose | None, ...]
@@ -98,7 +98,7 @@ class Tracker:
         return tuple(self._posed(plane.locate(each.corners), 0.0)[0] for each in unknown)
 
     def _posed(self, corners: Floats, heading_offset: float) -> tuple[Pose, float]:
-        """Return the pose, and the side [m], of the square that fits corners (4, 2) [m] best."""
+        """Return pose and side [m] of the square that fits the corners (4, 2) [m] best."""
         x, y = corners.mean(axis=0) / self._metres
         fit = np.vdot(_MODEL, corners[:, 0] + 1j * corners[:, 1]) / np.vdot(_MODEL, _MODEL).real
         heading = math.atan2(fit.imag, fit.real) + heading_offset
@@ -113,7 +113,7 @@ OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not se
 
 
 Finding = tuple[bool, str]
-"""Whether a run cannot start, and why, or what else is not as it should be."""
+"""A problem (True) or a warning (False), and its text."""
 
 
 def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:

@@ -50,8 +50,8 @@ class Detector:
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred
         self._detector = cv2.aruco.ArucoDetector(_family(), parameters)
         self._top_left = 0
-        # OpenCV's dictionary is rotated against the AprilTag project's pictures, and not in every
-        # release alike: a picture of tag 0 shows which of its corners is the top left one
+        # OpenCV's dictionary is rotated against the AprilTag project's pictures, by an angle that
+        # depends on the release: a picture of tag 0 shows which corner is the top left one
         square = np.kron(_zero(), np.ones((10, 10), np.uint8))
         (shown,) = self.find(np.pad(square, 20, constant_values=255))
         self._top_left = int(np.argmin(shown.corners.sum(axis=1)))
@@ -98,7 +98,7 @@ def _zero() -> Grey:
 # positions along a side, away from the corners, which blur rounds
 ALONG = np.linspace(0.15, 0.85, 15)
 ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
-# modules to either side of an edge, so that nothing beyond border and margin is sampled
+# modules on either side of an edge, so that only border and margin are sampled
 REACH = 0.9
 ROUNDS = 2
 NOTHING = 1e-9

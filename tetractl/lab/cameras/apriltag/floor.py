@@ -1,13 +1,13 @@
-"""The floor in front of the camera: its pose and lens, from the corners of the floor tags in its
-pictures, and from pixels to positions on planes parallel to the floor.
+"""Calibrates the camera by the floor tags, and converts pixels to positions at a height above it.
 
 The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. After removing distortion,
 a pixel is a ray, and a tag at height h is where the ray meets the plane z = h. On the floor this is
 the homography; above the floor it corrects the parallax.
 
-A lens in the spec is used as given. Without one, the principal point is the picture's middle, and
+A lens in the spec is used unchanged. Without one, the principal point is the picture's middle, and
 the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values
-of lenses are priors of the fit: looking straight down, any f fits, and the prior decides.
+of lenses are priors of the fit: if the camera looks straight down, every f fits equally well, and
+the prior decides.
 """
 
 import math
@@ -35,9 +35,9 @@ class Plane:
 
     `matrix` is K (3, 3), `distortion` OpenCV's coefficients, `rotation` R (3, 3) and `shift` t (3,)
     [m]. `error_mm` is the root mean square, and `worst_mm` the largest, of the distances between
-    the floor tags' corners as seen and as the spec puts them. `doubt_mm` is the position error of
-    robots at the height of the highest tag that corresponds to two standard deviations of the
-    estimated lens.
+    the floor tags' corners as measured and as given in the spec. `doubt_mm` is the position error
+    at the height of the highest robot's tag if the estimated lens is wrong by two standard
+    deviations.
     """
 
     matrix: Floats
@@ -54,10 +54,9 @@ class Plane:
         return float(self.matrix[0, 0])
 
     def locate(self, pixels: Floats, height: Floats | float = 0.0) -> Floats:
-        """Return the positions (..., 2) [m] of pixels (..., 2) on the plane `height` [m] above the
-        floor.
+        """Return the positions (..., 2) [m] of pixels (..., 2) at a `height` above the floor [m].
 
-        `height` broadcasts against the pixels' leading shape.
+        `height` is broadcast against the leading dimensions of `pixels`.
         """
         flat = pixels.reshape(-1, 1, 2)
         rays = cv2.undistortPoints(flat, self.matrix, self.distortion).reshape(pixels.shape)
@@ -67,10 +66,10 @@ class Plane:
         return camera[:2] + reach[..., None] * ahead[..., :2]
 
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
-        """Return the height above the floor [m] and the tilt [rad] of a tag.
+        """Return the height above the floor [m] and the tilt [rad] of a tag; None without solution.
 
-        `pixels` (4, 2) are the corners of the tag, of side `side` [m]. A small square far away may
-        fit two tilts: the smaller one is returned. None if no solution is found.
+        `pixels` (4, 2) are the tag's corners and `side` its side [m]. Two tilts may fit a small or
+        distant tag: the smaller one is returned.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(
@@ -85,7 +84,7 @@ class Plane:
         return min(found, key=lambda each: each[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
-        """Return height [m] and tilt [rad] of a body with turn and shift in the camera's axes."""
+        """Return height [m] and tilt [rad] of a tag from its pose in the camera's axes."""
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
         return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
@@ -101,7 +100,7 @@ def placed(tag: FloorTag, metres: float) -> Floats:
 USUAL_FOCAL = 0.35  # standard deviation of log(f / width) among lenses: 40 to 70 degrees of view
 USUAL_BEND = 0.15  # standard deviation of k1 among lenses
 CORNER_PX = 0.1  # standard deviation of a detected corner
-SURE = 2.0  # deviations
+SURE = 2.0  # standard deviations of the lens for `doubt_mm`
 
 
 def calibrated(
@@ -111,7 +110,8 @@ def calibrated(
     lens: Lens | None = None,
     highest: float = 0.0,
 ) -> Plane:
-    """Return the plane on which corners (F, 4, 2) [px] lie at positions (F, 4, 2) [m].
+    """Return the camera that sees tag corners at positions `places` (F, 4, 2) [m] in `pixels`
+    (F, 4, 2).
 
     `size` is the picture's width and height, `highest` the height for `doubt_mm` [m].
     """
@@ -125,7 +125,7 @@ def calibrated(
         usual, deviations = _fitted(points, spots, size[0], middle)
         plane = _posed(*_lens(usual, size[0], middle), points, spots)
         centres = pixels.mean(axis=1)
-        # places between the tags, where robots may be
+        # points between the tags, where robots may be
         between = (centres[:, None] + centres[None]) / 2
         here = plane.locate(between, highest)
         for deviation in deviations:
@@ -142,15 +142,14 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
 
 
 def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return matrix and distortion for log(f / width) and k1, given in units of their usual
-    deviations.
-    """
+    """Return K and distortion for log(f / width) and k1, given in units of their prior deviations."""
     focal, bend = width * math.exp(USUAL_FOCAL * usual[0]), USUAL_BEND * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Return the plane for known intrinsics; points (M, 2) [px] lie at spots (M, 2) [m]."""
+    """Return the camera of known lens that sees floor positions `spots` (M, 2) [m] in pixels
+    `points` (M, 2)."""
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
     return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
@@ -161,14 +160,14 @@ def _fitted(
 ) -> tuple[Floats, Floats]:
     """Return the most probable log(f / width) and k1 (2,) and their deviations (2, 2).
 
-    Both are in units of their usual deviations. Each row of the deviations is one standard
+    Both are in units of the prior's deviations. Each row of the deviations is one standard
     deviation along an axis of the error ellipse.
     """
     start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def projected(x: Floats) -> tuple[Floats, Floats]:
-        """Return the spots' pixels for pose and lens x (8,), and their derivatives (2M, 8)."""
+        """Return the pixels of the spots for pose and lens x (8,), and the derivatives (2M, 8)."""
         matrix, distortion = _lens(x[6:], width, middle)
         pixels, slopes = cv2.projectPoints(_flat(spots), x[:3], x[3:6], matrix, distortion)
         # columns: turn, shift, fx, fy, cx, cy, k1, ...; f = fx = fy
@@ -199,12 +198,11 @@ MISFIT_MM = 10.0  # floor tags with a larger error are not where the spec says
 
 
 class Floor:
-    """Keeps the plane calibrated by the floor tags that are seen.
+    """Keeps the camera calibrated by the floor tags.
 
-    The corners are averaged over some pictures, since neither the camera nor a floor tag moves. If
-    one moves by `MOVED_PX`, the plane is discarded until all floor tags are seen in one picture
-    again. A plane on which the tags are more than `MISFIT_MM` from the spec's positions is not
-    used.
+    Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If one
+    moves by `MOVED_PX`, the calibration is discarded until one picture shows all floor tags again.
+    A calibration that puts tags more than `MISFIT_MM` from the spec's positions is not used.
     """
 
     def __init__(
@@ -219,8 +217,7 @@ class Floor:
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
-        """Take the floor tags of one picture: corners (4, 2) [px] by number, only of tags seen
-        once.
+        """Take one picture's corners (4, 2) [px] by tag number, only of floor tags seen once.
 
         `size` is the picture's width and height.
         """

@@ -1,4 +1,4 @@
-"""The `apriltag` camera's part of a spec, which builds the camera.
+"""The `apriltag` camera's section of a spec.
 
 Lengths whose name ends in `_mm` are millimetres, whatever the spec's length unit; times are
 seconds. OpenCV is imported only if the camera is built.
@@ -74,18 +74,18 @@ class AprilTagSection(PictureSection):
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
     """Tag of every robot of the spec, once each."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
-    """Tags around the arena that define the floor; all must be in view at once."""
+    """Tags around the arena that define the floor; one picture must show all of them."""
     lens: Lens | None = None
-    """The calibrated lens; by default focal length and distortion are found from the floor tags."""
+    """The calibrated lens; by default the floor tags give focal length and distortion."""
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
         for name in _twice([robot.name for robot in self.robots]):
-            raise inconsistent("robots", f"{name} stands here twice")
+            raise inconsistent("robots", f"{name} is listed twice")
         for tag in _twice([str(each.tag) for each in (*self.robots, *self.floor)]):
             raise inconsistent("floor", f"tag {tag} is used twice among robots and floor")
         if _flat([tag.at for tag in self.floor]):
-            raise inconsistent("floor", "the floor tags must not stand in one line")
+            raise inconsistent("floor", "the floor tags must not lie on one line")
         return self
 
     def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:

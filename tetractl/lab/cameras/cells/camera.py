@@ -1,4 +1,4 @@
-"""The `cells` camera: swimming cells in a microscope's pictures."""
+"""The `cells` camera: tracks swimming cells in a microscope's pictures."""
 
 import math
 import threading
@@ -32,10 +32,10 @@ SIGNALS = 4096  # number of directions that are remembered
 class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
-    As soon as as many cells as robots are in view, the cells nearest to the starts become the
-    robots. A lost cell is not tracked any more: a cell that appears later is a stranger. `steered`
-    gives the camera the common direction; without it, cells that have met are distinguished only by
-    their paths.
+    Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
+    become the robots. A lost cell is not tracked again: a cell that appears later is a stranger.
+    `steered` passes the common direction to the camera; without it, cells that have met are
+    distinguished only by their paths.
     """
 
     def __init__(
@@ -59,18 +59,18 @@ class CellCamera(PictureCamera[SeenDish]):
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Note the direction sent at a time [rad in the spec's axes], None for no field."""
+        """Record the direction sent at a time [rad in the spec's axes], None for no field."""
         with self._lock:
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
 
     @property
     def cells(self) -> Sequence[SeenCell]:
-        """The cells in the newest picture, each with its filter's state."""
+        """The cells in the newest picture."""
         return self._cells
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Track the cells with these numbers as robots from now on."""
+        """Track the cells with these numbers as the robots of a setup from now on."""
         self._setup, self._identities = setup, list(numbers)
         self.divided.clear()
 
@@ -163,9 +163,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return Pose(x, y, cell.heading + self.section.rotation)
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s], from the directions sent, in the picture's
-        axes.
-        """
+        """Return the field between two times [s] in the picture's axes, by the directions sent."""
         with self._lock:
             signals = list(self._signals)
         times = [sent / SECOND for sent, _ in signals]

@@ -17,9 +17,9 @@ class SeenCell:
     x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
     of the helix, which (3) turns. `mean` (12,) and `covariance` (12, 12) are the filter's state.
     `probability` is the probability that this is the cell with the number `identity`. `found`: the
-    cell has a blob; `merged`: it shares the blob with others. `track` is the number of the path to
-    which it belongs. `measured` (6,) is the measurement by the cell's own blob: x, y, axis and
-    their deviations; None without an own blob.
+    cell has a blob; `merged`: the cell shares its blob with others. `track` is the number of its
+    path. `measured` (6,) are x, y, axis of the cell's own blob and their standard deviations; None
+    without an own blob.
     """
 
     identity: int
@@ -40,8 +40,8 @@ class SeenCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """The answer to a question of identity, valid since a time [s]: the cell of each track, and the
-    probability of that assignment.
+    """The cell assigned to each track after cells had met, valid from the time `since_s` [s], and
+    the probability of this assignment.
     """
 
     tracks: tuple[int, ...]
@@ -52,11 +52,11 @@ class CellAnswer:
 
 @dataclass(frozen=True, slots=True)
 class Born:
-    """A cell that appears on a new track, and the path (M, 4) by which it was recognised: seconds,
-    x, y [um], axis.
+    """A cell that appears on a new track.
 
-    `certainty` is below 1 if it is one that was lost. `divided` is the cell out of whose blob it
-    came although nothing had come into it, None for none.
+    `path` (M, 4) is the path by which it was recognised: time [s], x, y [um], axis [rad].
+    `certainty` is below 1 for a lost cell that was found again. `divided` is the number of the cell
+    from whose blob it separated, if no other cell had entered that blob; otherwise None.
     """
 
     identity: int
@@ -82,23 +82,21 @@ class FollowedCell:
     blob: Blob | None = None
     merged: bool = False
     question: Question | None = None
-    place: int = 0  # index of this track in its question
-    # time [s] and x, y [um] of its first blob, until it swims
+    place: int = 0  # index of this track in `question`
+    # time [s] and x, y [um] of the cell's first blob, until the cell has swum
     begun: tuple[float, float, float] | None = None
     measured: tuple[float, ...] | None = None
-    last: Floats = field(default_factory=lambda: np.zeros(2))  # where its last blob was [um]
-    large: bool = False  # whether its blob in the newest picture is too large for it
-    alone: int | None = None  # its row predicted by the signal alone, since its blob is too large
-    size: tuple[float, float] = (math.nan, math.nan)  # its length and width then
-    large_s: float = -math.inf  # when that last was so
-    met: bool = False  # whether something not followed may have come into its blob
+    last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]
+    large: bool = False  # whether its blob in the newest picture is too large for one cell
+    alone: int | None = None  # filter row predicted without measurements while `large`
+    size: tuple[float, float] = (math.nan, math.nan)  # length and width before `large` [um]
+    large_s: float = -math.inf  # last time when the blob was too large [s]
+    met: bool = False  # whether an object that is not followed may have entered its blob
 
 
 @dataclass(slots=True)
 class Merge:
-    """Cells that share a blob, and copies of their filter rows that are predicted without
-    measurements.
-    """
+    """Cells that share a blob; copies of their filter rows are predicted without measurements."""
 
     cells: list[FollowedCell]
     coasted: dict[int, int]  # row of each copy, by the cell's number

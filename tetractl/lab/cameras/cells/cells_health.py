@@ -1,4 +1,4 @@
-"""Problems and hints on a microscope's pictures of cells; no I/O."""
+"""Problems and warnings about a microscope's pictures of cells; no I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ UNSURE = 0.9  # probability of a robot's identity below which a problem is repor
 
 @dataclass(frozen=True, slots=True)
 class SeenDish:
-    """The result for one picture: the robots' poses, other cells, light and sharpness.
+    """The results of one picture: the robots' poses, other cells, light and sharpness.
 
     `sure` is the least probability of a robot's identity; `level` is the picture's median [grey
     levels]. `sharpness` is the median, over cells, of the steepest slope at the rim divided by the

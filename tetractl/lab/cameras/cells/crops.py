@@ -18,7 +18,7 @@ ROOM = 1.8  # a crop's side over the length of the longest cell
 RIM = 2  # margin around a blob [px], so that its contour is the same in the crop
 HERE_UM = 15.0  # largest distance of a robot's filtered position from its blob
 WHOLE_NS = SECOND  # interval between whole pictures
-BACKGROUND_NS = 10 * SECOND  # and between backgrounds
+BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 
 @dataclass(slots=True)
@@ -36,9 +36,7 @@ class FilmCutter:
         robots: Sequence[SeenCell | None],
         tracker: CellTracker,
     ) -> CellFilm:
-        """Return the film's data for a picture; `robots` are the robots' cells, None if not
-        seen.
-        """
+        """Return the film's data for a picture; `robots` are the robots' cells, None if unseen."""
         searched, background = tracker.finder.searched, tracker.finder.background
         assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
@@ -73,17 +71,13 @@ class FilmCutter:
 
 
 def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
-    """Return the distance of a cell from its blob in a picture with the given number of rows
-    [um].
-    """
+    """Return the distance [um] of a cell from its blob in a picture of `height` rows."""
     x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
     return math.hypot(cell.x - x, cell.y - y)
 
 
 def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob with its margin fits into a crop with the given number of pixels per
-    side.
-    """
+    """Return whether a blob with its margin fits into a crop of `side` by `side` pixels."""
     return max(blob.body.shape) + 2 * RIM <= side
 
 
@@ -94,15 +88,15 @@ def corner(blob: Blob, side: int) -> tuple[int, int]:
 
 
 def numbers(blob: Blob) -> tuple[float, ...]:
-    """Return a blob's numbers: x, y [px], axis [rad], long, wide [px], strength [grey levels]."""
+    """Return a blob's x, y [px], axis [rad], length, width [px] and strength [grey levels]."""
     return blob.x, blob.y, blob.axis, blob.long, blob.wide, blob.strength
 
 
 def found_again(
     crop: Grey, place: Sequence[int], stated: Sequence[float], limits: Sequence[float]
 ) -> tuple[float, ...] | None:
-    """Search a crop again; return the numbers of the blob nearest to the stated one, None without a
-    blob.
+    """Search a crop for blobs again; return the `numbers` of the blob nearest to `stated`, None if
+    there is no blob.
     """
     blobs = map(numbers, blobs_of(crop, limits, (place[0], place[1])))
     x, y = stated[:2]

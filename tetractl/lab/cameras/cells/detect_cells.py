@@ -1,7 +1,7 @@
 """Finds blobs in a grey picture: regions that differ from a slowly learned background, as ellipses.
 
-Steps: blur, difference to the background scaled to the picture's light, threshold with hysteresis,
-contours, and the moments within each.
+Steps: blur; subtract the background, scaled to the picture's light; threshold with hysteresis; find
+contours; compute the moments inside each.
 """
 
 import math
@@ -19,7 +19,7 @@ LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 
 SPARSE = 64  # rows sampled for light and noise; at most every eighth
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
-BLOBS = 200  # largest number of blobs of a picture; of more, the largest are kept
+BLOBS = 200  # largest number of blobs of a picture; the smallest of more are dropped
 CONTOURS = 4000  # a picture with more contours does not show a dish
 CHANGED = 0.25  # fraction of changed pixels above which the picture shows something else
 PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's extreme
@@ -27,8 +27,8 @@ PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's extre
 
 @dataclass(frozen=True, slots=True)
 class Blob:
-    """A region in a picture that differs from the background: x, y [px] of its middle, `axis` [rad]
-    mod pi.
+    """A region of a picture that differs from the background; x, y [px] is its middle, `axis` [rad]
+    its direction mod pi.
 
     `long` and `wide` [px] are the axes of the ellipse with the same moments, `strength` is the mean
     difference [grey levels]. `body` is a mask of the blob, in a rectangle whose upper left pixel is
@@ -59,12 +59,11 @@ class Blob:
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """Properties of a picture: `gain` is its light relative to the background's, `noise` [grey
-    levels].
+    """Properties of a picture: `gain` is its light relative to the background's, `noise` the
+    standard deviation of its noise [grey levels].
 
     `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
-    the fraction of pixels that differ from the background; `lost` is whether that is too much for
-    cells.
+    the fraction of pixels that differ from the background; `lost`: more differ than cells explain.
     """
 
     gain: float
@@ -109,8 +108,8 @@ class BlobFinder:
         return self._flat
 
     def learn(self, pictures: Sequence[Grey]) -> None:
-        """Compute the background as the median of pictures of one size (height, width),
-        and determine whether cells are brighter or darker unless that is given.
+        """Compute the background as the median of pictures (height, width); unless `bright` is
+        given, determine whether cells are brighter or darker than the background.
         """
         smooth = [_smoothed(each, np.empty_like(each), np.empty_like(each)) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
@@ -140,7 +139,7 @@ class BlobFinder:
         cv2.convertScaleAbs(self._flat, alpha=gain, dst=expected)
         above, below = (smooth, expected) if self.bright else (expected, smooth)
         cv2.subtract(above, below, dst=searched)
-        # differences in the other direction are noise
+        # differences of the other sign are noise
         other = (seen.astype(np.float32) - gain * known) * (-1 if self.bright else 1)
         noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
         noise = min(noise, 20.0)
@@ -158,8 +157,7 @@ class BlobFinder:
         return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Update a stripe of the background by the last picture, except within the rectangles
-        `keep`.
+        """Update a stripe of the background by the last picture, except within rectangles `keep`.
 
         Each rectangle is left, top, right and bottom [px].
         """
@@ -258,12 +256,12 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 
 def _chunks(height: int, rows: int = 64) -> list[slice]:
-    """Return slices of rows in which a median of many pictures is computed with little memory."""
+    """Return slices of at most `rows` rows each, to compute medians of pictures in little memory."""
     return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
 
 
 def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:
-    """Return the difference by which one picture exceeds another, 0 if that is within the noise."""
+    """Return above - below where it exceeds 15 grey levels, 0 elsewhere."""
     return cv2.threshold(cv2.subtract(above, below), 15, 0, cv2.THRESH_TOZERO)[1]
 
 

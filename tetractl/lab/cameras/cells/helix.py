@@ -2,18 +2,18 @@
 
 State of one cell, in um, s and rad:
 
-    x, y      the helix's axis where the body is
-    heading   of the axis, what (3) turns
+    x, y      position on the helix's axis next to the body
+    heading   direction of the helix's axis, which (3) turns
     speed     along the axis
     c, s      the body's offset from the axis in the picture and in depth
-    rate      of the helix [rad/s]: c' = -rate s, s' = rate c
+    rate      angular rate of the helix [rad/s]: c' = -rate s, s' = rate c
     a         turning rate at the reference field, as in (3)
     bias      the dipole's angle from the axis
     turn      turning that the field does not explain [rad/s]
-    flow      of the medium, x and y
+    flow      velocity of the medium, x and y
 
-Seen are the body's middle, (x, y) + c across the heading, and its axis mod pi,
-heading - atan(rate s / speed) (Crenshaw's helix as a camera sees it).
+Measured are the body's middle, (x, y) + c across the heading, and its axis mod pi,
+heading - atan(rate s / speed): the projection of Crenshaw's helix into the picture.
 """
 
 import math
@@ -33,7 +33,7 @@ NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new 
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
-SLOWEST_UM_S = 60.0  # below this speed a cell rests: then its helix says nothing about its axis
+SLOWEST_UM_S = 60.0  # below this speed a cell rests, and its helix does not give its axis
 BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
 # growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
@@ -43,19 +43,19 @@ TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 # standard deviation of that turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
-ODD = 25.0  # squared distance in deviations beyond which a measurement gets less weight
+ODD = 25.0  # squared distance, in standard deviations, above which a measurement gets less weight
 
 Piece = tuple[float, float, float]
-"""A constant field for a time: seconds, and two components relative to the reference field."""
+"""A constant field: duration [s], and x and y components relative to the reference field."""
 
 
 @dataclass(slots=True)
 class HelixFilter:
-    """A filter with one row per cell: `mean` (R, 12) and `covariance` (R, 12, 12); free rows are
-    not `used`.
+    """A filter with one row per cell: `mean` (R, 12) and `covariance` (R, 12, 12); `used` is False
+    for free rows.
 
-    `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) are
-    the standard deviations that the first states of each row gain per sqrt(s).
+    `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
+    the growth of the standard deviations of the first nine states per sqrt(s).
     """
 
     known: bool = True
@@ -82,7 +82,7 @@ class HelixFilter:
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
-        """Return a row of the same cell somewhere else: its speed, helix and turning are kept."""
+        """Return a new row of the same cell at another pose: speed, helix and turning are kept."""
         new = self.copied(row)
         for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
             self.mean[new, state] = value
@@ -95,22 +95,18 @@ class HelixFilter:
         self.used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
-        """Predict every row through pieces of time, each with a constant field."""
+        """Predict every row over successive times with constant fields."""
         for seconds, ux, uy in pieces:
             if seconds > 0:
                 self._move(seconds, ux, uy)
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Increase the uncertainty of speed, heading and helix for cells that do not move as
-        predicted.
-        """
+        """Increase the uncertainty of speed, heading and helix of cells that move unexpectedly."""
         for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return the predicted measurements of rows (M,): x, y, axis (M, 3), and their derivatives
-        (M, 3, 12).
-        """
+        """Return predicted measurements x, y, axis (M, 3) of rows (M,) and derivatives (M, 3, 12)."""
         m = self.mean[rows]
         cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
         speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
@@ -162,7 +158,7 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that swim backwards, as it was the wrong end of the axis."""
+        """Reverse the heading of cells that swim backwards: the axis alone does not give its sign."""
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
             signs = np.ones(STATES)
@@ -229,8 +225,8 @@ class HelixFilter:
 
 
 def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return the cross product of field and dipole in directions (R,), (3) with a = 1, and its
-    derivative.
+    """Return the turning rate (R,) by (3) with a = 1, the cross product of the dipole's direction
+    (R,) and the field, and its derivative.
     """
     cos, sin = np.cos(dipole), np.sin(dipole)
     return uy * cos - ux * sin, -(uy * sin + ux * cos)

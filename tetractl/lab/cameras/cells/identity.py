@@ -1,9 +1,8 @@
-"""Infers the identities of cells after they were one blob from each cell's response to the known
-signal.
+"""Infers which cell is which after cells have shared a blob, from their responses to the signal.
 
-Each cell that leaves a merged blob is followed once as each of the cells that entered it, with that
-cell's known turning rate, bias, speed and helix. The question is closed once the likelihood of the
-later measurements decides; if cells are too alike, it stays open and reports that.
+Each cell that leaves a merged blob is followed by one filter per cell that entered the blob, with
+that cell's turning rate, bias, speed and helix. The later measurements give the likelihood of each
+assignment of cells; the question is closed once one assignment is certain, or after a time limit.
 """
 
 from collections.abc import Sequence
@@ -17,22 +16,22 @@ from tetractl.lab.cameras.cells.helix import HelixFilter
 
 MOST = 4  # most cells whose identities are resolved jointly: 4! = 24 assignments
 SURE = 0.998  # probability at which a question is closed
-LEAST_S = 0.25  # before which it is not
-PATIENCE_S = 10.0  # time after which it is closed unanswered: the cells are indistinguishable
+LEAST_S = 0.25  # shortest time that a question is open
+PATIENCE_S = 10.0  # time after which a question is closed as the cells cannot be distinguished
 TEMPER = 0.7  # exponent of the likelihood, as errors of successive pictures are not independent
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
-FAR = 25.0  # squared deviations of a cell from where it was predicted
-SIZE_SD, SIZE_TAIL = 0.1, 4.0  # of the logarithm of a cell's length and width, a Student variable
+FAR = 25.0  # squared distance from the prediction, in standard deviations, that moves a cell
+SIZE_SD, SIZE_TAIL = 0.1, 4.0  # scale and degrees of freedom (Student's t) of the log of a size
 SIZED = 6  # pictures that give the sizes of a question's tracks
 
 
 @dataclass(slots=True)
 class Question:
-    """The question which of K cells each of K tracks is.
+    """The question which of K cells is on which of K tracks.
 
-    `rows` (K, K) are the filter's rows of track t as if it were cell i. `likelihood` (K, K) is the
-    sum of their log-likelihoods since the question was opened at `since_s`. `sizes` (K, 2) are
-    length and width [um] of the cells, NaN where not known.
+    `rows[t, i]` (K, K) is the filter's row that follows track t as cell i. `likelihood` (K, K) is
+    the sum of these rows' log-likelihoods since `since_s`, when the question was opened. `sizes`
+    (K, 2) are length and width [um] of the cells, NaN if unknown.
     """
 
     identities: tuple[int, ...]
@@ -54,8 +53,7 @@ class Question:
         self.likelihood[track] += TEMPER * likelihood
 
     def add_size(self, track: int, size: Sequence[float]) -> None:
-        """Add the length and width [um] of a track's blob in one picture, if it is one of its
-        first."""
+        """Add length and width [um] of a track's blob in one picture; only the first `SIZED` count."""
         if self._sized[track] < SIZED:
             self._sized[track] += 1
             squared = np.square(np.log(np.array(size) / self.sizes) / SIZE_SD)
@@ -76,7 +74,7 @@ class Question:
         return tuple(self._orders[i].tolist()), float(shares[i])
 
     def closed(self, now_s: float) -> bool:
-        """Return whether the answer is certain, or can never become certain."""
+        """Return whether the answer is certain enough, or the time limit has passed."""
         open_s = now_s - self.since_s
         return (self.best()[1] > SURE and open_s > LEAST_S) or open_s > PATIENCE_S
 
@@ -89,11 +87,11 @@ def opened(
     sizes: Floats,
     now_s: float,
 ) -> Question:
-    """Return the question which cells of rows `coasted` since they merged are at x, y, heading.
+    """Return the question which cells, predicted in rows `coasted` since they merged, are seen.
 
-    `seen` (K, 3) are those of the tracks now [um, rad]; `sizes` (K, 2) those of the cells [um],
-    NaN for a new one. A cell that the prediction has far from there is put there, with what lasts
-    of its state.
+    `seen` (K, 3) are x, y, heading of the tracks now [um, rad]; `sizes` (K, 2) length and width of
+    the cells [um], NaN for a new cell. A cell predicted far from a track is moved to the track; its
+    speed, helix and turning are kept.
     """
     count = len(identities)
     rows = np.array([[bank.copied(row) for row in coasted] for _ in seen])
@@ -102,7 +100,7 @@ def opened(
         likelihood, distance = bank.update(
             rows[track], np.tile(place, (count, 1)), np.tile(FIRST, (count, 1))
         )
-        new = np.isnan(sizes[:, 0])  # those may have been anywhere
+        new = np.isnan(sizes[:, 0])  # new cells may have been anywhere
         question.add(track, np.where(new, 0.0, likelihood))
         for i in np.flatnonzero((distance > FAR) | new).tolist():
             bank.drop(int(rows[track, i]))

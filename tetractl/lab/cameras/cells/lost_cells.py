@@ -16,12 +16,12 @@ from tetractl.lab.cameras.cells.helix import SPEED, HelixFilter
 
 REMEMBERED_S = 3.0  # time for which a lost cell can come back
 REMEMBERED = 16  # largest number of such cells
-PLACE_UM = 40.0  # standard deviation of its position, in addition to the filter's
-REACH_UM = 60.0  # distance that it may have swum by itself, in addition to its speed's
-SAME, ALIKE = 0.08, 0.25  # of the logarithms of length and width: of one cell, and among cells
-RETURNS = 0.25  # probability of each of the three ways to come back
+PLACE_UM = 40.0  # standard deviation of a lost cell's position, in addition to the filter's
+REACH_UM = 60.0  # largest distance from its last position, in addition to speed times time
+SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
+RETURNS = 0.25  # probability that it swims on, that it rests, and that it has turned
 NEW, ENTERED = 0.3, 10.0  # cells expected to appear in the picture: anywhere, and at its edge
-LEAST, MOST = 0.5, 0.9  # probability above which it is the lost cell, and largest one stated
+LEAST, MOST = 0.5, 0.9  # least probability to accept the lost cell, and largest one returned
 
 
 @dataclass(slots=True)
@@ -32,7 +32,7 @@ class LostCells:
     _lost: list[tuple[FollowedCell, float, Floats]] = field(default_factory=list)
 
     def add(self, cell: FollowedCell, seconds: float) -> None:
-        """Remember a cell that is lost at a time [s]; its row belongs to this from now on."""
+        """Remember a cell lost at a time [s]; `LostCells` frees its filter row later."""
         self._lost.append((cell, seconds - cell.missed_s, cell.last))
         if len(self._lost) > REMEMBERED:
             self._drop(0)
@@ -45,11 +45,11 @@ class LostCells:
     def found(
         self, place: Floats, size: Sequence[float], seconds: float, elsewhere: float
     ) -> tuple[FollowedCell, float] | None:
-        """Return the lost cell that appears at a place (2,) [um], and its probability; None if it
-        is probably another cell.
+        """Return the lost cell that appears at a position (2,) [um], and its probability; None if
+        a cell that was not lost is more probable.
 
-        `size` is the length and width [um] of what appears; `elsewhere` is the density [1/um^2]
-        with which cells that were not lost appear there.
+        `size` is length and width [um] of the cell that appears; `elsewhere` is the density
+        [1/um^2] of cells that appear at this position without having been lost.
         """
         weights = [self._weight(*lost, place, np.array(size), seconds) for lost in self._lost]
         total = elsewhere + sum(weights)
@@ -67,7 +67,7 @@ class LostCells:
         size: Floats,
         now: float,
     ) -> float:
-        """Return the density with which a lost cell appears at a place with a size."""
+        """Return the density [1/um^2] of a lost cell at a position with a length and width [um]."""
         off = place - self.bank.mean[cell.row, :2]
         spread = self.bank.covariance[cell.row, :2, :2] + PLACE_UM**2 * np.eye(2)
         ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)

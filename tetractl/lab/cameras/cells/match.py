@@ -17,14 +17,14 @@ STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected
 STOPPED_UM_S = 200.0  # growth of this distance for each second without a blob
 SIZE_SHARE = 0.15  # relative variation of a cell's blob between pictures
 ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
-COVER = 0.6  # smallest width of a cell: so far from a blob, it may still be a part of it
-FAR_PX = 20.0  # a cell further than the blob's length plus this from its middle is not part of it
-PARTED_UM = 90.0  # from a blob of several cells: there may be the blob of one that has left it
-SPECK_UM = 25.0  # from where a speck was
-LARGE = 1.45  # ratio of sizes above which a blob shows more than its cell
+COVER = 0.6  # largest distance of a cell from a blob it is part of, relative to the cell's width
+FAR_PX = 20.0  # largest distance from a blob's middle to a cell in it, plus the blob's length
+PARTED_UM = 90.0  # largest distance of a cell that has left a blob of several cells
+SPECK_UM = 25.0  # a blob nearer than this to a hidden speck is the speck
+LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
 ROUNDS = 4  # iterations when a blob is divided among cells
-SAMPLED = 200  # pixels of it
+SAMPLED = 200  # number of the blob's pixels that are used
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
@@ -49,11 +49,11 @@ def assigned(
     specks: Floats,
     places: Floats,
 ) -> tuple[dict[int, int], set[int]]:
-    """Return the blob of each cell, unless shared, and of each speck, by the least sum of squared
-    distances.
+    """Return {cell: blob} for cells with an own blob, and the set of blobs that are specks.
 
-    Cells are `expected` (C, 3) with a covariance `spread` (C, 2, 2) of their positions, specks (S,
-    2) at their last positions; blobs are at `places` (B, 5).
+    The assignment minimises the sum of squared distances in position and size. `expected` (C, 3)
+    are the cells' poses, `spread` (C, 2, 2) the covariances of their positions, `specks` (S, 2)
+    last positions; `places` (B, 5) are the blobs, by `places_of`.
     """
     if len(places) == 0 or len(cells) + len(specks) == 0:
         return {}, set()
@@ -83,9 +83,9 @@ def stopped(
     owner: dict[int, int],
     specks: set[int],
 ) -> list[int]:
-    """Assign free blobs to nearby cells that are not at their expected positions.
+    """Assign free blobs to cells that have stopped or turned by themselves; return these cells.
 
-    This finds cells that have stopped or turned by themselves. Returns these cells.
+    Such a cell is near its expected position and as large as the blob; `owner` is changed.
     """
     taken = set(owner.values()) | specks
     free = [j for j in range(len(places)) if j not in taken]
@@ -109,9 +109,9 @@ def shared_blobs(
     owner: dict[int, int],
     um_px: float,
 ) -> dict[int, list[int]]:
-    """Return the cells of each blob; a cell without a blob gets the one that covers its position.
+    """Return {blob: cells}; a cell without a blob gets the blob that covers its expected position.
 
-    `pixels` (C, 2) are the expected columns and rows of cells; `owner` is completed in place.
+    `pixels` (C, 2) are the cells' expected columns and rows; `owner` {cell: blob} is completed.
     """
     shared: dict[int, list[int]] = {}
     for i, j in owner.items():
@@ -126,7 +126,7 @@ def shared_blobs(
         for j in np.flatnonzero(away <= reach).tolist():
             held = [cells[k].long * cells[k].wide for k in shared.get(j, ())]
             room = um_px**2 * blobs[j].long * blobs[j].wide > LARGE * max(held, default=0.0)
-            if cell.missed_s > 0 and not room:  # it was elsewhere before
+            if cell.missed_s > 0 and not room:  # the cell was outside this blob before
                 continue
             gaps[j] = um_px * np.linalg.norm(blobs[j].pixels - pixels[i], axis=1).min()
         j = int(np.argmin(gaps))
@@ -145,10 +145,10 @@ def separated(
     specks: set[int],
     hidden: Floats,
 ) -> None:
-    """Give free blobs to owners of a shared blob next to them; `owner` and `shared` are changed.
+    """Assign free blobs to cells that have left a shared blob nearby; change `owner` and `shared`.
 
-    So cells that have been one blob, and are not where they are expected, are found again. What is
-    at `hidden` (S, 2) is a speck that they were over.
+    This finds separated cells away from their expected positions. A free blob near `hidden` (S, 2)
+    is a speck that a cell had covered, and is not assigned.
     """
     away = np.linalg.norm(places[:, None, :2] - hidden, axis=2).min(axis=1, initial=np.inf)
     free = [
@@ -163,7 +163,7 @@ def separated(
             alike = np.abs(np.log(places[k, 3:5] / sizes)).max(axis=1) < ALIKE
             gaps = np.linalg.norm(expected[owners, None, :2] - places[None, (k, j), :2], axis=2)
             cost = np.where(alike, gaps[:, 0] - gaps[:, 1], np.inf)
-            if len(owners) == 2:  # the blob must not be too large for the one that keeps it
+            if len(owners) == 2:  # the shared blob must not be too large for the cell left in it
                 cost[places[j, 3] * places[j, 4] > LARGE * sizes[::-1].prod(axis=1)] = np.inf
             if k not in shared and np.isfinite(cost.min()):
                 i = owners.pop(int(cost.argmin()))
@@ -171,10 +171,10 @@ def separated(
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:
-    """Return the middles (K, 2) [um] of cells in one blob of pixels at `points` (M, 2) [um].
+    """Return the middles (K, 2) [um] of the cells in a shared blob of pixels `points` (M, 2) [um].
 
-    Each pixel belongs to the cells in proportion to ellipses of their sizes about where they are
-    `expected` (K, 3); some rounds of expectation and maximisation, over a sample of the pixels.
+    Expectation-maximisation of a mixture of Gaussians with the sizes and directions of the cells,
+    started at `expected` (K, 3): x, y [um] and axis [rad]; it uses a sample of the pixels.
     """
     points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()

@@ -188,7 +188,7 @@ def test_weak_coils_and_a_strong_driver_are_warned_of():
         health = actuator.check()
     assert health.problems == ()
     weak, strong = health.warnings
-    assert "only 3.97 of 5 mT can be had in every direction" in weak
+    assert "only 3.97 of 5 mT can be reached in every direction" in weak
     assert "the current driver itself allows 3 A" in strong
 
 

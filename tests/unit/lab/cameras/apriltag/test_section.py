@@ -31,7 +31,7 @@ GOOD = {
         ({"source": {"type": "mjpeg", "url": "http://user:word@camera/"}}, "url"),
         ({"source": {"type": "device", "index": -1}}, "index"),
         ({"source": {"type": "usb"}}, "source"),
-        ({"robots": [ROBOT, {**ROBOT, "tag": 2}]}, "green stands here twice"),
+        ({"robots": [ROBOT, {**ROBOT, "tag": 2}]}, "green is listed twice"),
         ({"robots": [{**ROBOT, "tag": 100}]}, "tag 100 is used twice"),
         ({"robots": [{**ROBOT, "tag": 587}]}, "tag"),
         ({"floor": FLOOR[:3]}, "floor"),

@@ -1,5 +1,5 @@
-"""An emulated lab on real wires: a camera's side and an actuator's side of the spec's types.
+"""An emulated lab on real sockets and ports: a camera and an actuator of the spec's types.
 
-A run is given addresses and a port name, as in a real lab; everything here states that it is
-an emulation. `lab.EmulatedLab` puts the two sides together.
+A run connects to addresses and a port name, as in a real lab; every device states that it is
+emulated. `emulated_lab.EmulatedLab` connects the two.
 """

@@ -1,4 +1,4 @@
-"""The emulated lab as a whole: both sides, faults, a record, a helper who carries robots."""
+"""The emulated lab: both devices, faults, a record, and a helper who carries robots."""
 
 import json
 from collections.abc import Callable
@@ -14,7 +14,7 @@ from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
 from tetractl.experiment.lab_section import LabSection
 
-TICK_NS = 2_000_000  # how often robots are checked
+TICK_NS = 2_000_000  # interval between checks of the robots
 FLUSH_NS = 200_000_000
 CARRY_NS = 500_000_000  # time that carrying a robot takes
 
@@ -51,7 +51,7 @@ class Record:
 
 
 class EmulatedLab:
-    """An emulated lab on real wires. `report(event, facts)` is called with events to show.
+    """An emulated lab on real wires. `report(event, facts)` is called with events for display.
 
     A context manager: leaving it always releases ports and names.
     """
@@ -151,12 +151,12 @@ class EmulatedLab:
         self._report("fault", facts)
 
     def _tick(self) -> None:
-        """Advance the actuator's side, and record which robots start or stop moving."""
+        """Advance the actuator, and record which robots start or stop moving."""
         now = self.timeline.now_ns
         self.actuator.tick()
         if self.actuator.driven and not self._ran:
             self._ran = True
-            if self._still_since is not None:  # poses from before the run are ignored
+            if self._still_since is not None:  # a run begins: earlier poses are ignored
                 self._still_since = now
             self._note("run")
             self._report("run", {})
@@ -197,7 +197,7 @@ class EmulatedLab:
     def _put_on_starts(self) -> None:
         """Put every robot on its start, as given by the script or the spec.
 
-        Cells among which a trial chooses are not moved.
+        If trials choose their cells, no cell is moved.
         """
         if self._options.chosen:
             return

@@ -1,8 +1,7 @@
 """Triggers and undoes the faults of a script, and records when each became visible.
 
-A fault is visible when its first effect leaves on a wire: with the first frame exposed or sent
-while it lasts, or at once. A table next to each device lists the faults it can have, one row made
-by `fault` each.
+A fault becomes visible when its first effect is sent: with the first frame exposed or sent during
+the fault, or at once. A table next to each device lists its faults; each row is made by `fault`.
 """
 
 from collections.abc import Callable, Iterator
@@ -65,8 +64,8 @@ def setting(target: object, **values: object) -> Undo:
 
 
 def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
-    """Return a function that starts a fault by setting attributes of `target(device,
-    fault)`. A callable value is called with the fault.
+    """Return a function that starts a fault by setting attributes of `target(device, fault)`; a
+    value may be a function of the fault.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:
@@ -77,8 +76,8 @@ def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that starts a fault by calling `act(device, fault)` with `on`, and ends it
-    with the opposite."""
+    """Return a function that starts a fault by `act(device, fault)(on)` and ends it by `act(device,
+    fault)(not on)`."""
 
     def begin(fault: Fault, device: Any) -> Undo:
         switch = act(device, fault)
@@ -93,8 +92,8 @@ def fault(
 ) -> type[Fault]:
     """Return a kind of fault: a row of a device's table.
 
-    `keys` are the fields that a script gives besides those of `Fault`: a type, or a pair of a type
-    and a default.
+    `keys` are its fields in a script, in addition to those of `Fault`: a type, or a pair of type
+    and default.
     """
     fields: dict[str, Any] = {"fault": (Literal[name], ...)}
     for key, kind in keys.items():
@@ -123,9 +122,9 @@ class _Pending:
 
 @dataclass(slots=True)
 class Injector:
-    """Schedules the faults of a script; `device_of` returns the device a fault happens to.
+    """Schedules the faults of a script; `device_of` returns the device that has a fault.
 
-    `report(phase, fault)` is called at the start, once visible, and at the end of each.
+    `report(phase, fault)` is called when a fault starts, becomes visible, and ends.
     """
 
     timeline: Timeline
@@ -136,7 +135,7 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Schedule the faults timed from an event (start, client, run); only its first counts."""
+        """Schedule the faults timed from an event (start, client, run), when it first happens."""
         if what in self._since:
             return
         self._since.add(what)
@@ -146,13 +145,13 @@ class Injector:
                 self.timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Take note of an exposure; called just before it."""
+        """Record an exposure; called just before it."""
         for pending in self._pending:
             if pending.exposure is None:
                 pending.exposure = exposure
 
     def sent(self, exposure: int) -> None:
-        """Take note that a frame has been sent, or would have been."""
+        """Record that the frame of an exposure was sent, or withheld by a fault."""
         for pending in list(self._pending):
             first = pending.exposure
             at_sending = pending.fault.visible is Visible.SENT

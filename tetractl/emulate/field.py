@@ -32,10 +32,10 @@ LAG_S = 0.004  # 20 mH over 5 ohm
 class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
-    `currents` [A] are the true ones. Faults set `supply_mv`, `temperature_dc` (tenths of a degree
-    Celsius) and `mute` (the driver receives but does not reply), and switch it by `switch`.
-    `tell(event, **facts)` is called with each command when it is read from the port, before the
-    driver receives it.
+    `currents` [A] are the true currents. Faults set `supply_mv`, `temperature_dc` (tenths of a
+    degree Celsius) and `mute` (the driver receives but does not reply), or call `switch`.
+    `tell(event, **facts)` records each command when it is read from the port, before the driver
+    receives it.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class CurrentDriver(SerialDevice):
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
-        """Read bytes from the line and reply, byte by byte as a driver does."""
+        """Read received bytes one by one and reply, as a driver does."""
         if not self.powered:
             return
         for byte in data:
@@ -77,7 +77,7 @@ class CurrentDriver(SerialDevice):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
-        """Advance to `until_ns` in whole milliseconds; the next call continues from there."""
+        """Advance in whole milliseconds, up to the last one before `until_ns`."""
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self._step()
@@ -115,7 +115,7 @@ class CurrentDriver(SerialDevice):
 
 
 class FieldSettings(Model):
-    """How driver and cells differ from what the spec says.
+    """Differences of driver and cells from the spec.
 
     `cells` and `strangers` are used if a trial chooses its cells.
     """
@@ -176,7 +176,7 @@ FAULTS = (
     fault("rests", "A cell stops swimming.", switching(_rests), cell=Name),
     fault(
         "dives",
-        "A cell leaves the focal plane by so much, and is back within seconds.",
+        "A cell leaves the focal plane by a height, and returns within seconds.",
         _dives,
         cell=Name,
         by_um=(Finite, 300.0),
@@ -240,6 +240,6 @@ class EmulatedField(PluggedDevice):
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return built-in limits for a driver that fit the spec's."""
+    """Return built-in limits of a driver that agree with the spec."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

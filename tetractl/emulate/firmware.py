@@ -1,4 +1,4 @@
-"""The firmware's own cores, compiled for this machine: emulated devices run the code of real ones.
+"""The firmware's cores, compiled for this machine: emulated devices run the real devices' code.
 
 `<name>_core.c` and `framing.c` of `firmware/` are built once into the user's cache folder, by the
 compiler in $CC or the first of cc, gcc and clang.
@@ -29,7 +29,7 @@ _BOTH = {
     "status": (_U8, _P, _U32),
     "take_reply": (_SIZE, _P, _U32, _P),
 }
-FUNCTIONS = {  # of each core: type of the result, types of the arguments
+FUNCTIONS = {  # functions of each core: type of the result, types of the arguments
     "m3pi": _BOTH
     | {
         "init": (None, _P, _U8),
@@ -127,7 +127,7 @@ class _Core:
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return the reply that is due now, once; otherwise no bytes."""
+        """Return, once, the reply that is due now; no bytes if none is."""
         reply = ctypes.create_string_buffer(self.reply_size)
         size = self._call("take_reply", self._core, now_ms, reply)
         return reply.raw[:size]
@@ -162,7 +162,7 @@ class RobotCore(_Core):
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """The built-in limits of a driver: greatest current [mA] of each coil pair and its slew [mA/s],
+    """The built-in limits of a driver: greatest current [mA] and slew rate [mA/s] of a coil pair,
     watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius]."""
 
     current_max_ma: int
@@ -200,7 +200,7 @@ class DriverCore(_Core):
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
     ) -> None:
-        """Set the driver's measured values; a temperature at the limit stops it until it is
+        """Set the driver's measured values; a temperature at the limit stops the driver until it is
         switched on again.
         """
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)

@@ -16,7 +16,7 @@ IDLE_S = 0.05  # longest wait without events, so that a request to end is notice
 class Timeline:
     """A queue of events by time [ns]. `advance(t)` is called before each event at t.
 
-    Without files to watch it is a discrete-event simulation: tests run it in virtual time.
+    Without files to watch, it is a discrete-event simulation: tests run it in virtual time.
     """
 
     def __init__(self, advance: Callable[[int], None], start_ns: int = 0) -> None:
@@ -77,7 +77,7 @@ class Loop:
         self._ended = True
 
     def catch_up(self) -> None:
-        """Run the timeline up to the present."""
+        """Run the timeline's events up to the present."""
         self.timeline.run_to(self.now())
 
     def run(self) -> None:

@@ -19,12 +19,12 @@ _BAUDS = {
 
 
 def uart_ns(size: int, baud: int) -> int:
-    """Return the time of bytes on a serial line, ten bits each [ns]."""
+    """Return the time [ns] that a number of bytes takes on a serial line, at ten bits each."""
     return size * 10 * SECOND // baud
 
 
 class SerialDevice(ABC):
-    """What hears and answers at the other end of `port`; bytes take their time on the line."""
+    """A device that receives and answers through `port`; bytes take their time on the line."""
 
     def __init__(self, timeline: Timeline, port: "PseudoPort", baud: int) -> None:
         self.port = port
@@ -38,10 +38,10 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def _witness(self, data: bytes) -> None:
-        """Take note of bytes read from the port, even if the device does not hear them."""
+        """Record bytes read from the port, even if the device does not receive them."""
 
     def readable(self) -> None:
-        """Read what was written to the port; the device hears it after its time on the line."""
+        """Read bytes written to the port; the device receives them after their time on the line."""
         data = self.port.read()
         if not data:
             return
@@ -58,7 +58,7 @@ class SerialDevice(ABC):
 
 
 class PluggedDevice:
-    """A device called `what` on a port, `wired` to it, that can be unplugged."""
+    """A device named `what` on a port, that can be unplugged; `wired` reads the port."""
 
     what: ClassVar[str]
     port: "PseudoPort"
@@ -126,7 +126,7 @@ class PseudoPort:
         self._close()
 
     def stall(self, stalled: bool) -> None:
-        """Block writes to the port, as if no device took the bytes, or let them go on."""
+        """Block writes to the port, as if no device took the bytes, or allow them again."""
         if self.fd >= 0:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 
@@ -146,7 +146,7 @@ class PseudoPort:
             raise
 
     def write(self, data: bytes) -> None:
-        """Pass bytes to the program; bytes that it does not take are lost, as on a wire."""
+        """Pass bytes to the program; bytes that it does not read are lost, as on a wire."""
         if self.fd >= 0:
             with suppress(BlockingIOError):
                 os.write(self.fd, data)

@@ -1,5 +1,5 @@
 """A script for the emulated lab: differences from the spec, faults with their times, and the
-expected result of the run that drives the lab.
+expected result of the run.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Return the fault that a mapping's `fault` names among those of the script's devices."""
+    """Return the fault of the script's devices whose name is in a mapping's key `fault`."""
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
@@ -31,7 +31,7 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
 
 
 def _settings(value: Any, info: ValidationInfo) -> Model:
-    """Return the settings of the device that a field is called after."""
+    """Return the settings of the device, camera or actuator, that the field is named after."""
     return getattr(_sides(info), str(info.field_name)).Settings.model_validate(value, strict=True)
 
 
@@ -47,7 +47,7 @@ class Placed(Model):
 
 
 class Emulation(Model):
-    """How the emulated lab differs from what the spec says."""
+    """Differences of the emulated lab from the spec."""
 
     camera: Annotated[Model, PlainValidator(_settings)] | None = None
     """Settings of the emulated camera; the fields depend on the camera's type."""
@@ -103,7 +103,7 @@ class Script(Model):
     row: str = Field(default="", max_length=200)
     """Kind of fault that the script stands for."""
     emulation: Emulation = Emulation()
-    """How the emulated lab differs from what the spec says."""
+    """Differences of the emulated lab from the spec."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )

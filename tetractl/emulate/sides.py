@@ -1,7 +1,6 @@
-"""The interfaces of an emulated lab: the actuator's side moves bodies, and the camera's side shows
-them.
+"""The interfaces of emulated devices: an actuator moves bodies, and a camera shows them.
 
-To emulate another camera or actuator, write a class like these and add a line at the end.
+To emulate another camera or actuator, implement the interface and add a line to `core.registries`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -22,9 +21,9 @@ Facts = dict[str, Any]
 class Options:
     """Addresses of the emulation. Port 0 takes any free port, None the spec's.
 
-    `record` is a file for the true events. `replace_after` [s]: robots that have stood still that
-    long after a run are switched off and on and put back on their starts. `chosen`: trials choose
-    their robots, so the dish is filled by the emulation's settings.
+    `record` is a file for the true events. `replace_after` [s]: robots that have stood still for
+    this time after a run are switched off and on and put back on their starts. `chosen`: trials
+    choose their cells, so the emulation's settings give the cells in the dish.
     """
 
     address: str = "127.0.0.1"
@@ -39,11 +38,11 @@ class Options:
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """Shared by both sides; `setup` and `lab` are the spec's.
+    """The data and functions shared by both devices; `setup` and `lab` come from the spec.
 
-    `note(event, **facts)` adds to the record. A camera's side calls `exposed(exposure, frame)` at
-    each exposure, `sent(exposure)` when its frame has left, or would have if frames are withheld,
-    and `client(address)` for each new client.
+    `note(event, **facts)` adds to the record. A camera calls `exposed(exposure, frame)` at each
+    exposure, `sent(exposure)` at the time of sending its frame, even if the frame is withheld, and
+    `client(address)` for each new client.
     """
 
     lab: LabSection
@@ -82,8 +81,7 @@ class Body(Protocol):
 class EmulatedSide(Protocol):
     """One device of an emulated lab.
 
-    `Settings` is the device's part of a script's `emulation`; `faults` are those the device can
-    have.
+    `Settings` is the device's section in a script's `emulation`; `faults` are its possible faults.
     """
 
     Settings: ClassVar[type[Model]]
@@ -102,7 +100,7 @@ class EmulatedCamera(EmulatedSide, Protocol):
     """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
 
     def hide(self, hidden: bool) -> None:
-        """Track no body, as while robots are being carried, or track all again."""
+        """Leave all bodies untracked, as while robots are carried, or track them again."""
         ...
 
 

@@ -39,8 +39,8 @@ class EmulatedNetworkCamera:
     `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or as
     soon as it is drawn; a busy host skips some exposures. `mangle` changes the bytes of a part
     before they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is
-    sent. A camera that `drips` sends its answer's header byte by byte, without end. Raises
-    TetractlError if the port is taken.
+    sent. A camera that `drips` sends an endless header byte by byte. Raises TetractlError if the
+    port is in use.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class EmulatedNetworkCamera:
 
     @property
     def port(self) -> int:
-        """The port that was really taken."""
+        """The port that was really opened."""
         return self._server.server_address[1]
 
     @property
@@ -179,7 +179,7 @@ def part(jpeg: bytes) -> bytes:
     return head.encode() + jpeg + b"\r\n"
 
 
-KEEP_NS = 5_000_000  # interval of the scenes that are kept for drawing exposures
+KEEP_NS = 5_000_000  # interval between the scenes that are kept for drawing exposures
 KEPT = 200
 
 
@@ -197,7 +197,7 @@ class StreamSettings(Model):
     exposure: Positive = 0.004
     """Exposure time of a picture [s]."""
     drips: bool = False
-    """Whether the camera answers byte by byte, without end."""
+    """Whether the camera sends an endless answer byte by byte."""
 
 
 def _freeze(fault: Any, device: Any) -> Undo:
@@ -236,8 +236,8 @@ STREAM_FAULTS = (
     ),
     fault(
         "bad_pictures",
-        "A share of the pictures is cut short, cut short before an end marker, or of a header that "
-        "claims 32767 x 32767.",
+        "A fraction of the pictures is cut short, with or without an end marker, or has a header "
+        "that states 32767 x 32767 pixels.",
         _spoil,
         Visible.SENT,
         share=Share,
@@ -247,7 +247,7 @@ STREAM_FAULTS = (
 
 
 class StreamedCamera(ABC):
-    """A camera's side that serves pictures as MJPEG; a thread draws them.
+    """Base of emulated cameras that serve pictures as MJPEG; a thread draws them.
 
     A subclass returns the present scene, and draws the scene of an exposure.
     """
@@ -310,7 +310,7 @@ class StreamedCamera(ABC):
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time of the camera, interpolated between those kept around it."""
+        """Return the scene at a time [ns], interpolated between the two kept around it."""
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:
@@ -321,13 +321,13 @@ class StreamedCamera(ABC):
         return before + part * (after[..., : before.shape[-1]] - before)
 
     def _remember(self) -> None:
-        """Keep the present scene for exposures that are drawn later."""
+        """Store the present scene for exposures that are drawn later."""
         now = self._stage.timeline.now_ns
         self._past.append((now, self._scene()))
         self._stage.timeline.at(now + KEEP_NS, self._remember)
 
     def _expose(self) -> None:
-        """Report an exposure at the camera's rate, and the first client."""
+        """Report an exposure, and a client that begins to watch; schedule the next exposure."""
         now = self._stage.timeline.now_ns
         self._exposures += 1
         self._stage.exposed(self._exposures, self._exposures)

@@ -57,7 +57,7 @@ def decode(frame: bytes) -> bytes:
 
 
 def frame_with_crc(payload: bytes) -> bytes:
-    """Return a payload as a frame: its CRC appended, little-endian, stuffed and closed by 00."""
+    """Return the frame of a payload: append its CRC (little-endian), stuff, and close with 00."""
     if len(payload) + 2 > FRAME_MAX:
         raise WireError(f"{len(payload)} bytes do not fit into a frame")
     return encode(payload + crc16(payload).to_bytes(2, "little"))
@@ -82,7 +82,10 @@ def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
 
 
 def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
-    """Return the fields after the type of a frame of fixed layout, without the closing byte 00."""
+    """Return the fields after the type byte of a frame, given without the closing byte 00.
+
+    WireError if the type is not `kind` or the size is not that of `layout`.
+    """
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:
         raise WireError(f"unknown frame type 0x{kind:02X}")

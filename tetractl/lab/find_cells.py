@@ -1,4 +1,4 @@
-"""Finds the cells of a trial: turns the field, and observes each cell's response."""
+"""Finds cells that can be steered: turns the field, and observes each cell's response."""
 
 import math
 from collections.abc import Callable, Container
@@ -17,15 +17,15 @@ from tetractl.lab.rig import Rig
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # deviation of a turn from a quarter turn [rad]
 BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
-STEP_UM = 35.0  # largest distance between two pictures at which a cell is recognised again
-SURE = 0.9  # least probability of the identity of a cell that is taken
+STEP_UM = 35.0  # largest distance by which a cell may move between two pictures to be recognised
+SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
-    """Return the direction [rad] of a field over time [ns] under which cells circle and stay.
+    """Return a function from time [ns] to the direction [rad] of a field that makes cells circle.
 
-    The field turns once in `turn_s`, in one sense, by unequal quarters: each cell's response
-    identifies its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags behind.
+    The field turns once in `turn_s` [s], always in the same sense, by unequal quarters: a cell's
+    response identifies its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -44,7 +44,7 @@ def turn_field(
     supervision: LabSupervision,
     on_look: Callable[[], None] = lambda: None,
 ) -> list[FoundCell]:
-    """Turn the field of an entered rig, and return the cells that the camera follows then.
+    """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
     The field goes on turning. `on_look` is called regularly. AbortError if no pictures arrive.
     """
@@ -70,22 +70,22 @@ def turn_field(
         raise AbortError(
             f"{rate:.1f} pictures a second were searched; to follow cells that swim "
             f"{choice.speed:g} {rig.setup.unit}/s it takes {least:.0f}",
-            "is this computer busy with other programs? smaller pictures take less time",
+            "do other programs keep this computer busy? smaller pictures take less time",
         )
     return cells
 
 
 def free_cells(rig: Rig) -> list[FoundCell]:
-    """Return the cells that respond to the field, are away from the walls, and are not robots."""
+    """Return the cells that follow the field, are away from the walls, and are not robots."""
     taken = rig.camera.robots  # type: ignore[attr-defined]
     cells = [cell for cell in found_cells(rig) if cell.magnetised and cell.free]
     return [cell for cell in cells if cell.number not in taken]
 
 
 def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
-    """Return the cells that the camera follows now, with the values of its filter.
+    """Return the cells in the newest picture, with the estimates of the camera's filter.
 
-    Cells that have been `walled`, or are now near the arena's edge, are not free.
+    Cells whose numbers are in `walled`, or that are near the arena's edge, are marked as not free.
     """
     seen: list[SeenCell] = rig.camera.cells  # type: ignore[attr-defined]
     per_um = 1e-6 / rig.setup.metres

@@ -5,8 +5,8 @@
                              +---- rest() --+--------+      any --> abort, for good
 
 In `hold`, one robot or all are stopped because of a fault that may pass; robots that can only be
-stopped together are steered on while one of them is not tracked. `abort` is final. Lengths are in
-the spec's length unit, times ns on the run's clock.
+stopped together are steered further while one of them is not tracked. `abort` is final. Lengths are
+in the spec's length unit, times ns on the run's clock.
 """
 
 import math
@@ -40,7 +40,7 @@ class GuardState(StrEnum):
 class GuardRules:
     """Limits of a run; see the fields of the same name in the spec's limits.
 
-    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) the fastest it turns [rad/s].
+    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) its fastest turn [rad/s].
     `lowest`, `highest` and `tilt` bound a body's height and tilt; `mm` is the number of millimetres
     per length unit. Robots that are not `individual` can only be stopped together. A run that
     `goes_on` continues without a lost robot, and ends when the last one is lost.
@@ -78,7 +78,7 @@ class GuardRules:
 class Ruling:
     """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
 
-    A pose is None if a robot is not tracked. `reason` is why the run was aborted, "" if it was not.
+    A pose is None if a robot is not tracked. `reason` is why the run was aborted, "" otherwise.
     """
 
     state: GuardState
@@ -90,7 +90,7 @@ class Ruling:
 
 @dataclass(slots=True)
 class Guard:
-    """Decides by the rules for N robots, from every camera frame, in order, at frequent ticks."""
+    """Decides by `rules` which of N robots may move, from all camera frames, at frequent ticks."""
 
     rules: GuardRules
     state: GuardState = GuardState.PREFLIGHT
@@ -108,7 +108,7 @@ class Guard:
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
     _warned: set[str] = field(default_factory=set)
     _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
-    _driven: bool = False  # True from the first `go` on: robots are not carried any more
+    _driven: bool = False  # True from the first `go` on: then robots are not carried
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -149,7 +149,7 @@ class Guard:
             self._swaps.restart()
             self._motion.restart()
             self._disobedient.clear()
-            for track in self._filters:  # poses from before the run are ignored
+            for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
 
     def rest(self) -> None:
@@ -170,7 +170,7 @@ class Guard:
             }
 
     def steered(self, now_ns: int) -> None:
-        """Take note that the controller gave a direction."""
+        """Record that the controller gave a direction."""
         self._steered_ns = now_ns
 
     def late(self, missed: bool) -> None:
@@ -231,7 +231,7 @@ class Guard:
         self._motion.forget(i)
 
     def no_frame(self, silent_ns: int) -> str:
-        """Return the fault of a stream without a new frame for `silent_ns`."""
+        """Return the fault text for a stream without a new frame for `silent_ns`."""
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text
@@ -320,7 +320,7 @@ class Guard:
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
         limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
-        # a stopped stream is reported as that, not as robots that are not tracked
+        # a stopped stream is reported as stopped, not as untracked robots
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit
             for left, track in zip(self._left, self._filters, strict=True)
@@ -353,7 +353,7 @@ class Guard:
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):
             if i in self.lost and rules.individual:
-                pose = self._filters[i].pose  # the robot stands where it was last seen
+                pose = self._filters[i].pose  # the robot stands at its last pose
             if pose is None:
                 continue
             way = 0.0 if i in self.lost else rules.speeds[i] * ahead_s
@@ -375,7 +375,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Return whether a robot moves further out; a robot at the edge may move back inside."""
+        """Return whether a robot moves further outside; one at the edge may move back inside."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:

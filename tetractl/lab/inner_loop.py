@@ -1,7 +1,7 @@
 """The inner loop passes camera frames to the guard, and the guard's decisions to the actuator.
 
-It steps at every camera frame, in a thread of its own, so planning cannot delay a stop. A held
-direction is sent at the actuator's rate; a new direction, or a stop, at once.
+It makes a step at every camera frame, in its own thread, so that planning cannot delay a stop. A
+held direction is sent at the actuator's rate; a new direction or a stop is sent at once.
 """
 
 import threading
@@ -25,7 +25,7 @@ KEPT = 100_000
 
 
 class InnerLoop:
-    """Steps a guard between a camera and an actuator. Times are ns on `clock`.
+    """Runs a guard between a camera and an actuator. Times are ns on `clock`.
 
     `wake` is set by the camera after each frame, `emergency` by a person. `frames` holds the
     accepted frames. Without `start`, the owner of the clock calls `step`.
@@ -62,7 +62,7 @@ class InnerLoop:
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
     def start(self) -> None:
-        """Start the thread of steps; nothing is sent before the first direction."""
+        """Start the loop's thread; nothing is sent before the first direction."""
         self._thread.start()
 
     def steer(self, direction: float) -> Transmission:
@@ -86,7 +86,7 @@ class InnerLoop:
             return self.last
 
     def restart(self, guard: Guard) -> None:
-        """Continue with another guard, for robots that were found; forget the frames so far."""
+        """Continue with the guard of newly found robots; forget the frames so far."""
         with self._lock:
             self.guard, self.frames = guard, FrameBuffer()
 
@@ -102,7 +102,7 @@ class InnerLoop:
                     self._guarded_tick()
             if self._stops_left:
                 self._clock.sleep_until(self._next_ns)
-        if not held:  # the loop hangs: send without the lock
+        if not held:  # the loop's thread hangs: send without the lock
             for _ in range(STOPS):
                 with suppress(AbortError):
                     self._actuator.stop()
@@ -173,7 +173,7 @@ class InnerLoop:
             self._turn(self.idle(now), ruling, now)
 
     def _turn(self, direction: float, ruling: Ruling, now: int) -> None:
-        """Turn the field before robots are steered, unless frames are missing."""
+        """Send the direction that applies before robots are steered, unless frames are missing."""
         if now < self._next_ns:
             return
         self._next_ns = now + self._actuator.period_ns

@@ -2,8 +2,8 @@
 
 A robot with two wheels, at a distance r from its centre, can only move along its heading at v and
 turn at w. Which command acts at a time t is unknown: radio and wheels delay commands, and some are
-lost. So v(t) and w(t) lie between the least and the greatest values commanded within [t - DELAY_NS,
-t], each widened by the possible error of the wheels, a fraction g of the faster wheel:
+lost. So v(t) and w(t) lie between the least and the greatest values commanded in [t - DELAY_NS, t],
+each widened by the possible error of the wheels, a fraction g of the faster wheel's speed:
 
     e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
 
@@ -29,7 +29,7 @@ WINDOW_NS = SECOND
 SPACING_NS = SECOND // 20  # interval of the window's poses with which a new pose is compared
 SLACK_S = 0.03  # time of driving at full speed that is allowed as slack
 SLACK_RAD = 0.08
-STANDS = 0.3  # a robot with a smaller fraction of the commanded motion counts as standing
+STANDS = 0.3  # a robot that makes less than this fraction of the commanded motion stands still
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 STILL = (
@@ -63,7 +63,7 @@ class MotionCheck:
         n = len(self._slack)
         self._seen = np.zeros((n, 3))  # motion since the start, by consistent poses
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
-        # per robot: times, and the motion and integrals up to each, (3, 3)
+        # per robot: times [ns], and the motion and integrals of both bounds up to then, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
 
     def forget(self, i: int) -> None:
@@ -100,13 +100,13 @@ class MotionCheck:
         self._now_ns = now_ns
 
     def commanded(self, i: int) -> bool:
-        """Return whether robot i must be moving now."""
+        """Return whether every command that may act now moves robot i."""
         least, most = self._bounds[:, i]
         return bool(np.any((least > 0.0) | (most < 0.0)))
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i disobeyed since its last consistent pose; "" if it did not, in which
-        case the new pose is consistent.
+        """Return how robot i disobeyed its commands since its last consistent pose; "" if it did
+        not: then the new pose is consistent.
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
@@ -123,8 +123,8 @@ class MotionCheck:
 
 
 def _moved(before: Pose, pose: Pose) -> Floats:
-    """Return the motion (3,) between two poses: displacement along and across the heading, as on an
-    arc, and the angle turned.
+    """Return the motion (3,) between two poses, on an arc: displacement along and across the
+    heading, and angle turned.
     """
     turned = math.remainder(pose.heading - before.heading, math.tau)
     dx, dy, middle = pose.x - before.x, pose.y - before.y, before.heading + turned / 2
@@ -136,7 +136,7 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return a description of a motion (3,), along, across and around, out of bounds."""
+    """Return a text for a motion (3,), along, across and around, that is out of bounds."""
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

@@ -1,5 +1,5 @@
-"""Decides which camera poses of a robot are accepted: those of a body that stands upright on the
-floor, at a place that the robot can have reached since it was last seen. Buffers their frames.
+"""Accepts camera poses of a body that is upright on the floor, at a position that the robot can
+have reached since its last pose; buffers the frames with accepted poses.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
@@ -15,7 +15,7 @@ from tetractl.core.poses import CameraFrame, Pose
 
 FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
 WINDOW_NS = SECOND  # largest age of accepted poses with which a pose is compared
-SPACING_NS = SECOND // 10  # interval of the poses kept for that, except the last one
+SPACING_NS = SECOND // 10  # interval of the poses kept for this comparison, except the last one
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +51,7 @@ class PoseFilter:
     _past: deque[tuple[int, Pose]] = field(default_factory=deque)
 
     def forget(self) -> None:
-        """Forget all poses except the last, as before a run, since robots were carried."""
+        """Forget all poses except the last; called before a run, since robots were carried."""
         self._past = deque([(self.seen_ns, self.pose)] if self.pose is not None else [])
         self.refused = ""
 
@@ -98,7 +98,7 @@ class PoseFilter:
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return why a body's height or tilt is not that of a robot on the floor, else ""."""
+        """Return why a body's height or tilt is wrong for a robot on the floor, otherwise ""."""
         limits = self.limits
         if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
@@ -145,8 +145,8 @@ class FrameBuffer:
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count` appended, oldest first, and the number of all
-        frames, to be given as `count` next time. Frames no longer kept are left out.
+        """Return the frames that followed the first `count`, oldest first, and the number of all
+        frames so far, which is `count` for the next call. Dropped frames are left out.
         """
         with self._lock:
             return list(islice(reversed(self._frames), self.count - count))[::-1], self.count

@@ -30,7 +30,7 @@ class RobotFinding:
     untracked.
 
     `misplaced` describes how far the robot is from its start, "" if it is there or untracked.
-    `untracked` says that and why it is not tracked, "" if it is.
+    `untracked` describes why the robot is not tracked, "" if it is.
     """
 
     name: str
@@ -83,7 +83,7 @@ class Preflight:
 
     @property
     def all_warnings(self) -> tuple[str, ...]:
-        """All problems that do not keep a run from starting."""
+        """All warnings: of the preflight, the devices and the robots."""
         robots = (w for robot in self.robots for w in robot.status.warnings)
         return (*self.warnings, *self.questions, *robots)
 
@@ -104,7 +104,7 @@ def inspect(rig: Rig) -> Preflight:
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
         problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")
-    if newest is not None and rig.actuator.halts:  # other cells are always in view
+    if newest is not None and rig.actuator.halts:  # a dish always shows other cells
         problems += _strangers(rig, newest.frame)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))
     devices = {"camera": camera, "actuator": actuator}
@@ -128,7 +128,7 @@ def unplaced(rig: Rig) -> list[str]:
 
 
 def dropped(outdated: int) -> str:
-    """Return a warning about a number of frames that were dropped because they were outdated."""
+    """Return a warning about the number of frames dropped because they were outdated."""
     return f"camera frames dropped because later ones had come: {outdated}"
 
 
@@ -180,12 +180,11 @@ def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
 
 
 def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
-    """Return once there is no problem, every robot is on its start and the operator, if there is
-    one, agrees.
+    """Wait until there is no problem, every robot is on its start and the operator, if any, agrees.
 
-    Robots that can stand still must do so. Robots being carried may be away from their starts or
-    untracked: without an operator, for at most `limits.placing`. AbortError lists the problems and
-    each robot's distance from its start; KeyboardInterrupt if the operator gives up waiting.
+    Robots that can stand still must stand. While robots are carried, they may be untracked or away
+    from their starts: without an operator, for at most `limits.placing`. AbortError lists the
+    problems and each robot's distance from its start; KeyboardInterrupt if the operator gives up.
     """
     prompt, clock = supervision.prompt, rig.clock
     limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)

@@ -1,4 +1,4 @@
-"""Checks by the camera whether robots stand still; an untracked robot counts as moving."""
+"""Checks with the camera whether robots stand still; an untracked robot counts as moving."""
 
 import math
 
@@ -15,7 +15,7 @@ ROLLING_NS = SECOND // 2  # time after which robots that still move are stopped 
 
 
 def moving_robots(rig: Rig) -> list[str]:
-    """Return one line for each robot that did not stand still in the last frames."""
+    """Return one line for each robot that did not stand still during the last `REST_NS`."""
     window = rig.frames.last(REST_NS)
     if not window:
         return [f"{name} has not been watched long enough" for name in rig.setup.names]
@@ -26,7 +26,7 @@ def moving_robots(rig: Rig) -> list[str]:
 def wait_for_rest(rig: Rig) -> str:
     """Wait until the camera sees every robot stand still, and repeat the stop while one moves.
 
-    Returns a text on robots that do not stand still within `limits.standstill`, "" if all do.
+    Returns a text that names robots not at rest within `limits.standstill`, "" if all are.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -45,7 +45,7 @@ def wait_for_rest(rig: Rig) -> str:
 def wait_until_tracked(rig: Rig) -> str:
     """Wait until every robot is tracked, for robots that cannot stand still.
 
-    Returns a text on robots that are not tracked within `limits.standstill`, "" if all are.
+    Returns a text that names robots not tracked within `limits.standstill`, "" if all are.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -75,7 +75,7 @@ def _lost(rig: Rig) -> list[str]:
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return why robot i does not count as standing in the frames, "" if it does."""
+    """Return why robot i does not count as standing still in the frames, "" if it does."""
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:

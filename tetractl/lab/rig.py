@@ -1,4 +1,4 @@
-"""A lab in use: a camera and an actuator with the guard and the inner loop between them."""
+"""A connected lab: a camera and an actuator with the guard and the inner loop between them."""
 
 import threading
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 ANYWHERE = 1e9  # distance from a start that allows any pose [mm, rad]
-FIRST_S = 0.5  # time to wait for a first frame of other robots
+FIRST_S = 0.5  # time to wait for the first frame after the robots were replaced
 
 
 class Rig:
@@ -70,7 +70,7 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with other robots, by the camera's numbers, from their present poses."""
+        """Continue with the robots of another setup, of these camera numbers, from their poses."""
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]
@@ -91,7 +91,7 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return a line that says that robot i is not tracked, and why if known."""
+        """Return the message that robot i is not tracked, with the reason if known."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 

@@ -1,8 +1,8 @@
 """A serial port of the lab's devices: opened by one process only, written without waiting.
 
-Writing raises if the port takes nothing for 20 ms, and at once if the port is gone; both failures
-are final. A thread reads. If another process has the port, `stop_beside` stops its robots and ends
-that process.
+A write raises AbortError if the port accepts no bytes for 20 ms, and at once if the port has
+disappeared; both failures are final. A thread reads. If another process has the port open,
+`stop_beside` stops its robots and ends that process.
 """
 
 import os
@@ -21,7 +21,7 @@ from tetractl.core.errors import AbortError
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
-# seconds to a second request to end, to SIGKILL, and to giving up
+# times [s] after which the process is asked again, killed, and given up
 AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0
 SWITCH_OFF = "switch the robots off by hand if they move"
 MAX_BUFFER = 2048  # bytes in the system's send buffer above which the port counts as stuck
@@ -42,7 +42,7 @@ Heard = Callable[[bytes, int], None]
 
 
 class SerialPort:
-    """The port `name` at `baud` bits per second, with `device` (such as "the radio") behind it.
+    """The port `name` at `baud` bits per second; `device` names what is connected to it.
 
     `heard` is called in the reader's thread with received bytes and their time [ns on `clock`], and
     with no bytes when the port has failed; `hint` is the hint of errors.
@@ -60,7 +60,7 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read, for this process `alone` or in addition to another one.
+        """Open the port and start to read; exclusively if `alone`, else next to another process.
 
         AbortError if the port cannot be opened, PortHeldError if another process has locked it.
         """
@@ -132,7 +132,7 @@ class SerialPort:
 
 
 def _put(fd: int, data: bytes) -> None:
-    """Write to a file descriptor; TimeoutError if it takes no bytes for 20 ms.
+    """Write to a file descriptor; TimeoutError if it accepts no bytes for 20 ms.
 
     pyserial's own write would also time out if this process was not scheduled for that time.
     """
@@ -164,7 +164,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
 
 
 def require_port(name: str, device: str) -> None:
-    """Raise AbortError if no port has this name, with `device` behind it; nothing is opened."""
+    """Raise AbortError if no port has this name; `device` is for the hint. Opens nothing."""
     if not Path(name).exists():
         raise _missing(name, device)
 
@@ -193,10 +193,10 @@ def command_line(pid: int) -> list[str]:
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of the run that has a port, then end that run, by SIGKILL if necessary.
-    `stops` sends stops on the run's port and returns a description of what was sent; it is repeated
-    until the port is free, since a hanging run may still drive. AbortError if the process cannot be
-    ended: it is unknown, another user's, or not tetractl.
+    """Stop the robots of the run that has a port open, then end that run, if needed by SIGKILL.
+    `stops` sends stops on the port and returns a text about them; it is repeated until the port is
+    free, since a hanging run may still drive robots. `say` prints a line. AbortError if the process
+    cannot be ended: it is unknown, another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
@@ -243,7 +243,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Return the error if another program still has the port after the stops."""
+    """Send stops, and return the error for a program that keeps the port open."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

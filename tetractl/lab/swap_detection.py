@@ -12,12 +12,12 @@ also turn it at a constant rate b, so its own commands are g w_i + b. Robot i fo
 Q_ij exceeds a fraction of the integral of (w_i - w_j)^2.
 
 A robot that moves as commanded follows no other, and robots that stand still cannot follow one
-another in a ring: robots that do follow in a ring are swapped. A single robot that follows another
-may have a different fault, and is observed for longer. Robots with the same commands cannot be
-distinguished.
+another in a ring (i follows j, j follows i): robots that follow one another in a ring are swapped.
+A single robot that follows another may have a different fault, and is observed for longer. Robots
+with the same commands cannot be distinguished.
 
-The identities of cells are watched too: a trial whose cells may have been swapped warns, and aborts
-if that lasts.
+`IdentityWatch` checks cells: it warns if cells may have been swapped, and ends the trial if the
+doubt lasts.
 """
 
 from bisect import bisect_left, bisect_right
@@ -37,13 +37,13 @@ GAINS = (0.8, 1.25)  # least and greatest gain of a robot's own commands
 BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
 CLEAR = 0.01  # least Q_ii - Q_ij [rad^2/s], above the noise of headings
 DISTINCT = 0.1  # least integral of (w_i - w_j)^2 for commands that can be distinguished
-# fraction of it by which another robot's commands must fit better, for each robot of a ring
+# fraction of this integral by which another robot's commands must fit each robot of a ring better
 BETTER = 0.05
 ALONE_NS = SECOND // 2  # time for which a single robot must follow another, twice in a row
 ALONE_GAINS = (-1.25, 1.25)  # gains tried for its own commands, as a wheel may be stuck or inverted
-ALONE_BETTER = 0.25  # fraction by which another's commands must fit a single robot better,
-ALONE_CLEAR = 0.06  # the same relative to those commands: noise and wheels 10 % off reach 0.05,
-EXPLAINED = 0.8  # and fraction of those commands that must be observed
+ALONE_BETTER = 0.25  # fraction by which another's commands must fit a single robot better
+ALONE_CLEAR = 0.06  # this difference per integral of w_j^2; noise and wheels 10 % off reach 0.05
+EXPLAINED = 0.8  # fraction of another robot's commanded turning that must be measured
 TINY = 1e-12
 
 
@@ -104,7 +104,7 @@ class SwapDetector:
             stretch.forget(i)
 
     def fault(self) -> str:
-        """Return a text on the robots that follow the commands of others, "" if none does."""
+        """Return a message about robots that follow the commands of others, "" if none does."""
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -142,7 +142,7 @@ class _TurnIntegrals:
         # integrals of w_j(t - d)^2 while i was tracked
         self._commanded = np.zeros((len(DELAYS_NS), n, n))
         self._common = np.zeros((len(DELAYS_NS), n, n))  # integrals of s_i(t) w_j(t - d)
-        self._differ = np.zeros((n, n))  # of (w_i - w_j)^2
+        self._differ = np.zeros((n, n))  # integrals of (w_i - w_j)^2
         self._way = np.zeros((len(DELAYS_NS), n))  # integrals of w_i(t - d)
         self._turned, self._seconds = np.zeros(n), np.zeros(n)  # integrals of s_i, and of 1
 
@@ -167,7 +167,7 @@ class _TurnIntegrals:
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return (N,): the robots that i may follow, unless a bad wheel explains its turning."""
+        """Return (N,): whether robot i, with no bad wheel, follows the commands of each robot."""
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
         commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
@@ -193,7 +193,7 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return robots each of which follows the next, and the last the first; [] if none do."""
+    """Return a ring of robots: each follows the next, the last follows the first; [] if none."""
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])
@@ -207,8 +207,8 @@ SURE = 0.9
 
 
 class IdentityWatch:
-    """The identities of a run's robots, called `names`. `unknown` maps the index of each robot
-    whose identity has been unknown for `patience_s` to the reason why the run must end.
+    """Watches the identities of cells as robots with `names`. `unknown` maps the index of a robot
+    whose identity has been unknown for `patience_s` [s] to the reason why the run must end.
     """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
@@ -217,7 +217,8 @@ class IdentityWatch:
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Take a picture's probabilities; yield a text for each change, not for unseen cells."""
+        """Take a picture's probabilities; yield a note when a seen cell's identity changes between
+        known and unknown."""
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
@@ -231,6 +232,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Start again with another cell as this robot."""
+        """Start again: another cell is robot i."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

@@ -1,8 +1,7 @@
 """The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
 
-The arena is drawn as a camera would see it: optics, floor, tags, blur, noise. Nothing here is a
-real picture: an emulated camera is a pinhole with known optics, so that results from its pictures
-can be compared with the truth.
+The arena is drawn with optics, floor, tags, blur and noise. No picture is real: an emulated camera
+is a pinhole with known optics, so that results from its pictures can be compared with the truth.
 """
 
 import math
@@ -111,7 +110,7 @@ class Optics:
         return (seen[:, :2] / seen[:, 2:]) * self.focal_px + self.matrix[:2, 2]
 
     def ground(self, pixel: Floats) -> Floats:
-        """Return where the ray of a pixel (2,) meets the floor, (3,) [m]."""
+        """Return the point (3,) [m] where the ray of a pixel (2,) meets the floor."""
         ray = np.append((pixel - self.matrix[:2, 2]) / self.focal_px, 1.0) @ self.axes
         return np.array(self.position) - ray * self.position[2] / ray[2]
 
@@ -129,7 +128,7 @@ Shades = NDArray[np.float32]
 
 @dataclass(slots=True)
 class Renderer:
-    """Renders robots with tags, floor tags and optics; the same seed gives the same pictures.
+    """Renders robots with tags and floor tags through the optics; a seed fixes the pictures.
 
     `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn; tags
     in `strays` are drawn on the floor as well.
@@ -231,7 +230,7 @@ class Renderer:
         return self._textures[number]
 
     def _finished(self, canvas: Shades) -> Grey:
-        """Return the picture distorted, blurred, amplified and with noise."""
+        """Return the picture with distortion, blur, gain and noise."""
         optics = self.optics
         if any(optics.distortion):
             columns, rows = self._undistorted()
@@ -244,7 +243,7 @@ class Renderer:
         return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Return standard normal noise for a picture: another window of one field for each."""
+        """Return standard normal noise (height, width): a random window of one larger field."""
         if self._noise is None:
             draw = np.random.default_rng(self.seed).standard_normal
             self._noise = draw((height + SPARE, width + SPARE), np.float32)
@@ -253,7 +252,7 @@ class Renderer:
         return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
 
     def _undistorted(self) -> tuple[Shades, Shades]:
-        """Return column and row in the undistorted picture of each pixel of the distorted one."""
+        """Return column and row without distortion of each pixel of the distorted picture."""
         if self._bent is None:
             optics = self.optics
             rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)

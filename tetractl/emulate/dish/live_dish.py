@@ -37,10 +37,10 @@ class FieldDriver(Protocol):
 class Dish:
     """Cells between the coils of a driver.
 
-    `coils` are the coils as they truly are, `reference_mt` the field at which the cells have their
-    a. `walls` [um] are the edges that cells slide along, None for a dish without edges. If cells
-    are `held`, a cell that is placed waits there until the driver makes a field: this emulates a
-    helper with a pipette, so that a trial begins with the cells on their starts.
+    `coils` are the true coils, `reference_mt` the field strength at which the cells' a holds.
+    `walls` [um] are the edges that cells slide along, None for a dish without edges. If cells are
+    `held`, a placed cell stays at its place until the driver makes a field, as if a helper held it
+    with a pipette, so that a trial begins with the cells on their starts.
     """
 
     def __init__(
@@ -78,13 +78,11 @@ class Dish:
 
     @property
     def field_mt(self) -> Pair:
-        """The field where the cells are, in the spec's axes [mT]."""
+        """The field at the cells, in the spec's axes [mT]."""
         return self.coils.field(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Advance driver and cells to `until_ns` in whole steps; the next call continues from
-        there.
-        """
+        """Advance driver and cells in whole steps, up to the last step before `until_ns`."""
         while self._now_ns + FIELD_NS <= until_ns:
             self._now_ns += FIELD_NS
             self.driver.advance(self._now_ns)
@@ -105,7 +103,7 @@ class Dish:
 
 
 class CellBody:
-    """One cell of a dish as it truly is: x, y [mm] and heading [rad] of its helix's axis.
+    """The true state of one cell of a dish: x, y [mm] and heading [rad] of its helix's axis.
 
     A cell never stands still, so it counts as standing while no field steers it.
     """
@@ -134,16 +132,14 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell at a pose [mm, rad], where it waits if cells are held."""
+        """Put the cell at a pose [mm, rad], where it stays if cells are held."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return the cells of a spec, with its a and speeds; their other properties are drawn at
-    random.
-    """
+    """Return cells with the a and speeds of a setup; other properties are drawn at random."""
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
     cells.bias[:], cells.walk[:] = 0.0, walk
@@ -151,9 +147,7 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return cells drawn from a culture, and their names; the last ones, the strangers, have no
-    magnet.
-    """
+    """Return random cells and their names: `count` with a magnet, then `strangers` without."""
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk
     kinds = ["cell"] * count + ["stranger"] * strangers

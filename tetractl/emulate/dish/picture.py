@@ -27,7 +27,7 @@ NOISE_SPARE = 64  # margin by which the field of noise is larger than a picture 
 
 @dataclass(frozen=True, slots=True)
 class RenderedSpeck:
-    """Debris or a bubble: an ellipse at x, y [um] that drifts [um/s]; a rim is brighter."""
+    """Debris or a bubble: an ellipse at x, y [um] that drifts [um/s]; `rim`: its rim is bright."""
 
     x: float
     y: float
@@ -41,13 +41,13 @@ class RenderedSpeck:
 
 @dataclass(frozen=True, slots=True)
 class PictureLook:
-    """How a dish looks through an emulated microscope.
+    """The properties of an emulated microscope's pictures.
 
-    `bright` cells are brighter than the medium. `light` is the grey level of the medium in the
-    middle, `contrast` the difference of a cell's. `vignetting` is the fraction lost in the corners;
+    `bright` cells are brighter than the medium. `light` is the medium's grey level in the middle,
+    `contrast` the difference to a cell. `vignetting` is the fraction of light lost in the corners;
     `light_drift` [1/s] and `flicker` (100 Hz) are fractions of the light. `noise` [grey levels]
-    includes shot noise; `quality` is the JPEG's (None: no JPEG). `focus_um` is the height in focus,
-    and `corner_um` the position in the dish of the picture's lower left corner.
+    includes shot noise; `quality` is the JPEG quality, None for no JPEG. `focus_um` is the height
+    in focus, `corner_um` the position of the picture's lower left corner in the dish.
     """
 
     width: int = 1024
@@ -108,7 +108,7 @@ def _speck(random: np.random.Generator, span: float) -> RenderedSpeck:
 
 @dataclass(slots=True)
 class DishPainter:
-    """Paints pictures of one look; the same seed gives the same pictures."""
+    """Draws pictures with one look; the same seed gives the same pictures."""
 
     look: PictureLook
     seed: int = 0
@@ -126,10 +126,10 @@ class DishPainter:
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
     ) -> Grey:
-        """Return a grey picture (height, width) taken at a time.
+        """Return a grey picture (height, width) taken at a time [s].
 
-        `moments` are the bodies at times spread evenly over the exposure, `shown` (N,) those that
-        are in the dish.
+        `moments` are the bodies at times spread evenly over the exposure, `shown` (N,) is True for
+        cells in the dish.
         """
         look = self.look
         ink = self._specks_at_rest().copy()
@@ -179,8 +179,8 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the part of a picture around a position, and its pixels' x, y from there [px, y
-        up]; None outside the picture.
+        """Return the slices of a picture around a position, and x, y of their pixels relative to it
+        [px, y up]; None outside the picture.
         """
         column, row = self._pixels(x, y)
         left, right = (
@@ -228,7 +228,7 @@ class DishPainter:
             )
             x = across - (body.x[i] - middle.x[i]) / scale
             y = up - (body.y[i] - middle.y[i]) / scale
-            # the taper moves the middle of the area back by a quarter of it
+            # the taper moves the middle of the area back by a quarter of the taper
             along = (x * cos + y * sin) / long - TAPER / 4
             aside = (y * cos - x * sin) / half_wide
             wide = np.maximum(1 - TAPER * np.clip(along, -1, 1), 0.1)

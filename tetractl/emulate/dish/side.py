@@ -25,7 +25,7 @@ BUBBLE_UM = 200.0
 
 
 class MicroscopeSettings(StreamSettings):
-    """Properties of the emulated microscope; scale and `latency` are the spec's."""
+    """Properties of the emulated microscope; scale and default `latency` come from the spec."""
 
     width: int = Field(default=0, ge=0, le=8192)
     """Columns of a picture [px]; 0 means as many as show the whole arena."""
@@ -44,9 +44,7 @@ class MicroscopeSettings(StreamSettings):
 
 
 def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return a function that starts a fault of the pictures' look and returns the function to undo
-    it.
-    """
+    """Return a function that starts a fault by changing the look, and returns its undo function."""
 
     def begin(fault: Any, device: Any) -> Undo:
         painter: DishPainter = device.painter
@@ -71,8 +69,7 @@ def _knocked(fault: Any, look: PictureLook) -> tuple[float, float]:
 class EmulatedMicroscope(StreamedCamera):
     """A microscope's network camera above cells; every picture is synthetic.
 
-    Each client that begins to watch finds a fresh drop in the dish, as if a helper had put it
-    there.
+    When a client begins to watch, the cells are scattered again, like a fresh drop.
     """
 
     Settings: ClassVar[type[Model]] = MicroscopeSettings
@@ -80,7 +77,7 @@ class EmulatedMicroscope(StreamedCamera):
         *STREAM_FAULTS,
         fault(
             "light",
-            "The lamp gives this share of its light, and flickers at 100 Hz by another one.",
+            "The lamp gives a fraction of its light, and flickers by a fraction at 100 Hz.",
             _changes(
                 light=lambda f, look: look.light * f.share,
                 contrast=lambda f, look: look.contrast * f.share,
@@ -92,14 +89,14 @@ class EmulatedMicroscope(StreamedCamera):
         ),
         fault(
             "focus",
-            "The focus is off by so much.",
+            "The focus is off by a height.",
             _changes(focus_um=lambda f, look: f.by_um),
             Visible.EXPOSED,
             by_um=Finite,
         ),
         fault(
             "knocked",
-            "The stage is somewhere else.",
+            "The stage was moved.",
             _changes(corner_um=_knocked),
             Visible.EXPOSED,
             by_um=tuple[Finite, Finite],

@@ -2,8 +2,8 @@
 
 A frame takes time on the PC's UART, then 32 us per byte on the air after a short random wait, then
 time on the robot's UART. Broadcasts are not acknowledged; a unicast is tried four times. The module
-answers AT commands that ask for a parameter, and reports the result of each send. In transparent
-mode bytes go as they are.
+answers AT commands that request a parameter, and reports the result of each transmission. In
+transparent mode, bytes are sent without frames.
 """
 
 import random
@@ -146,7 +146,7 @@ class EmulatedRadio(SerialDevice):
         self._air_ns = 0  # when the air is free again
 
     def hear(self, data: bytes) -> None:
-        """Take bytes from the PC that the module's UART has received."""
+        """Take bytes that the module's UART has received from the PC."""
         self._module.hear(data)
 
     def _witness(self, data: bytes) -> None:

@@ -37,7 +37,7 @@ class Program(Protocol):
 
 
 class FirmwareProgram(RobotCore):
-    """The mbed firmware's own core; it replies to a poll when its time slot has come."""
+    """The mbed firmware's core; it replies to a poll in the robot's time slot."""
 
     counts, answer = RobotCore.wheels, RobotCore.take_reply
 
@@ -78,7 +78,7 @@ class SlaveDecoder:
 
     def __init__(self) -> None:
         self.ignored = 0
-        # motor and sign of a command that waits for its data byte
+        # motor and sign of a command whose data byte has not arrived
         self._pending: tuple[Motor, int] | None = None
 
     def feed(self, data: bytes) -> list[MotorCount | Query]:
@@ -138,18 +138,18 @@ class SlaveProgram:
 
 @dataclass(slots=True)
 class EmulatedBattery:
-    """Four NiMH cells: the voltage sags with the load and sinks as charge is drawn."""
+    """Four NiMH cells: the voltage falls with the load and with the charge drawn."""
 
     open_mv: float = 5100.0
     sag_mv: float = 150.0  # at full load, both wheels at 1 m/s
     drain_mv_s: float = 0.2  # at full load; a tenth of this at rest
 
     def draw(self, load: float, seconds: float) -> None:
-        """Draw charge at a load of 0 to 1."""
+        """Draw charge for a time [s] at a load from 0 to 1."""
         self.open_mv = max(0.0, self.open_mv - self.drain_mv_s * (0.1 + 0.9 * load) * seconds)
 
     def voltage_mv(self, load: float) -> int:
-        """Return the voltage at a load."""
+        """Return the voltage [mV] at a load from 0 to 1."""
         return max(0, round(self.open_mv - self.sag_mv * load))
 
 
@@ -157,9 +157,9 @@ class EmulatedBattery:
 class EmulatedRobot:
     """The true state of one robot.
 
-    `boot` starts the robot's program, as switching it on does. `x`, `y` [mm] and `heading` [rad]
-    are in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm] is r
-    of (23), `lag_s` the wheels' time constant. Faults set `powered`, `stuck` and `veer`.
+    `boot` starts the robot's program when it is switched on. `x`, `y` [mm] and `heading` [rad] are
+    in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm] is r of
+    (23), `lag_s` [s] the wheels' time constant. Faults set `powered`, `stuck` and `veer`.
     """
 
     name: str

@@ -37,8 +37,7 @@ class CommandLog:
     """Records each command as it is read from the port.
 
     `mode` is the XBee parameter AP. A broadcast is recorded with `sequence`, `flags` and the
-    `wheels` of all robots; a command to a slave robot with its `address` and the resulting
-    `wheels`.
+    `wheels` of all robots; a command to one robot with its `address` and `wheels`.
     """
 
     def __init__(self, mode: int, slave: bool, note: Note) -> None:
@@ -89,7 +88,7 @@ SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zig
 
 
 class TrueRobot(Model):
-    """A robot's true properties, where they differ from the spec."""
+    """A robot's true properties that differ from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
@@ -108,12 +107,12 @@ class TrueRobot(Model):
 
 
 class M3piSettings(Model):
-    """How radio and robots differ from the spec."""
+    """Differences of radio and robots from the spec."""
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
     """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
-    """The module's hardware version (HV); that of a Series 1 or 2 by default."""
+    """The module's hardware version (HV); by default the version of a Series 1 or 2."""
     explicit: bool = False
     """Whether the module reports received data in frames of type 0x91 (AO=1)."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
@@ -139,7 +138,7 @@ STUCK = {"left": (True, False), "right": (False, True), "both": (True, True)}
 FAULTS = (
     fault(
         "veer",
-        "A robot's motors get these counts in place of any but 0.",
+        "A robot's motors get these counts in place of every count other than 0.",
         settings(_robot_of, veer=attrgetter("counts")),
         robot=Name,
         counts=tuple[Count, Count],
@@ -155,7 +154,7 @@ FAULTS = (
     STUCK_PORT,
     fault(
         "loss",
-        "Robots do not hear this share of the transmissions.",
+        "Robots do not receive this fraction of the transmissions.",
         settings(lambda d, f: d.radio, loss=attrgetter("share")),
         share=Share,
     ),
@@ -185,7 +184,7 @@ FAULTS = (
 
 
 class EmulatedM3pi(PluggedDevice):
-    """An XBee on a pseudo-terminal, and the robots in its reach."""
+    """An XBee on a pseudo-terminal, and the robots in its radio range."""
 
     what = "radio"
     Settings: ClassVar[type[Model]] = M3piSettings
@@ -275,6 +274,6 @@ def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:
 
 
 def _address(section: M3piSection, name: str) -> int:
-    """Return a robot's 16-bit radio address; the number in broadcasts plus 1 by default."""
+    """Return a robot's 16-bit radio address; by default its number in broadcasts plus 1."""
     address = section.robot(name).address
     return section.index(name) + 1 if address is None else address

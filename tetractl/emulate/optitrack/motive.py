@@ -42,8 +42,8 @@ DATAGRAMS_A_TURN = 100
 class Motive:
     """An emulated Motive server. `expose` returns the bodies at the timeline's present moment.
 
-    Exposures are numbered from 1 and never go back. `on_exposed(exposure, frame number)` is called
-    at each, `on_sent(exposure)` after its datagrams have left or, if none are sent, would have.
+    Exposures are numbered from 1, without gaps. `on_exposed(exposure, frame number)` is called at
+    each, `on_sent(exposure)` at the time of sending its datagrams, even if a fault withholds them.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class Motive:
 
     @property
     def command_port(self) -> int:
-        """The port that was really taken."""
+        """The UDP port for commands that was really opened."""
         return self.streaming.command_port if self.command is None else _port(self.command)
 
     @property
@@ -88,7 +88,7 @@ class Motive:
         return self.server.data_port
 
     def open(self) -> int:
-        """Take the ports and expose the first frame now; return the file to watch."""
+        """Open the ports and expose the first frame now; return the file descriptor to watch."""
         s = self.streaming
         multicast = s.transport == "multicast"
         self.command = _bound(s.address, s.command_port)
@@ -110,7 +110,7 @@ class Motive:
                 opened.close()
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
-        """Answer the messages at the command port, at the time to which `catch_up` advances."""
+        """Answer the messages at the command port; `catch_up` first advances the timeline."""
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
@@ -192,7 +192,7 @@ class Motive:
 
 
 def mangle(datagram: bytes, chance: random.Random) -> bytes:
-    """Return a datagram damaged at random: cut, extended, of a wrong stated size, or noise."""
+    """Return a datagram with random damage: cut, extended, with a wrong size field, or noise."""
     match chance.randrange(5):
         case 0:
             return datagram[: chance.randrange(len(datagram))]
@@ -207,7 +207,7 @@ def mangle(datagram: bytes, chance: random.Random) -> bytes:
 
 
 def _packed(message: Message, version: Version) -> bytes:
-    """Pack a message in a version; those outside 2.6 to 4.3 use the nearest known one."""
+    """Pack a message in a protocol version; a version outside 2.6 to 4.3 as the nearest of them."""
     if version > NEWEST and isinstance(message, ModelDef):
         return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
     return pack_answer(message, max(OLDEST, min(version, NEWEST)))
@@ -227,6 +227,6 @@ def _bound(address: str, port: int) -> socket.socket:
         raise TetractlError(
             f"cannot take UDP {address}:{port}: {error.strerror}",
             hint="is another emulation or Motive running? Choose other ports with --command-port "
-            "and --data-port; 0 takes any",
+            "and --data-port; 0 takes any free port",
         ) from None
     return bound

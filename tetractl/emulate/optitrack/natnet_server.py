@@ -1,5 +1,5 @@
-"""Settings, answers and clients of the emulated Motive, without sockets: a client's messages are
-read, the server's answers and frames packed.
+"""Settings, answers and clients of the emulated Motive, without sockets: reads clients' messages
+and packs the server's answers and frames.
 """
 
 import struct
@@ -78,8 +78,8 @@ class Streaming:
 @dataclass(slots=True)
 class Trouble:
     """State that faults set: silent (no answers, no frames), no frames, the same frame repeated, a
-    frame counter set back, edit mode, a share of damaged datagrams, or a number of `outdated`
-    frames whose time stamps are `outdated_s` too old.
+    frame counter set back, edit mode, a fraction of damaged datagrams, or a number of `outdated`
+    frames with exposure times `outdated_s` too early.
     """
 
     silent: bool = False
@@ -95,7 +95,7 @@ class Trouble:
 
 @dataclass(slots=True)
 class Client:
-    """A unicast client: the version it asked for, and the time of its last message."""
+    """A unicast client: the protocol version it requested, and the time of its last message."""
 
     version: Version
     heard_ns: int
@@ -119,7 +119,7 @@ Address = tuple[str, int]
 
 @dataclass(slots=True)
 class ServerClock:
-    """The server's clock: from `since_ns` of the host's on it runs at `rate`, `ahead_ns` ahead."""
+    """The server's clock: at host time `since_ns` it is `ahead_ns` ahead, then runs at `rate`."""
 
     ahead_ns: int = 0
     rate: float = 1.0
@@ -181,7 +181,8 @@ class MotiveServer:
         return None
 
     def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses frames go to, each with its version; unicast clients time out."""
+        """Return the addresses and versions of the clients that get frames; unicast clients time
+        out."""
         s = self.streaming
         if s.transport == "multicast":
             return [((s.group, self.data_port), s.version)]
@@ -204,7 +205,7 @@ class MotiveServer:
         self.clients[sender] = Client(version, now_ns)
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Return whether a unicast client may choose this version, as with servers from 4.0 on."""
+        """Return whether a unicast client may choose this version; servers from 4.0 on allow it."""
         version = Version(*asked)
         if self.streaming.keeps_version:
             return False
@@ -337,7 +338,7 @@ def packed_body(body: RigidBody, version: Version, markers: Sequence[Vec3] = ())
 
 
 def suffix(frame: NatNetFrame, version: Version) -> bytes:
-    """Pack timecode, latency and time stamp as zeros, ticks and params as they are."""
+    """Pack a frame's suffix: zeros for timecode, latency and time stamp; ticks and params."""
     if version < (3, 0):
         return packed("fIIfHi" if version < (2, 7) else "fIIdHi", 0.0, 0, 0, 0.0, frame.params, 0)
     ticks = frame.ticks or Ticks(0, 0, 0)
@@ -352,7 +353,7 @@ def pack_modeldef(
     markers: int = 0,
     grown: bytes = b"",
 ) -> bytes:
-    """Pack the payload: `others` (type, bytes) first, then every body with `markers` markers.
+    """Pack a MODELDEF payload: `others` (type, bytes), then every body with `markers` markers.
 
     `grown` is appended to each body's description, as by a newer protocol.
     """

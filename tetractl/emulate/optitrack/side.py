@@ -22,12 +22,12 @@ from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, Versi
 
 
 class TrueBody(Model):
-    """True properties of a robot's rigid body, where they differ from the spec."""
+    """True properties of a robot's rigid body that differ from the spec."""
 
     name: Name
     """Name of a robot of the spec."""
     heading_offset: Finite | None = None
-    """Heading of the robot minus that of its rigid body [rad]."""
+    """Heading of the robot minus heading of its rigid body [rad]."""
     body: str | None = Field(default=None, min_length=1, max_length=64)
     """Name of the body in Motive."""
     streamed: bool = True
@@ -35,21 +35,20 @@ class TrueBody(Model):
 
 
 class OptitrackSettings(Model):
-    """How the cameras differ from the spec."""
+    """Differences of the cameras from the spec."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later; frames of 2.5 are laid out as in 2.6.
-    Above 4.3 they are laid out as in 4.3, and descriptions of rigid bodies are longer."""
+    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
+    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
     keeps_version: bool = False
-    """Whether the server streams in its own version to clients that ask for another."""
+    """Whether the server streams in its own version to clients that request another version."""
     frames_from: Ipv4 | None = None
-    """Address that frames come from, like that of a second network card; the server's by
-    default.
+    """Address from which frames are sent, such as a second network card; by default the server's.
     """
     answers_models: bool = True
     """Whether the server reports the names of its rigid bodies."""
     models_changed: bool = False
-    """Whether every frame says that the rigid bodies have changed."""
+    """Whether every frame reports that the rigid bodies have changed."""
     rate: float = Field(default=120.0, ge=1, le=500)
     """Camera frames per second [Hz]."""
     latency: float = Field(default=0.0054, ge=0, le=1)
@@ -123,7 +122,7 @@ FAULTS = (
     fault("freeze", "One frame is sent again and again.", settings(_trouble, frozen=True), SENT),
     fault(
         "counter_back",
-        "The frame number goes back by so many.",
+        "The frame number goes back by this number.",
         settings(_trouble, counter=attrgetter("frames")),
         EXPOSED,
         frames=Frames,
@@ -131,14 +130,14 @@ FAULTS = (
     fault("edit_mode", "Motive is in edit mode.", settings(_trouble, edit_mode=True), EXPOSED),
     fault(
         "bad_datagrams",
-        "A share of the frames is damaged.",
+        "A fraction of the frames is damaged.",
         settings(_trouble, damaged=attrgetter("share")),
         SENT,
         share=Share,
     ),
     fault(
         "other_version",
-        "Frames are of another version than the server says.",
+        "Frames have another protocol version than the server reports.",
         settings(_trouble, version=lambda f: Version.of(f.version)),
         SENT,
         version=VersionText,
@@ -152,7 +151,7 @@ FAULTS = (
     ),
     fault(
         "jump",
-        "A body's pose jumps by so much [mm].",
+        "A body's pose jumps by this distance [mm].",
         settings(_body, shift=attrgetter("by")),
         EXPOSED,
         robot=Name,
@@ -160,8 +159,8 @@ FAULTS = (
     ),
     fault(
         "ghost",
-        "A body's pose walks away from its robot: so far [mm] and turned so much [rad] in each "
-        "frame, along the spec's axes or along the robot's heading and left of it.",
+        "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
+        "frame, along the spec's axes or along and left of the robot's heading.",
         _walk,
         EXPOSED,
         robot=Name,
@@ -194,7 +193,7 @@ FAULTS = (
     ),
     fault(
         "outdated",
-        "So many frames are stamped with an exposure that is so much older [s].",
+        "This number of frames has exposure times that are too early by this time [s].",
         settings(_trouble, outdated=attrgetter("frames"), outdated_s=attrgetter("by")),
         EXPOSED,
         by=Positive,
@@ -212,7 +211,12 @@ FAULTS = (
         robot=Name,
     ),
     fault("clock_jump", "The server's clock is set forward [s].", _set_clock, by=Finite),
-    fault("clock_rate", "The server's clock gains so much each second.", _run_clock, rate=Positive),
+    fault(
+        "clock_rate",
+        "The server's clock gains this time [s] each second.",
+        _run_clock,
+        rate=Positive,
+    ),
     fault("twin_id", "A body has the id of another.", _twin, EXPOSED, robot=Name, other=Name),
 )
 
@@ -243,7 +247,7 @@ class EmulatedOptitrack:
         )
 
     def open(self, loop: Loop) -> Facts:
-        """Take the UDP ports."""
+        """Open the UDP ports."""
         loop.watch(self.motive.open(), lambda: self.motive.readable(loop.catch_up))
         streaming = self.motive.streaming
         return {
@@ -255,13 +259,13 @@ class EmulatedOptitrack:
         }
 
     def close(self) -> Facts:
-        """Release the UDP ports."""
+        """Close the UDP ports."""
         self.motive.close()
         counts = self.motive.counts
         return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
 
     def hide(self, hidden: bool) -> None:
-        """Track no body, or all again."""
+        """Leave all bodies untracked while `hidden`, or track them again."""
         for body in self.tracked:
             body.tracked = not hidden
 

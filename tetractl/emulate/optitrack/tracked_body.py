@@ -13,7 +13,7 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The cameras' coordinate system within the spec's, see the camera's section; origin in mm."""
+    """The cameras' axes in the spec's coordinates, as in the camera's section; origin in mm."""
 
     up: UpAxis = UpAxis.Y
     origin: tuple[float, float] = (0.0, 0.0)
@@ -62,7 +62,7 @@ class TrackedBody:
     roll: float = 0.0
     nan: bool = False
     norm: float = 1.0
-    seen: RigidBody | None = field(default=None)  # the body when last tracked
+    seen: RigidBody | None = field(default=None)  # the body in its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras report it now; an untracked body keeps its last pose."""
@@ -94,7 +94,7 @@ class TrackedBody:
 def _rolled(
     quaternion: tuple[float, float, float, float], angle: float
 ) -> tuple[float, float, float, float]:
-    """Return a quaternion (x, y, z, w) after a turn about its body's own x axis."""
+    """Return a body's quaternion (x, y, z, w) after a turn about its x axis by `angle` [rad]."""
     x, y, z, w = quaternion
     sin, cos = math.sin(angle / 2), math.cos(angle / 2)
     return x * cos + w * sin, y * cos + z * sin, z * cos - y * sin, w * cos - x * sin

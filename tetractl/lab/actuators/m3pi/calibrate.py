@@ -95,7 +95,7 @@ def calibrate_robots(
     emergency: threading.Event,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure the named robots in turn; AbortError names a robot that cannot be measured, and why."""
+    """Measure the named robots in turn; AbortError if one cannot be measured, with the reason."""
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
@@ -282,7 +282,7 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Return whether the guard aborted; abort if the robot is too far from its first position."""
+        """Abort if the robot is too far from its first position; return whether it is aborted."""
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose

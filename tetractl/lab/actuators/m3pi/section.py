@@ -140,7 +140,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in radio range, with either program; the mbed firmware latches the stop."""
+        """Stop every robot in radio range, with either program; the mbed firmware latches it."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

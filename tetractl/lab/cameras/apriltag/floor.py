@@ -142,7 +142,7 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
 
 
 def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return K and distortion for log(f / width) and k1, given in units of their prior deviations."""
+    """Return K and distortion for log(f / width) and k1, in units of their prior deviations."""
     focal, bend = width * math.exp(USUAL_FOCAL * usual[0]), USUAL_BEND * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 

@@ -256,7 +256,7 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
 
 
 def _chunks(height: int, rows: int = 64) -> list[slice]:
-    """Return slices of at most `rows` rows each, to compute medians of pictures in little memory."""
+    """Return slices of at most `rows` rows each, so that medians of pictures need little memory."""
     return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
 
 

@@ -106,7 +106,7 @@ class HelixFilter:
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return predicted measurements x, y, axis (M, 3) of rows (M,) and derivatives (M, 3, 12)."""
+        """Return predicted x, y, axis (M, 3) of rows (M,) and their derivatives (M, 3, 12)."""
         m = self.mean[rows]
         cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
         speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
@@ -158,7 +158,7 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that swim backwards: the axis alone does not give its sign."""
+        """Reverse the heading of cells that swim backwards: it was the wrong end of the axis."""
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
             signs = np.ones(STATES)

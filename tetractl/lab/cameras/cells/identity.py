@@ -53,7 +53,7 @@ class Question:
         self.likelihood[track] += TEMPER * likelihood
 
     def add_size(self, track: int, size: Sequence[float]) -> None:
-        """Add length and width [um] of a track's blob in one picture; only the first `SIZED` count."""
+        """Add length and width [um] of a track's blob in one of the first `SIZED` pictures."""
         if self._sized[track] < SIZED:
             self._sized[track] += 1
             squared = np.square(np.log(np.array(size) / self.sizes) / SIZE_SD)

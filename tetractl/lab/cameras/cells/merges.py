@@ -11,13 +11,13 @@ from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter
 from tetractl.lab.cameras.cells.identity import MOST, Question, opened
 from tetractl.lab.cameras.cells.match import second_best
 
-CLEAR = 25.0  # difference of squared deviations between assignments that decides at once
+CLEAR = 25.0  # difference of squared distances between two assignments that decides at once
 CLEAR_UM = 3.0  # standard deviation of a position, in addition to the filter's
-REMEMBERED_S = 0.5  # after its blob was too large: as long as it takes to recognise another cell
+REMEMBERED_S = 0.5  # time to keep a copy after a blob was too large, to recognise another cell
 
 
 class Merges:
-    """Keeps the blobs that cells of a filter share, and the questions of identity afterwards."""
+    """Records which cells share blobs, and asks which cell is which once they have separated."""
 
     def __init__(self, bank: HelixFilter) -> None:
         self._bank = bank
@@ -25,9 +25,7 @@ class Merges:
         self.closed: list[CellAnswer] = []
 
     def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
-        """Record which cells share a blob, and start copies of them that are predicted without
-        measurements.
-        """
+        """Record which cells share a blob; copy their filter rows, to be predicted unmeasured."""
         for cell in together:
             if cell.question is not None:
                 self._close(cell.question, cells)
@@ -50,8 +48,8 @@ class Merges:
             self._merges.append(merge)
 
     def watch(self, cell: FollowedCell, large: bool, met: bool, seconds: float) -> None:
-        """Keep a copy of a cell, predicted by the signal alone, while its blob is too large for it
-        and shortly after; `met` is whether something not followed may have come into the blob.
+        """Keep a copy of a cell's row, predicted by the signal alone, while its blob is too large
+        and shortly after; `met` is whether an object not followed may have entered the blob.
         """
         if large:
             cell.large_s = seconds
@@ -69,8 +67,8 @@ class Merges:
         since_s: float,
         cells: Sequence[FollowedCell],
     ) -> None:
-        """Open the question which of two at `seen` (2, 3) the known cell is: it, or a new one out
-        of its blob. An open question of the cell is closed; `cells` are all."""
+        """Open the question which of two poses `seen` (2, 3) a cell has, and which a new cell that
+        separated from its blob; close the cell's open question. `cells` are all cells."""
         assert cell.alone is not None, "only a cell that was watched is known"
         if cell.question is not None:
             self._close(cell.question, cells)
@@ -83,7 +81,7 @@ class Merges:
     def part(self, places: dict[int, Floats], seconds: float) -> None:
         """Open a question of identity when cells that shared a blob have separate blobs again.
 
-        `places` are x, y, axis of each track's own blob.
+        `places` are x, y [um], axis [rad] of the blob of each track.
         """
         for merge in list(self._merges):
             if any(cell.merged or cell.large or cell.blob is None for cell in merge.cells):
@@ -98,9 +96,7 @@ class Merges:
                 self._bank.drop(row)
 
     def answer(self, cells: Sequence[FollowedCell], seconds: float) -> None:
-        """Apply the likeliest answer to each question for now; close the questions that are
-        decided.
-        """
+        """Apply the likeliest answer to each question; close the questions that are decided."""
         for question in {id(c.question): c.question for c in cells if c.question}.values():
             order, _ = question.best()
             for cell in cells:
@@ -153,7 +149,8 @@ class Merges:
         sizes: Floats,
         seconds: float,
     ) -> None:
-        """Open the question which cells of rows `coasted` are at x, y, axis `seen` (K, 3)."""
+        """Open the question which cell, predicted in rows `coasted`, has which pose of `seen`
+        (K, 3): x, y [um], axis [rad]."""
         heading = self._bank.mean[[cell.row for cell in cells], HEADING]
         places = seen.copy()
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
@@ -164,7 +161,7 @@ class Merges:
             cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Close a question with its likeliest answer, whose probability is kept with the cells."""
+        """Close a question with its likeliest answer; multiply its probability to the cells'."""
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]
         for cell in members:

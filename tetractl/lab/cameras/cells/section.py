@@ -1,4 +1,4 @@
-"""The `cells` camera's part of a spec: a microscope's pictures and their place in the dish."""
+"""The `cells` camera's section of a spec: a microscope's pictures, their scale and position."""
 
 import math
 from typing import Annotated, ClassVar, Literal
@@ -21,19 +21,17 @@ class CellsSection(PictureSection):
     settles: ClassVar[bool] = True
     type: Literal["cells"]
     um_px: Annotated[float, Field(ge=0.05, le=100)]
-    """Micrometres per pixel, by a stage micrometer."""
+    """Micrometres per pixel, measured with a stage micrometer."""
     corner: Point = (0.0, 0.0)
     """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
     rotation: Finite = 0.0
     """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
     cells: Literal["dark", "bright", "either"] = "either"
-    """Whether cells are brighter or darker than the medium; by default it is determined."""
+    """Whether cells are brighter or darker than the medium; `either`: the camera determines it."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
-    """Time for which pictures are taken for the background before the first frame [s]."""
+    """Time before the first frame in which pictures for the background are taken [s]."""
     connect: Positive = 8.0
-    """Longest time for the source to open, and again for the first pictures and the
-    background [s].
-    """
+    """Longest wait for the source to open, and then for the first pictures and background [s]."""
 
     @property
     def bright(self) -> bool | None:
@@ -45,8 +43,7 @@ class CellsSection(PictureSection):
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points of the picture [px] at a distance `um` along
-        x."""
+        """Return scale and rotation from two points in a picture [px], `um` apart on the x axis."""
         across, up = second[0] - first[0], first[1] - second[1]
         long = math.hypot(across, up)
         if long < LEAST_PX:

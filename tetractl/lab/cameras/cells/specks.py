@@ -1,4 +1,4 @@
-"""Specks: objects in a dish that are followed until they swim, which shows that they are cells."""
+"""Specks: objects in a dish that are followed until they swim and are thus known to be cells."""
 
 import math
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ ROUND = 1.3  # ratio of length to width below which a blob has no axis
 EVEN = 0.2  # relative variation of a cell's size
 NEAR_UM = 40.0  # a blob that appears this near to a cell is part of it, unless it stays
 NEAR_BORN = 7
-FROM_UM = 80.0  # a cell first seen this near to another one was one blob, or one cell, with it
+FROM_UM = 80.0  # a cell first seen this near to another cell had shared its blob or divided from it
 LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # ranges of length and width of a possible cell
 REACH_UM = 25.0  # radius of search around a speck's expected position
-FIRST_UM = 40.0  # the same around its last position, while it has no path yet
-MISSED = 3  # pictures
-HIDDEN = 90  # pictures for which one that stays is remembered: cells may be over it
+FIRST_UM = 40.0  # radius of search around its last position, while it has no path yet
+MISSED = 3  # pictures without a blob after which a speck is hidden or dropped
+HIDDEN = 90  # pictures for which a hidden speck is remembered: a cell may cover it
 
 Entry = tuple[float, float, float, float, float, float]
 """A blob: seconds, x, y [um], axis [rad], length and width [um]."""
@@ -31,8 +31,8 @@ Entry = tuple[float, float, float, float, float, float]
 
 @dataclass(slots=True)
 class Speck:
-    """An object that may become a cell: its blobs so far, and the track number of the cell next to
-    which it was first seen.
+    """An object that may be a cell: its blobs so far, and the track of the cell near which it was
+    first seen.
     """
 
     path: list[Entry]
@@ -40,7 +40,7 @@ class Speck:
     missed: int = 0
 
     def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return the position expected from the speck's motion so far."""
+        """Return the position x, y [um] expected at a time [s] from the speck's motion so far."""
         if len(self.path) < 2:
             return self.path[-1][1], self.path[-1][2]
         first, last = self.path[max(0, len(self.path) - 4)], self.path[-1]
@@ -48,9 +48,7 @@ class Speck:
         return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
     def swims(self, needed: int) -> bool:
-        """Return whether the speck has the size of a cell and swam along its axis in `needed`
-        blobs.
-        """
+        """Return whether the last `needed` blobs have a cell's size and move along their axis."""
         entries = self.path[-max(needed, BORN) :]
         first, last = entries[0], entries[-1]
         moved = math.hypot(last[1] - first[1], last[2] - first[2])
@@ -70,8 +68,9 @@ class Speck:
 
 
 def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
-    """Return the velocity [um/s] of a straight line through a path (M, >= 3) of seconds, x and y,
-    by least squares, and the line's points (M, 2).
+    """Fit uniform motion to a path (M, >= 3) of time [s], x and y [um], by least squares.
+
+    Returns the velocity [um/s] and the fitted positions (M, 2) [um].
     """
     middle = path[:, :3].mean(axis=0)
     times, off = path[:, 0] - middle[0], path[:, 1:3] - middle[1:]
@@ -87,18 +86,18 @@ class Specks:
 
     @property
     def places(self) -> Floats:
-        """Where those of the last pictures were last seen (S, 2) [um]."""
+        """Last positions of specks seen in the last few pictures (S, 2) [um]."""
         recent = [speck for speck in self.all if speck.missed <= MISSED]
         return np.array([speck.path[-1][1:3] for speck in recent]).reshape(-1, 2)
 
     @property
     def next_to(self) -> set[int | None]:
-        """Tracks of the cells next to which those that may be cells were first seen."""
+        """Tracks of the cells near which specks, still too new to be classified, appeared."""
         return {speck.beside for speck in self.all if len(speck.path) <= NEAR_BORN}
 
     @property
     def hidden(self) -> Floats:
-        """Where those that have not been seen since are (S, 2) [um]."""
+        """Last positions of specks not seen in the last few pictures (S, 2) [um]."""
         gone = [speck for speck in self.all if speck.missed > MISSED]
         return np.array([speck.path[-1][1:3] for speck in gone]).reshape(-1, 2)
 
@@ -138,7 +137,7 @@ class Specks:
         return swimming
 
     def _found(self, places: Floats, seconds: float) -> dict[int, int]:
-        """Return the speck expected at each blob."""
+        """Return {blob: speck} by the specks' expected positions."""
         if not len(places) or not self.all:
             return {}
         before = np.array([speck.ahead(seconds) for speck in self.all])

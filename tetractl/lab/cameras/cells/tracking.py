@@ -1,8 +1,8 @@
 """Tracks cells through a sequence of pictures: assigns blobs to cells and updates their states.
 
-A blob belongs to the cell that the filter expects there, by the known signal. Blobs of several
-cells stay one blob with several owners; `identity` decides afterwards. An object that does not swim
-is a speck, and never a cell.
+A blob is assigned to the cell that the filter, given the known signal, expects there. Cells that
+touch share one blob; once they separate, `identity` decides which is which. An object that does not
+swim is a speck, not a cell.
 """
 
 import math
@@ -36,27 +36,25 @@ GONE_S = 0.1  # time after which a cell is given up near the edge of the picture
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
 STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this time is not a cell
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
-ODD = (8.0, 8.0, 0.5)  # the same for a blob that is cut off, or larger than its cell
-MERGED = (7.0, 7.0, 10.0)  # the same for a cell in a shared blob
-HIDDEN = (30.0, 30.0, 10.0)  # the same if that blob is only as large as one of its cells
-ODD_RUN = 3  # number of successive blobs far from their expected positions
+ODD = (8.0, 8.0, 0.5)  # deviations of x, y [um], axis [rad] for a blob cut off or too large
+MERGED = (7.0, 7.0, 10.0)  # deviations for a cell in a shared blob
+HIDDEN = (30.0, 30.0, 10.0)  # deviations if the shared blob is only as large as one of its cells
+ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance from which a blob is far
 ASTRAY_UM = 35.0  # distance of a cell from its own blob at which the filter has lost track of it
-ENTERED_UM = 120.0  # nearer the edge of the picture, what is new has swum into it
+ENTERED_UM = 120.0  # a new cell nearer than this to the picture's edge has swum into the picture
 EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
-DOUBT = 0.75  # the same, while another one may have been in its blob
-OFF_SHARE = 0.3  # of what a blob is longer than its cell, as a deviation of the cell's position
+DOUBT = 0.75  # probability of a cell's identity while another cell may have been in its blob
+OFF_SHARE = 0.3  # deviation of a cell's position per excess length of its blob
 SHAPE_SHARE = 0.05  # weight of a new blob in a cell's usual size
 
 FieldPieces = Callable[[float, float], Sequence[Piece]]
-"""Function that returns the field between two times [s] in pieces."""
+"""Function that returns the field between two times [s] as pieces of constant field."""
 
 
 @dataclass(slots=True)
 class _Reading:
-    """A blob's measurement of a cell: x, y, axis with deviations; `merged` if several cells share
-    it.
-    """
+    """A blob's measurement of a cell: x, y, axis and deviations; `merged` if cells share it."""
 
     cell: FollowedCell
     values: tuple[float, ...]
@@ -121,7 +119,7 @@ class CellTracker:
         return self._shown([cell for cell in self._cells if cell.missed_s < HIDDEN_S])
 
     def _match(self, blobs: Sequence[Blob], seconds: float, passed: float) -> None:
-        """Assign each cell its blob, and update it."""
+        """Assign each cell its blob, and update the cell's state."""
         cells, places = self._cells, places_of(blobs, self.um_px, self._height)
         rows = np.array([cell.row for cell in cells], int)
         expected, slopes = self.bank.seen(rows)
@@ -189,9 +187,7 @@ class CellTracker:
         return found
 
     def _update(self, readings: Sequence[_Reading]) -> None:
-        """Update the filter; for a track with an open question, one row for each cell that it may
-        be.
-        """
+        """Update the filter; a track with an open question has one row for each possible cell."""
         if not readings:
             return
         rows = [
@@ -221,7 +217,7 @@ class CellTracker:
             at += count
 
     def _put_back(self, cell: FollowedCell, x: float, y: float, axis: float) -> None:
-        """Put a cell of which the filter has lost track where its blob is."""
+        """Move a cell's state to its blob, far from which the filter had predicted the cell."""
         vx, vy = x - cell.last[0], y - cell.last[1]
         backwards = math.cos(axis) * vx + math.sin(axis) * vy < 0
         row = self.bank.moved(cell.row, x, y, axis + math.pi * backwards)
@@ -229,7 +225,7 @@ class CellTracker:
         cell.row, cell.odd = row, 0
 
     def _begin(self, speck: Speck) -> None:
-        """Start to follow specks that swim as cells."""
+        """Follow a speck that swims as a cell from now on."""
         path = np.array(speck.path)
         last = path[-BORN:]
         (vx, vy), fitted = straight(last)
@@ -257,7 +253,7 @@ class CellTracker:
         elif beside is not None and lost is None and not near_edge:
             beside.certainty *= EITHER
             divided = beside.identity if beside.merge is None else None
-        # of its path, only what follows the last blob of another size: that was not it alone
+        # keep the path after the last blob too large for this cell: another cell was in that blob
         other = path[:-1, 4:6].prod(axis=1) > LARGE * long * wide
         path = path[int(np.flatnonzero(other).max(initial=-1)) + 1 :]
         self.born.append(Born(identity, self._next, path[:, :4], certainty, divided))
@@ -268,25 +264,25 @@ class CellTracker:
         return next((cell for cell in self._cells if cell.track == speck.beside), None)
 
     def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:
-        """Return how many cells that were not lost appear somewhere [1/um^2]."""
+        """Return the density of cells that appear here and were not lost before [1/um^2]."""
         if beside is not None and beside.alone is not None:
             return EITHER / (math.pi * FROM_UM**2)
         area = self._width * self._height * self.um_px**2
         return (ENTERED if near_edge else NEW) / area
 
     def _meets(self, cell: FollowedCell) -> bool:
-        """Whether something that is not followed may come into a cell's blob."""
+        """Return whether an object that is not followed may enter a cell's blob."""
         x, y = self.bank.mean[cell.row, :2].tolist()
         near = np.linalg.norm(self._specks.places - (x, y), axis=1) < FROM_UM
         return bool(near.any()) or cell.begun is not None or self._near_edge(x, y)
 
     def _near_edge(self, x: float, y: float) -> bool:
-        """Whether a cell may have swum into the picture to a position."""
+        """Return whether a cell at a position [um] may just have swum into the picture."""
         right, top = self._width * self.um_px, self._height * self.um_px
         return min(x, y, right - x, top - y) < ENTERED_UM
 
     def _give_up(self) -> None:
-        """Forget cells that have not been seen for long, have left, or never swam."""
+        """Drop cells that have not been seen for long, have left the picture, or never swam."""
         right, top = self._width * self.um_px, self._height * self.um_px
         self._lost.forget(self._time or 0.0)
         for cell in list(self._cells):

@@ -1,7 +1,7 @@
 """OptiTrack cameras as a `Camera`: a NatNet connection, and its checks before a run.
 
-No data from the network ends the receiver's thread: bad datagrams are counted, errors of the
-sockets are kept as `error`. The thread never waits for the reader of its frames.
+The receiver's thread goes on whatever the network sends: it counts bad datagrams and keeps socket
+errors as `error`. It never waits for the reader of its frames.
 """
 
 import select
@@ -98,10 +98,9 @@ class OptitrackCamera:
         return self.stream.counts.bad
 
     def __enter__(self) -> Self:
-        """Connect: return once frames stream and clock, axes and names are known.
+        """Connect; return once frames arrive and the server's clock, axes and names are known.
 
-        AbortError says which of these is missing, what was received instead, and which setting to
-        change.
+        AbortError names what is missing, what was received instead, and which setting to change.
         """
         try:
             self.open()
@@ -123,9 +122,9 @@ class OptitrackCamera:
         self._thread.start()
 
     def wait_connected(self, timeout_s: float) -> None:
-        """Wait until frames stream and clock, axes and names are known, each at most `timeout_s`.
+        """Wait for frames, clock, axes and names, at most `timeout_s` each.
 
-        AbortError says which of these is missing, and what was received instead.
+        AbortError names what is missing and what was received instead.
         """
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
@@ -193,7 +192,7 @@ class OptitrackCamera:
             data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            # on Linux a socket bound to the group gets nothing else; other systems refuse that
+            # on Linux a socket bound to the group receives only the group; other systems refuse it
             data.bind((section.group if sys.platform == "linux" else "", section.data_port))
             membership = struct.pack(
                 "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
@@ -261,11 +260,10 @@ class OptitrackCamera:
                 self._echoes += 1
 
     def _ask_models(self) -> None:
-        """Request the names if they are unknown or have changed, or if a robot's body is not
-        streamed.
+        """Request names that are unknown or have changed, or if a robot's body is not streamed.
 
-        Once names are known, the interval of requests doubles each time: some servers report a
-        change in every frame.
+        Once names are known, the interval between requests doubles each time, since some servers
+        report a change in every frame.
         """
         stream, now = self.stream, self._clock.now()
         known = stream.model is not None

@@ -90,7 +90,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
 
 
 def no_tracking_flag(version: Version) -> AbortError:
-    """Return the error for a protocol version whose frames do not say which bodies are tracked."""
+    """Return the error for a version whose frames do not state which bodies are tracked."""
     return AbortError(
         f"the camera server speaks protocol {version}, whose frames do not say which bodies are "
         "tracked: a lost robot would look like one that stands",
@@ -142,8 +142,8 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
 
-    `names` are those of the stream's robots. A line says whether the server knows the body and, if
-    not, which similar name or id exists, and which bodies there are.
+    `names` are the names of the stream's robots. A line states whether the server knows the body,
+    if not, which similar name or id exists, and which bodies it has.
     """
     if stream.model is None or not (missing := stream.missing()):
         return []
@@ -173,7 +173,7 @@ def _lacking(stream: Stream, model: ModelDef, name: str, robot: TrackedRobot) ->
 
 
 def not_taken(senders: Senders, stream: Stream) -> list[str]:
-    """Return a line about datagrams of other senders, and one about answers without a request."""
+    """Return warnings about datagrams of other senders and about answers without a request."""
     lines: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]

@@ -59,7 +59,7 @@ class RigidBody:
     """One rigid body of a frame.
 
     `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes. An untracked body stays
-    in the frame with its last pose: only `tracking_valid` says so.
+    in the frame with its last pose and `tracking_valid` False.
     """
 
     id: int
@@ -159,7 +159,7 @@ class NatNetRequest:
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """The answer to a request: depending on it, a number of four bytes or text."""
+    """The answer to a request: a number of four bytes or text, depending on the request."""
 
     payload: bytes
 

@@ -115,7 +115,7 @@ MARKER_IN_BODY = 20  # position, id, size
 
 
 def suffix_layout(version: Version) -> Struct:
-    """Return the layout of the suffix, which follows the last section."""
+    """Return the layout of a frame's suffix, which follows the last section."""
     if version < (2, 7):
         return Struct("<fIIfHi")
     if version < (3, 0):

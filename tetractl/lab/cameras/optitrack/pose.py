@@ -1,4 +1,4 @@
-"""Converts a rigid body to a robot's pose in the spec's coordinates, None if not to be trusted."""
+"""Converts a tracked rigid body to a robot's pose in the spec's coordinates."""
 
 import math
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ NORM_TOLERANCE = 1e-3
 
 
 class UpAxis(IntEnum):
-    """The server's vertical axis, as in the answer to `UpAxis`."""
+    """The server's vertical axis; the value is the server's answer to `UpAxis`."""
 
     Y = 1
     Z = 2
@@ -21,8 +21,8 @@ class UpAxis(IntEnum):
 def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
     """Return a body's pose on the floor in the server's axes; lengths in m, angles in rad.
 
-    The heading is that of the body's +x axis plus the robot's offset, in [-pi, pi]; the tilt is the
-    angle between the body's vertical axis and the server's.
+    The heading is the direction of the body's +x axis plus the robot's offset, in [-pi, pi]; the
+    tilt is the angle between the body's vertical axis and the server's.
 
     With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
     With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
@@ -60,7 +60,7 @@ class Placement:
         return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
-        """Return a body's pose, None if it cannot be trusted."""
+        """Return a body's pose in the spec's coordinates, None if the body is not tracked."""
         seen = planar_pose(body, up, heading_offset)
         if seen is None:
             return None

@@ -18,9 +18,9 @@ Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
 def _version_as_text(value: Any) -> Any:
-    """Return the text of a version that YAML reads as a number, such as 4.1.
+    """Return a protocol version that YAML reads as a number, such as 4.1, as text.
 
-    YAML reads 2.10 as 2.1, whose frames cannot be read: it needs quotes.
+    Version 2.10 needs quotes, since YAML reads it as 2.1, whose frames cannot be read.
     """
     if not isinstance(value, int | float) or isinstance(value, bool):
         return value
@@ -75,7 +75,7 @@ class OptitrackSection(CameraSection):
     rotation: Finite = 0.0
     """Angle from the spec's x axis to the cameras' x axis [rad]."""
     connect: Positive = 2.0
-    """Longest time for the server to answer, and again for it to stream [s]."""
+    """Longest wait for the server's answer, and then for its stream [s]."""
     robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
     """Rigid body of every robot of the spec, once each."""
 
@@ -83,7 +83,7 @@ class OptitrackSection(CameraSection):
         """Yield the location and description of invalid robots or an unusable version."""
         yield from mismatches(self.robots, setup.names, ("body",))
         if self.version is not None and self.transport == "multicast":
-            yield ("version",), "can only be asked for in unicast; leave it out"
+            yield ("version",), "can only be requested in unicast; leave it out"
 
     def bounds(self) -> dict[str, str]:
         """Return the server's address for display, {name: text}."""

@@ -2,7 +2,7 @@
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
 the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
-NatNet signs nothing: packets from the server's address and port are trusted.
+NatNet does not authenticate senders: packets from the server's address and port are accepted.
 """
 
 from collections import Counter
@@ -57,6 +57,6 @@ class Senders:
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return the sender of most refused frames, or answers, and their number, if any."""
+        """Return the sender of most refused frames (or answers) and their number, None if none."""
         found = [item for item in self.refused.most_common() if item[0].frames is frames]
         return found[0] if found else None

@@ -2,12 +2,12 @@
 
 The same code reads a live server and a recorded wire.
 
-The server's clock on the host's, its offset and drift, comes from echoes. An echo says that the
-server's clock read `ticks` at some time between its sending and its return; halfway is the best
-guess, with an error of at most half the round trip. Therefore only the echoes with the shortest
-round trips are used, also for the fit of the drift. Two echoes also bound the clock's rate between
-them, even with a slow network or host. If a clock gained or lost more than `DRIFT_MAX`, it was set
-or runs wrongly, and `fault` says so.
+Echoes give offset and drift of the server's clock against the host's. An echo states that the
+server's clock showed `ticks` between the request's sending and the answer's return; the time
+halfway is the best estimate, with an error of at most half the round trip. Therefore only echoes
+with the shortest round trips are used, also for the fit of the drift. Two echoes bound the clock's
+rate between them, even with a slow network or host. If a clock gained or lost more than
+`DRIFT_MAX`, it was set or runs at a wrong rate, and `fault` describes that.
 """
 
 from collections import Counter, deque
@@ -55,8 +55,8 @@ class ClockSync:
 
     def __init__(self, clock_hz: int) -> None:
         self.clock_hz = clock_hz
-        self.drift = 0.0  # time by which the server's clock gains on the host's, per unit of time
-        self.fault = ""  # description of a fault of the clock, kept for good
+        self.drift = 0.0  # gain of the server's clock on the host's [s/s]
+        self.fault = ""  # description of the clock's first fault
         self._echoes: deque[Echo] = deque(maxlen=KEPT)
         self._at = Echo(0, 0, 0)
 
@@ -71,7 +71,7 @@ class ClockSync:
         return self._at.round_trip_ns
 
     def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
-        """Take an echo: host times of sending and return [ns], and the server's ticks between."""
+        """Take an echo: the host's times of sending and return [ns], the server's time [ticks]."""
         if not 0 <= returned_ns - sent_ns <= SECOND:
             return
         halfway = (sent_ns + returned_ns) // 2
@@ -95,7 +95,7 @@ class ClockSync:
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return a description of the clock's fault since an earlier echo, "" if there is none."""
+        """Return a description of the clock's fault between an earlier echo and this one, or ""."""
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
             gained = new.server_ns - old.server_ns - span
@@ -117,7 +117,7 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Return the fitted slope of server minus host time over host time, 0 if unknown."""
+    """Return the fitted slope of (server time - host time) over host time, 0 if unknown."""
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:
@@ -131,7 +131,7 @@ def _slope(echoes: list[Echo]) -> float:
 
 AGE_MAX_NS = 60_000_000_000  # a frame with a larger age was not exposed by these cameras
 MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
-REORDERED = 10  # a frame up to this number behind the newest was overtaken in the network
+REORDERED = 10  # frame numbers behind the newest up to which a frame was overtaken in the network
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
@@ -148,8 +148,8 @@ class StreamCounts:
     bad: int = 0  # datagrams that are not NatNet messages
     early: int = 0  # frames and models before the version was known
     unasked: int = 0  # answers to which no request was open
-    unread_frames: int = 0  # of the bad ones
-    unread_models: int = 0  # of the bad ones
+    unread_frames: int = 0  # bad datagrams that were frames
+    unread_models: int = 0  # bad datagrams that were models
 
 
 class Stream:
@@ -340,7 +340,7 @@ class Stream:
         return received_ns
 
     def _twins_in(self, model: ModelDef) -> str:
-        """Return a message if two bodies have the same robot's name, otherwise ""."""
+        """Return a message if two bodies have the name of one robot's body, otherwise ""."""
         for robot in self.robots:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:

@@ -12,7 +12,7 @@ class SourceEndedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A picture as received: pixels (height, width, 3) or a JPEG file, and when it arrived [ns]."""
+    """A received picture: pixels (height, width, 3) or a JPEG file, and time of arrival [ns]."""
 
     content: np.ndarray | bytes
     received_ns: int

@@ -57,8 +57,8 @@ def stream_lines(
     rate = rate_hz(looks)
     if rate is not None and declared_hz is not None and rate < SLOWER * declared_hz:
         warnings.append(
-            f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: too little light "
-            "for short exposures, or too slow a cable?"
+            f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "
+            "little light for short exposures, or is the cable too slow?"
         )
     elif rate is not None and rate < SLOW_HZ:
         warnings.append(

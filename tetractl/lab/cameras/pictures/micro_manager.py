@@ -1,8 +1,8 @@
 """Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; never tried on a real one.
 
-By its documentation, the core fills a circular buffer while a sequence runs. Each picture is taken
-out at once, so that none waits in the buffer; the camera skips and counts pictures it has no time
-for.
+According to its documentation, the core fills a circular buffer while a sequence runs. This feed
+removes each picture at once, so that none waits in the buffer; `PictureCamera` skips and counts the
+pictures that it has no time to search.
 """
 
 import threading
@@ -46,7 +46,7 @@ class MicroManagerFeed:
             self._core.loadSystemConfiguration(source.config)
             self._shift = max(0, self._core.getImageBitDepth() - 8)
             self._core.startContinuousSequenceAcquisition(0.0)
-        except RuntimeError as error:  # the type of the core's own errors
+        except RuntimeError as error:  # the core raises only this type
             self._core.reset()
             raise AbortError(
                 f"{source.config}: {error}", "does Micro-Manager itself show this camera live?"

@@ -43,7 +43,7 @@ S = TypeVar("S", bound=SearchedPicture)
 
 
 class PictureCamera(ABC, Generic[S]):
-    """Tracks robots in pictures; a `Camera` without the search, which subclasses implement.
+    """Base of `Camera`s that track robots in pictures; subclasses implement the search.
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. Frames never have a
@@ -149,7 +149,7 @@ class PictureCamera(ABC, Generic[S]):
         return facts
 
     def _read(self, feed: Feed) -> None:
-        """Read pictures into the queue, in which only the newest of a live source is kept."""
+        """Read pictures into the queue, which keeps only the newest picture of a live source."""
         number = 0
         try:
             while not self._closing.is_set():

@@ -52,7 +52,7 @@ class MjpegSource(Model):
 
 
 class MicroManagerSource(Model):
-    """A microscope's camera by Micro-Manager; never tried on a real one."""
+    """A microscope's camera through Micro-Manager; never tried with a real camera."""
 
     type: Literal["micromanager"]
     config: str = Field(min_length=1, max_length=500)
@@ -87,7 +87,7 @@ class PictureSection(CameraSection):
     latency: NonNegative = 0.05
     """Time from exposure to arrival of a picture [s], which no source reports."""
     connect: Positive = 5.0
-    """Longest time for the source to open, and again for a first picture [s]."""
+    """Longest wait for the source to open, and then for the first picture [s]."""
 
     @property
     def source_name(self) -> str:

@@ -56,8 +56,8 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
     """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
 
-    A JPEG of another `size` (height, width), or by default with a side above `PIXELS_MAX`, is not
-    decoded, which returns None. Raises cv2.error if OpenCV cannot convert pixels.
+    A JPEG of another `size` (height, width), or without `size` a side above `PIXELS_MAX`, is not
+    decoded and gives None as well. Raises cv2.error if OpenCV cannot convert pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
@@ -66,8 +66,8 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
     end = content.rfind(JPEG_END, max(0, len(content) - END_WITHIN))
     if not content.startswith(JPEG_START) or end < 0:
         return None
-    # a decoder fills a JPEG that is cut short before its end marker with grey; without the
-    # marker it waits for the missing codes, and Pillow raises
+    # if a JPEG is cut short, a decoder fills the rest with grey up to the end marker; without the
+    # marker the decoder waits for the missing codes, and Pillow raises
     try:
         jpeg = JpegImageFile(io.BytesIO(content[:end] + NO_CODE))
         fits = max(jpeg.size) <= PIXELS_MAX if size is None else jpeg.size == size[::-1]
@@ -130,7 +130,7 @@ class DeviceFeed:
 
 
 class FileFeed:
-    """A video file; each picture is returned at its time."""
+    """A video file; each picture is returned at its time in the film."""
 
     live = False
     emulated = True  # robots in a film cannot be steered
@@ -162,7 +162,7 @@ class FileFeed:
         return Picture(pixels, self._clock.now())
 
     def interrupt(self) -> None:
-        """Do nothing: no wait is longer than the time of a picture."""
+        """Do nothing: no wait is longer than one picture lasts."""
 
     def close(self) -> None:
         """Close the file."""

@@ -7,7 +7,7 @@ from pydantic_core import PydanticCustomError
 
 
 class Model(BaseModel):
-    """A frozen part of the spec that refuses unknown keys and non-finite numbers."""
+    """An immutable section of the spec that refuses unknown keys and non-finite numbers."""
 
     model_config = ConfigDict(
         extra="forbid",
@@ -22,14 +22,12 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-"""A length of a published result, at most a thousand kilometres in mm, so that its square is
-finite.
-"""
+"""A length of a published result, at most 1e9 (1000 km in mm), so that its square is finite."""
 Fraction = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Return the error with which a model's validator reports one of its fields."""
+    """Return the error by which a model's validator reports a problem of one of its fields."""
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

@@ -1,4 +1,4 @@
-"""The part of a spec by which each trial finds its own robots: `robots: {choose: N, ...}`."""
+"""The section of a spec by which each trial finds its robots: `robots: {choose: N, ...}`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ class Ring(Model):
 
 
 class WantedCell(Model):
-    """Values of a cell that a survey proposed, by which the trial finds the cell again."""
+    """Values of a cell that a survey proposed; the trial finds the cell again by these values."""
 
     a: Positive
     """Turning rate a of the cell [rad/s]."""
@@ -46,15 +46,15 @@ class WantedCell(Model):
 
 class Choice(Model):
     """Robots that the trial finds at their present poses. In the lab the field turns for `seconds`,
-    which shows how each cell responds; the trial takes the cells with the most different a, or
-    those that are `wanted`. In a simulation the cells are drawn at random.
+    and the camera measures each cell's response; the trial takes the cells whose a differ most, or
+    the `wanted` cells. In a simulation the cells are drawn at random.
     """
 
     choose: int = Field(ge=1, le=20)
     """Number of robots to choose."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
-    """Targets [x, y] [length unit], at least as many as robots, assigned so that the sum of the
-    squared straight paths is least.
+    """Targets [x, y] [length unit], at least as many as robots. They are assigned so that the sum
+    of the squared distances from start to target is least.
     """
     ring: Ring | None = None
     """Targets on a circle, in place of `targets`."""
@@ -65,14 +65,12 @@ class Choice(Model):
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
     """The cells that a survey proposed, as many as there are robots."""
     seconds: Positive = Field(default=8.0, le=600)
-    """Time for which the field turns before the choice [s]."""
+    """Time for which the field turns before the cells are chosen [s]."""
     turn: Positive = Field(default=3.2, le=60)
-    """Duration of one turn of the field before the choice [s]; cells with an a below 2 pi / turn
-    lag behind.
-    """
+    """Duration of one turn of the field [s]; cells with an a below 2 pi / turn lag behind."""
 
     found: bool = False
-    """Whether the spec's robots are those that a trial found; written by the trial in its log."""
+    """Whether a trial has found the spec's robots; written by the trial in its log."""
 
     @model_validator(mode="after")
     def _fits(self) -> "Choice":
@@ -92,7 +90,7 @@ class Choice(Model):
 
 
 class OrChoice:
-    """Annotation of the field for the list of robots: a mapping in its place is a `Choice`."""
+    """Annotation of the field `robots`: a list of robots, or a mapping, read as a `Choice`."""
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
@@ -135,8 +133,8 @@ class FoundCell:
 
 @dataclass(frozen=True, slots=True)
 class FoundRobots:
-    """The cells that a plant found: `build(numbers, setup)` returns a plant of the cells with these
-    numbers, `close()` releases the devices.
+    """The cells that a plant found: `build(numbers, setup)` returns a plant of the cells with the
+    given numbers, `close()` releases the devices.
     """
 
     cells: Sequence[FoundCell]
@@ -145,10 +143,10 @@ class FoundRobots:
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Return the index of the target, of (M, 2), assigned to each start (N, 2), N <= M.
+    """Return, for each start (N, 2), the index of the target assigned to it, of (M, 2), N <= M.
 
-    The sum of the squared straight paths is minimal, which minimises the motion that is not common
-    to all robots.
+    The sum of the squared distances from start to target is minimal, which minimises the motion
+    that is not common to all robots.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
 

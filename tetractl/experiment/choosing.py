@@ -12,9 +12,9 @@ from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
 UNLIKE = 0.4  # difference of the logarithms of a above which a larger one does not help
-NEAR_WALL = 0.5  # s of swimming to the arena's edge: nearer cells are taken only for lack of others
-MISSED = 0.3  # difference of the logarithms of a and speed above which it is another cell
-MOST = 14  # largest number of cells, those with the greatest a, whose choices are all compared
+NEAR_WALL = 0.5  # s to swim to the arena's edge; nearer cells are chosen only if others are lacking
+MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
+MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
@@ -38,7 +38,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
 
 
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
-    """Return the experiment with these cells as robots, at their poses and with targets."""
+    """Return the experiment with these cells as robots, at their poses, and targets assigned."""
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
@@ -58,7 +58,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
 
 
 def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
-    """Return the experiment with the robots that another trial of it found."""
+    """Return the experiment with the robots in `setup`, which another of its trials found."""
     columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
     rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
     robots = [
@@ -72,12 +72,12 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
     assert experiment.chosen is not None, "only a spec that leaves its robots open chooses"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
-    vars(copied).pop("setup", None)  # computed with the a of the stand-ins
+    vars(copied).pop("setup", None)  # it was computed for the stand-in robots
     return copied
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Return the least difference of the logarithms of a, minus its uncertainty; inf for one
+    """Return the least difference of log(a) between two cells, minus its uncertainty; inf for one
     cell."""
     order = np.argsort(a)
     logs, off = np.log(a[order]), a_sd[order] / a[order]
@@ -85,7 +85,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return a choice's criteria in order of rank: away from walls, different a, fast turning."""
+    """Return (away from walls, difference of a, least a) of cells; the greatest tuple is best."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
@@ -104,7 +104,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return the wanted cells, each found by its a and speed."""
+    """Return, in order, the cells whose a and speed are nearest to the wanted ones."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)
@@ -112,7 +112,7 @@ def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
         if np.abs(want - there[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
-                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second is not found any more",
+                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second cannot be found again",
                 "survey the dish again",
             )
     return [cells[i] for i in found]

@@ -1,4 +1,4 @@
-"""Checks that the parts of a spec fit together."""
+"""Checks that the sections of a spec do not contradict each other."""
 
 from collections.abc import Iterator, Mapping
 
@@ -18,9 +18,9 @@ MEMORY_MAX = 1_000_000_000
 def contradictions(
     arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the location and description of each contradiction between the parts.
+    """Yield location and text of each contradiction between arena, robots and obstacles.
 
-    Only parts that are valid by themselves are given, by their index in the spec.
+    `robots` and `obstacles` are the valid ones, by their index in the spec.
     """
     places: list[tuple[int, Loc, Point]] = [
         (i, loc, point)
@@ -57,13 +57,13 @@ def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     if held > MEMORY_MAX:
         yield (
             ("controller",),
-            f"a control step would hold some {held / 1e9:.3g} GB, at most {MEMORY_MAX / 1e9:g} are"
-            " allowed; take fewer particles, robots or signals",
+            f"a control step would need some {held / 1e9:.3g} GB of memory, more than "
+            f"{MEMORY_MAX / 1e9:g}; use fewer particles, robots or signals",
         )
 
 
 def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and description of contradictions in the sections of controller and plant."""
+    """Yield location and text of each contradiction in the sections of controller and plant."""
     control = experiment.controller
     if control.switches_field and not experiment.plant.switches_field:
         message = f"cannot switch the field off, as controller {control.type} does"
@@ -91,13 +91,13 @@ def _extent(arena: Arena) -> str:
 
 
 def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
-    """Return which of the points (n, 2) lie in an obstacle or on its edge, shape (n,)."""
+    """Return whether each point (n, 2) lies in an obstacle or on its edge, (n,)."""
     with np.errstate(over="ignore", invalid="ignore"):
         return obstacle.distance(points[:, 0], points[:, 1]) <= 0
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
-    """Return whether the arena's edge touches an obstacle, or a corner of it is inside."""
+    """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
     right, top = arena.left + arena.width, arena.bottom + arena.height
     x = np.array([arena.left, right, right, arena.left])
     y = np.array([arena.bottom, arena.bottom, top, top])

@@ -50,7 +50,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search, or of one of its starts."""
+        """Largest number of iterations of one search; with several starts, of each start."""
 
     @property
     @abstractmethod
@@ -59,12 +59,12 @@ class OptimizerSection(Model):
 
     @property
     def evaluations_max(self) -> int | None:
-        """Largest number of cost evaluations of one search without limits, None if unknown."""
+        """Largest number of cost evaluations of a search without `Limits`, None if unknown."""
         return None
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J below which all sequences are as good, None if lower is always better."""
+        """Cost J below which all sequences count as equally good, None without such a limit."""
         return None
 
     @abstractmethod
@@ -74,9 +74,9 @@ class OptimizerSection(Model):
         """Search sequences of `length` signals; see `tetractl.core.protocols.Optimizer`."""
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield the fields of a logged search whose values this optimiser cannot have produced.
+        """Yield the fields of a logged search that this optimiser cannot have produced.
 
-        `warmed` is whether there was a warm start. Properties common to all optimisers, such as a
+        `warmed` is whether the search had a warm start. Properties of all optimisers, such as a
         history that never rises, are checked elsewhere.
         """
         if found.evaluations < 1:
@@ -84,7 +84,7 @@ class OptimizerSection(Model):
 
 
 def same(optimizer: Optimizer) -> Optimizer:
-    """Return the optimiser itself."""
+    """Return the optimiser unchanged."""
     return optimizer
 
 
@@ -106,8 +106,8 @@ class ControllerSection(Model):
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
     deadline: Positive | None = None
-    """Time after which a control step uses the best sequence so far [s]; searches end then, except
-    at step 0. None by default, so that a simulation depends only on its seed.
+    """Time after which a control step's searches end, and it uses the best sequence so far [s];
+    step 0 has no deadline. By default there is none, so that a simulation depends only on its seed.
     """
 
     switches_field: ClassVar[bool] = False
@@ -121,7 +121,7 @@ class ControllerSection(Model):
         return 0
 
     def arrived(self, gaps: Floats) -> bool:
-        """Return whether robots at distances (N,) from their targets have all arrived."""
+        """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived."""
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())
 
     def bounds(self) -> dict[str, str]:
@@ -129,11 +129,11 @@ class ControllerSection(Model):
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return roughly the largest number of 8-byte numbers that a control step holds."""
+        """Return an estimate of the most 8-byte numbers that a control step holds in memory."""
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield location, in the section, and text of each contradiction with the experiment."""
+        """Yield location (in this section) and text of each contradiction with the experiment."""
         yield from ()
 
     @abstractmethod
@@ -151,4 +151,4 @@ class ControllerSection(Model):
         """
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile what the controller runs, or load it from the cache."""
+        """Compile the functions that the controller needs, or load them from the cache."""

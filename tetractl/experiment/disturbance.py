@@ -60,13 +60,13 @@ class Disturbance:
         return a, speed
 
     def planning_s(self, time_s: float) -> float:
-        """Return the time from giving a frame to the controller, at `time_s`, to sending its
-        command or the stop [s]; the times of all disturbances are added.
+        """Return the time [s] that planning takes: from the frame, read at `time_s`, to sending the
+        command or the stop. The times of all disturbances are added.
         """
         return 0.0
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return a command, or one of the repeated stops, as it will be received.
+        """Return a command, which may be a repeated stop, as the robots will receive it.
 
         Commands do not overtake each other: a command that would arrive before an earlier one acts
         together with it.
@@ -74,11 +74,10 @@ class Disturbance:
         return command
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the true poses at `time_s`, given those without this disturbance.
+        """Return the true poses at `time_s`; `poses` are the poses without this disturbance.
 
-        The disturbance acted for `seconds`, since the last call, on the robots that were `moving`
-        (N,): 1 for robots that move, 0 for robots that stand. Called just before each call of
-        `varied`.
+        The disturbance acts over `seconds`, the time since the last call, on robots that move:
+        `moving` (N,) is 1 for them, 0 for robots that stand. Called just before each `varied`.
         """
         return poses
 
@@ -90,10 +89,10 @@ class Disturbance:
         return poses, valid
 
     def received(self, exposed_ns: int, received_ns: int) -> int | None:
-        """Return when a frame exposed at `exposed_ns` reaches the host [ns]; None if it is lost.
+        """Return the time [ns] when a frame exposed at `exposed_ns` arrives; None if it is lost.
 
-        `received_ns` is the time so far, from the disturbances before this one. Frames arrive in
-        order: a frame that would overtake another arrives together with it.
+        `received_ns` is the time of arrival after the disturbances before this one. Frames arrive
+        in order: a frame that would overtake another arrives together with it.
         """
         return received_ns
 

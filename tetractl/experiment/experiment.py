@@ -126,16 +126,16 @@ class Reference(Model):
 
 
 class Scale(Model):
-    """The paper's scaling of an error to another kind of robot by the ratio of speeds (page 6)."""
+    """The paper's scaling of errors to robots of another kind, by the ratio of speeds (page 6)."""
 
     name: str = Field(min_length=1, max_length=100)
     """Name of the robots that the error is scaled to, for instance `T. pyriformis`."""
     unit: Literal["um", "mm", "cm", "m"] = "um"
     """Length unit of this section's numbers."""
     speed: Length = Field(gt=0)
-    """Speed of those robots [unit/s]."""
+    """Speed of these robots [unit/s]."""
     body_length: Length = Field(gt=0)
-    """Body length of those robots [unit]."""
+    """Body length of these robots [unit]."""
 
 
 _PLANT = KindSection(PLANTS, default="sim")
@@ -157,27 +157,27 @@ class Experiment(Model):
     robots: Annotated[
         Annotated[tuple[Robot, ...], Field(min_length=1, max_length=1000)], OrChoice()
     ]
-    """The robots, all steered by the one direction u; or a mapping with `choose`, by which each
-    trial finds its robots.
+    """The robots, all steered by the one direction u; or a mapping with `choose`: then each trial
+    finds its robots.
     """
     chosen: Choice | None = None
-    """In a resolved spec, the mapping given as `robots`; the robots are then stand-ins until a
-    trial has found its own.
+    """In a resolved spec, the mapping given as `robots`; `robots` then holds placeholders until a
+    trial has found its robots.
     """
     assign: Literal["given", "free"] = "given"
     """`free` if any robot may go to any target: targets are then assigned so that the sum of the
-    squared straight paths is least, which minimises the motion that is not common to all robots.
-    The resolved spec holds the assigned targets, and `given`.
+    squared distances from start to target is least, which minimises the motion that is not common
+    to all robots. The resolved spec holds the assigned targets, and `given`.
     """
     hold: HoldSection | None = None
-    """Task to stay near the targets after the arrival; the share of time inside the radius is
-    measured.
+    """Task to stay near the targets after the arrival; results report the fraction of the time that
+    each robot is within the radius.
     """
     on_lost: Literal["stop", "drop", "replace"] = "stop"
     """What happens if a robot is not tracked for `lab.limits.untracked_abort`, or a cell is about
-    to leave the arena, has divided, or lost its identity: the trial ends, goes on without the
-    robot, or with the most similar free cell in its place. For a dropped robot, the error is the
-    distance from where it was last seen.
+    to leave the arena, has divided, or cannot be identified: the trial ends (`stop`), goes on
+    without the robot (`drop`), or with the most similar free cell in its place (`replace`). The
+    error of a dropped robot is the distance from its last pose to the target.
     """
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Obstacles, which no robot may enter."""
@@ -190,14 +190,14 @@ class Experiment(Model):
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File written by `tetractl identify`, relative to the spec: its a and speed of each robot and
-    its dead time replace the spec's own.
+    """File written by `tetractl identify`, relative to the spec: the file's a and speed of each
+    robot and dead time replace the spec's values.
     """
     trials: Trials = Trials()
     """Number and seed of the trials."""
     error_bound: Positive | None = None
-    """Total error [length unit] above which a trial counts as far off: the tables show the share of
-    such trials; the default is 10 times the batch's median."""
+    """Total error [length unit] above which a trial counts as far off: the tables show the fraction
+    of trials far off. The default is 10 times the batch's median."""
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None
@@ -205,9 +205,9 @@ class Experiment(Model):
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:
-        """Assign the targets and set `given`, so that it is done once."""
+        """Assign the targets and set `assign` to `given`, so that they are assigned once only."""
         if isinstance(self.robots, Choice):
-            # the model is frozen, but not in use yet
+            # the model is immutable, but not in use yet
             object.__setattr__(self, "chosen", self.robots)
             object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
         if self.assign == "given" or self.chosen is not None:
@@ -286,7 +286,7 @@ class Experiment(Model):
 
 
 def _stand_ins(choice: Choice, arena: Arena) -> tuple[Robot, ...]:
-    """Return stand-in robots in the arena's middle, used until a trial's robots are known."""
+    """Return placeholder robots in the arena's middle, used until a trial's robots are known."""
     middle = arena.left + arena.width / 2, arena.bottom + arena.height / 2
     return tuple(
         Robot(

@@ -1,4 +1,4 @@
-"""The file that `tetractl identify` writes, and the values that a spec takes from it."""
+"""The file that `tetractl identify` writes, and the spec's values that the file replaces."""
 
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
 
 
 class IdentifiedValue(Model):
-    """A value and its 95 % interval; an unknown end is left out."""
+    """An estimate and its 95 % interval; an end of the interval is None if unknown."""
 
     value: Finite
     """The most likely value."""
@@ -31,7 +31,7 @@ class IdentifiedRobot(Model):
     speed: IdentifiedValue
     """Speed [length unit/s]; replaces the spec's."""
     heading_bias: IdentifiedValue
-    """Angle between the direction sent and the one the robot turns to [rad]."""
+    """Heading that the robot turns to minus the direction sent [rad]."""
     position_noise: IdentifiedValue
     """Standard deviation of the camera's positions [length unit]."""
     heading_noise: IdentifiedValue
@@ -48,7 +48,7 @@ class Identified(Model):
     origin: str = Field(max_length=1000)
     """The plant of the logs, such as `disturbed simulation`, `emulated lab` or `lab`."""
     sources: tuple[str, ...] = ()
-    """Logs that the values were identified from."""
+    """Logs from which the values were identified."""
     unit: str
     """Length unit of this file's numbers."""
     dead_time: IdentifiedValue
@@ -65,7 +65,7 @@ def identified_yaml(found: Identified) -> str:
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:
-    """Return a file's values and its text; problems are reported like those of a spec."""
+    """Return a file's values and its text; problems are reported like problems of a spec."""
     text = read_text(path)
     document = parse_document(text, str(path))
     found = validated(Identified, document)
@@ -84,7 +84,7 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 
 
 def merge(document: Document, found: Identified, origin: str) -> None:
-    """Replace a spec's values by the identified ones; problems are added to the document's.
+    """Replace a spec's values by the identified ones; add problems to the document.
 
     Each robot's a and speed and the controller's dead time are replaced. The dead time counts from
     sending a command if the controller identifies while driving (`estimate`), otherwise from the

@@ -1,4 +1,4 @@
-"""The lab's part of a spec: a camera, an actuator, and the limits of a run.
+"""The lab's section of a spec: a camera, an actuator, and the limits of a run.
 
 Each section of a camera or actuator is in the file of its adapter, and named in
 `tetractl.core.registries`. Lengths whose name ends in `_mm` are millimetres, whatever the spec's
@@ -29,9 +29,9 @@ STOP_GAP_NS = SECOND // 50  # ten stops over 200 ms
 
 @dataclass(frozen=True, slots=True)
 class Measured:
-    """The result of a calibration: values that replace those in the lab's sections.
+    """The result of a calibration: values that replace values in the lab's sections.
 
-    `camera` and `actuator` are parts of those sections; entries of lists are found by their `name`.
+    `camera` and `actuator` hold keys of these sections; entries of lists are found by their `name`.
     `lines` is a summary for readers.
     """
 
@@ -54,15 +54,13 @@ class DeviceSection(Model):
     """The class of the device, as "module:class": imported only when the device is built."""
     type: Any  # the section's name, a Literal in each subclass
     settles: ClassVar[bool] = False
-    """Whether trials that choose their robots can use the device, which then has a method
-    `settle`.
-    """
+    """Whether trials that choose their robots can use the device, by its method `settle`."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location and description of each contradiction with the experiment or in the
-        section.
+        """Yield the location (in this section) and text of each contradiction in the section or
+        with the experiment.
 
-        Locations are within the section. A section with `robots` checks them by `mismatches`.
+        A section with `robots` checks them by `mismatches`.
         """
         yield from ()
 
@@ -82,7 +80,7 @@ class CameraSection(DeviceSection):
         return imported(self.device)(self, setup, clock, wake)
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points of the picture, column and row [px], and their
+        """Return scale and rotation from two points in a picture, column and row [px], and their
         distance along the spec's x axis [um]; UsageError if the points are too close.
         """
         raise UsageError(f"a camera of type {self.type} cannot be calibrated by a micrometer")
@@ -99,16 +97,16 @@ class ActuatorSection(DeviceSection):
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
 
     def require_port(self) -> None:
-        """Raise AbortError if the device is not there; quick, nothing is opened."""
+        """Raise AbortError if the device's port does not exist; quick, nothing is opened."""
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
         return imported(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in reach, latched if the actuator can; needs only its port. If not
-        `alone`, a run uses the port too. Returns a description of what was done; AbortError if
-        nothing can be sent.
+        """Stop every robot that the actuator reaches, latched if it can; needs only its port. If
+        not `alone`, a run uses the port too. Returns a text about the stops; AbortError if nothing
+        can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
@@ -126,7 +124,7 @@ class ActuatorSection(DeviceSection):
         emergency: threading.Event,
         report: Callable[[str], None],
     ) -> Measured:
-        """Measure robots by moving them, one after another; AbortError if a measurement fails.
+        """Measure the named robots by moving them in turn; AbortError if a measurement fails.
 
         `limit` bounds the output, in the actuator's own unit. `report` is called with lines for the
         operator; setting `emergency` stops the robots.
@@ -140,8 +138,8 @@ class ActuatorSection(DeviceSection):
 
 
 class LabLimits(Model):
-    """Limits that stop robots or end a run, and its waiting times. The defaults are those of the
-    fault table.
+    """Limits that stop robots or end a run, and its waiting times. The fault table assumes the
+    defaults.
     """
 
     stale: Positive = 0.1
@@ -149,37 +147,36 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_stop: Positive = 0.05
-    """A robot stops after this time without being tracked [s]; it is steered on if the actuator
-    cannot hold a single robot still.
+    """A robot stops after this time without being tracked [s]; if the actuator cannot hold a single
+    robot still, it is steered further.
     """
     untracked_abort: Positive = 0.3
     """The run aborts after this time in which a robot was not tracked [s]."""
     identity: Positive = 3.0
-    """The run aborts after this time in which, after cells have met, it is unknown which cell is a
-    robot [s]; only with cameras that report this.
+    """The run aborts if, after cells have met, it is unknown for this time which of them is a robot
+    [s]; only with cameras that report identities.
     """
     jump_mm: NonNegative = 30.0
-    """A pose is rejected that is further from any of the last second than twice the robot's
-    speed allows, plus this [mm]."""
+    """A pose is rejected if its distance from a pose of the last second is larger than twice the
+    robot's speed allows, plus this length [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
-    """A body whose height above the floor is not between these two is rejected, as taken off its
-    robot [mm]; the camera system's own zero is the floor. Applies only if the camera reports
-    heights.
+    """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
+    outside is rejected, since it may be off its robot. Only for cameras that report heights.
     """
     tilt: Positive = 0.5
-    """A body whose upward axis is tilted by more than this from the vertical is rejected [rad]."""
+    """A body whose upward axis is tilted from the vertical by more than this is rejected [rad]."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
-    """The run aborts on more damaged camera frames than this within a second."""
+    """The run aborts if more camera frames than this are damaged within a second."""
     edge_mm: NonNegative = 0.0
-    """Robots stay this far inside the arena [mm]."""
+    """Least distance of robots' centres from the arena's edge [mm]."""
     separation_mm: NonNegative = 110.0
     """Least distance between the centres of two robots [mm]; 0 disables the test."""
     reaction: NonNegative = 0.15
-    """Time from detecting an edge or another robot to standing still [s], over which the guard
-    predicts."""
+    """Time from detecting an edge or another robot until a robot stands still [s]; the guard
+    predicts motion over this time."""
     wheel_error: Annotated[float, Field(ge=0, le=1)] = 0.12
-    """Largest error of a wheel's speed, as a fraction of the speed commanded: a robot with a larger
-    error ends the run.
+    """Largest error of a wheel's speed, as a fraction of the commanded speed; a larger error ends
+    the run.
     """
     late_steps: int = Field(default=5, ge=1, le=100_000)
     """The run aborts after this many control steps in a row that missed their deadline."""
@@ -190,9 +187,7 @@ class LabLimits(Model):
     start_heading: Positive = 0.3
     """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
-    """Time to wait for robots to be put on their starts [s]; with a terminal, a run waits without
-    limit.
-    """
+    """Longest wait until robots are put on their starts [s]; with a terminal there is no limit."""
     standstill: Positive = 2.0
     """Longest time after a stop until the camera sees the robots standing still [s]."""
     standstill_mm: Positive = 10.0
@@ -220,7 +215,7 @@ class LabSection(PlantSection):
     `camera` and `actuator`."""
 
     def require_devices(self) -> None:
-        """Raise AbortError if the actuator's port is not there."""
+        """Raise AbortError if the actuator's port does not exist."""
         self.actuator.require_port()
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -248,10 +243,9 @@ class LabSection(PlantSection):
 def mismatches(
     robots: Sequence[RobotPart], names: Sequence[str], unique: Sequence[str] = ()
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield the location and description of each mismatch between a device's `robots` and the
-    spec's.
+    """Yield location and text of each mismatch between a device's `robots` and the spec's `names`.
 
-    `unique` are fields, besides the name, in which two robots must differ unless the value is None.
+    `unique` are further fields in which two robots must differ unless the value is None.
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
         yield ("robots",), f"has no {missing}; every robot of the spec must be here"

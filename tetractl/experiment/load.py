@@ -1,4 +1,4 @@
-"""From a spec's text to an Experiment and back, all problems reported at once."""
+"""Converts a spec's text to an Experiment and back; reports all problems at once."""
 
 import hashlib
 import json
@@ -32,7 +32,7 @@ from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
 def override(document: Document, setting: str) -> None:
-    """Apply one `path=value` to a document; errors are added to its problems.
+    """Apply one `path=value` setting to a document; add errors to the document's problems.
 
     A step of the path is a key, an index, or the `name` of an entry: `robots.0.a`,
     `robots.green.a`. Mappings that the spec omits are created.
@@ -65,7 +65,7 @@ def override(document: Document, setting: str) -> None:
 
 
 def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
-    """Return the full loc and the mapping or list that holds its last step."""
+    """Return the full location of a path, and the mapping or list that holds its last step."""
     data: Any = document.data
     loc: Loc = ()
     for step in steps[:-1]:
@@ -190,7 +190,7 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(
             f"{printable(str(path))}: every log already has a file named {name}",
-            "give this file a name of its own",
+            "rename this file",
         )
     return (*attached, (name, text))
 
@@ -198,10 +198,10 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Return the data of a spec with `sets` applied, current names, and the location of each value.
+    """Return the data of a spec with current names and `sets` applied, and each value's location.
 
-    `identified` values of a file replace the text's own before `sets` are applied. Errors are added
-    to the document's problems; InvalidSpecError if the text cannot be read as YAML.
+    Values `identified` in a file replace the text's values before `sets` are applied. Errors are
+    added to the document's problems; InvalidSpecError if the text cannot be read as YAML.
     """
     document = parse_document(text, origin)
     upgrade(document)

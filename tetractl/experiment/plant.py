@@ -1,4 +1,4 @@
-"""The plant's part of a spec: the simulation or the lab to control."""
+"""The plant's section of a spec: the simulation or the lab to control."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -28,12 +28,12 @@ class PlantSection(Model):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether camera frames may be lost on the way, so that gaps in a log are not damage."""
+        """Whether camera frames may be lost in transit, so that gaps in a log are not damage."""
         return not self.simulated
 
     @property
     def planning_max_s(self) -> float:
-        """Longest time from a simulated control step's frame to its command [s]."""
+        """Longest simulated time from a control step's frame to its command [s]."""
         return 0.0
 
     @abstractmethod
@@ -41,7 +41,7 @@ class PlantSection(Model):
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
     def require_devices(self) -> None:
-        """Raise AbortError if a device of a lab is not there; quick, nothing is opened."""
+        """Raise AbortError if a lab's port does not exist; quick, nothing is opened."""
 
     @abstractmethod
     def build(
@@ -60,13 +60,13 @@ class PlantSection(Model):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return the robots that a trial may choose from; `setup` describes stand-ins."""
+        """Return the robots that a trial may choose from; `setup` has placeholder robots."""
         raise UsageError(f"a plant of type {self.type} has no robots to choose from")
 
     @property
     def disturbed(self) -> bool:
-        """Whether a simulation has any disturbance; results are compared with real robots only in
-        that case.
+        """Whether a simulation has any disturbance; only then are its results compared with a
+        published result.
         """
         return False
 
@@ -75,26 +75,23 @@ class PlantSection(Model):
         return {}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location and description of each contradiction with the experiment or in the
-        section.
-
-        Locations are within the section.
+        """Yield the location (in this section) and text of each contradiction in the section or
+        with the experiment.
         """
         yield from ()
 
 
 class Wheels(Model):
-    """Geometry of a two-wheeled robot standing in for a cell, (21)-(25)."""
+    """Geometry of a two-wheeled robot that moves like a cell, (21)-(25)."""
 
     radius: Positive
     """Distance r from a wheel to the robot's centre [length unit]."""
     watchdog: Positive | None = None
     """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
-    firmware; by default it drives on. A stopped robot moves again with the next command it
-    receives.
+    firmware; by default a robot never does. The next command it receives moves it again.
     """
     lag: NonNegative = 0.0
-    """Time constant with which the wheels follow a command [s]. With it, the host sends wheel
-    speeds for the headings that the wheels will have reached, and the controller predicts where the
-    robots come to rest.
+    """Time constant with which the wheels follow a command [s]. If it is not 0, the host computes
+    wheel speeds for the headings that the wheels will have reached, and the controller predicts
+    the poses in which the robots come to rest.
     """

@@ -1,4 +1,4 @@
-"""Selects the plant of an experiment, and applies the calibration to its lab."""
+"""Selects the plant of an experiment, and applies a calibration file to its lab."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -25,10 +25,10 @@ DEVICES = ("camera", "actuator")
 
 
 class Calibration(Model):
-    """The result of `tetractl lab calibrate`: parts of the lab's sections."""
+    """The result of `tetractl lab calibrate`: values for the lab's sections."""
 
     measured: str = Field(max_length=100)
-    """When it was measured."""
+    """Date and time of the measurement."""
     camera: dict[str, Any] = Field(default={})
     """Values that replace those in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})
@@ -36,10 +36,10 @@ class Calibration(Model):
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
-    """Return the spec with `plant` as it will be run: of the given `kind`, or as in the spec.
+    """Return the spec with the plant that will be run: of the given `kind`, or the spec's.
 
-    The lab's calibration file is read here and its values are put into the spec; its text is
-    attached to the log. An unused `lab` section is kept for other runs.
+    Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
+    An unused `lab` section is kept for other runs.
     """
     experiment = loaded.experiment
     if kind == "sim" and not experiment.plant.simulated:
@@ -77,9 +77,9 @@ def calibration_yaml(calibration: Calibration) -> str:
 
 
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
-    """Return an experiment in the lab with a calibration's values in place of its lab's own.
+    """Return an experiment in the lab with the values of a calibration in its lab section.
 
-    `text` is the calibration file, `origin` its name; problems are reported like those of a spec.
+    `text` is the calibration file, `origin` its name; its problems are reported as in a spec.
     """
     document = _calibration(text, origin)
     calibration = validated(Calibration, document)
@@ -99,7 +99,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
 
 
 def _calibration(text: str, origin: str) -> Document:
-    """Parse a calibration; errors do not quote the text of a file that is not a calibration."""
+    """Parse a calibration file; errors do not quote the text of a file of another kind."""
     try:
         document = parse_document(text, origin)
     except InvalidSpecError:
@@ -114,9 +114,10 @@ def _calibration(text: str, origin: str) -> Document:
 def _merged(
     base: Any, over: Any, loc: Loc, document: Document, at: Loc, places: dict[Loc, Place]
 ) -> Any:
-    """Return `base`, at `loc` in the spec, with the values of `over` replacing its own.
+    """Return `base`, the value at `loc` in the spec, updated by the values of `over`.
 
-    `over` stands `at` a location of the calibration's document; `places` gets that of each value.
+    `at` is the location of `over` in the calibration's document; the place of each value there is
+    added to `places`.
     """
     places[loc] = document.place(at)
     if isinstance(base, Mapping) and isinstance(over, Mapping):

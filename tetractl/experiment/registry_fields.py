@@ -16,13 +16,13 @@ STRICT = {"strict": True}
 
 
 class KindSection:
-    """Annotation of a field: its mapping is validated by the class that its `type` names.
+    """Annotation of a field: the class that the mapping's `type` names validates the mapping.
 
     `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
-    is a name in the registry; `default` is the type of a mapping without one. Each class of the
-    registry is a `Model` with its own name as the `Literal` of its `type`; those not derived from
-    Base cannot be chosen here. A class is imported when it is first chosen; PluginError if
-    another package offers one that cannot be used.
+    is a name in the registry; `default` is the type of a mapping without `type`. Each class of the
+    registry is a `Model` with its name as the `Literal` of its `type`; classes not derived from
+    Base cannot be chosen here. A class is imported when it is first chosen; PluginError if another
+    package's class cannot be used.
     """
 
     def __init__(self, registry: Registry, default: str | None = None) -> None:
@@ -58,7 +58,7 @@ class KindSection:
         return choice | ({"default": {"type": self.default}} if self.default else {})
 
     def make(self) -> Any:
-        """Return the default type's section with default values, as a field's default."""
+        """Return a section of the default type with default values, the default of a field."""
         return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:
@@ -78,7 +78,7 @@ class KindSection:
 
 
 class KindName:
-    """Annotation of a text field: one of the names in a registry. Nothing is imported for it."""
+    """Annotation of a text field: one of the names in a registry; no kind is imported."""
 
     def __init__(self, registry: Registry) -> None:
         self.registry = registry
@@ -100,7 +100,7 @@ class KindName:
 
 
 def packages(spec: Model) -> dict[str, str]:
-    """Return name and version of every other package that provides a kind used in a spec."""
+    """Return {name: version} of the other packages that provide kinds used in a spec."""
     used = (registry.kind(name) for registry, name in _kinds(spec))
     return {kind.package: kind.version for kind in used if kind.package}
 

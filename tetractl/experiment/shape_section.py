@@ -46,4 +46,4 @@ class ShapeSection(Model):
 
     @abstractmethod
     def row(self) -> tuple[float, ...]:
-        """Return the numbers that the compiled functions of `packed` take."""
+        """Return the shape's parameters, a row of `packed`."""

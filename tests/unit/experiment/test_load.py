@@ -241,7 +241,7 @@ def test_problems_of_settings_name_the_setting(setting, line):
         ),
         (
             "controller.optimizer={type: pso, particles: 1000000}",
-            "controller: a control step would hold some 1.7 GB, at most 1 are allowed",
+            "controller: a control step would need some 1.7 GB of memory, more than 1",
         ),
     ],
 )

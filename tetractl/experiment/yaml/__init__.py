@@ -1,1 +1,1 @@
-"""Specs as YAML text: parsing with locations, overrides, upgrades, and plain error messages."""
+"""Specs as YAML text: parsing with locations, renamed keys, and error messages."""

@@ -72,7 +72,7 @@ class _Composer(Reader, Scanner, Parser, Composer, BaseResolver):
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.1 or the core schema would take for something else."""
+    """Quotes text that YAML 1.1 or the core schema would read as another type."""
 
     def represent_text(self, text: str) -> ScalarNode:
         # only in double quotes does PyYAML keep every control character and line break
@@ -112,7 +112,7 @@ def compose(text: str) -> Node | None:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar; the message of ValueError is why the tag does not fit."""
+    """Return the value of a scalar; ValueError, with the reason, if the tag does not fit."""
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):

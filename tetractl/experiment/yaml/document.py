@@ -1,4 +1,4 @@
-"""A spec's text as plain data that remembers where each value was written."""
+"""A spec's text as plain data, with the location of each value in the text."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ MAX_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a value or a key was written: origin, line and column from 1, and its text."""
+    """The location of a value or a key: origin, line and column from 1, and its text."""
 
     origin: str
     line: int | None = None
@@ -44,8 +44,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A parsed spec: data, the location of every value and key, and refused values. `refused` has
-    the errors of refused values, which are None in `data`. `notices` are lines about renamed keys.
+    """A parsed spec: data, the location of every value and key, and problems. `refused` holds the
+    errors of refused values, which are None in `data`. `notices` are lines about renamed keys.
     """
 
     origin: str
@@ -58,7 +58,7 @@ class Document:
 
     @property
     def found(self) -> list[SpecProblem]:
-        """The document's problems and refused values so far."""
+        """The document's problems so far, including refused values."""
         return [*self.problems, *self.refused.values()]
 
     @property
@@ -71,7 +71,7 @@ class Document:
         return self.keys.get(loc) or self.place(loc)
 
     def place(self, loc: Loc) -> Place:
-        """Return the location of a value or, if unknown, that of the nearest enclosing node."""
+        """Return the location of a value or, if unknown, of the nearest enclosing node."""
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
@@ -135,7 +135,7 @@ def parse_document(text: str, origin: str) -> Document:
 
 
 def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
-    """Parse one value, as given to `--set`, that will stand at `loc`.
+    """Parse one value, as given to `--set`, for the location `loc`.
 
     Problems have `origin` as their location, without a line.
     """

@@ -61,9 +61,9 @@ def validated(model: type[Section], document: Document) -> Section:
 def explain(
     error: ValidationError, document: Document, schema: Schema | None = None
 ) -> Iterator[SpecProblem]:
-    """Yield pydantic's errors as problems, except those that the document has already.
+    """Yield pydantic's errors as problems, except errors already in the document.
 
-    `schema` is the JSON schema of the file, by default that of a spec.
+    `schema` is the JSON schema of the file, by default the schema of a spec.
     """
     every = error.errors(include_url=False, include_input=False)
     for details in every[:MAX_EXPLAINED]:
@@ -80,8 +80,7 @@ def explain(
 def data_loc(details: ErrorDetails, data: Any) -> Loc:
     """Return the location of an error in the data: pydantic's loc without the tags of unions.
 
-    A validator may point at a field of its model by the context's `field`, see
-    `base.inconsistent`.
+    A validator can name a field of its model in the error's context, see `base.inconsistent`.
     """
     steps: list[str | int] = []
     last = len(details["loc"]) - 1
@@ -134,7 +133,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return the error as `words` does, with the schema's description of the field."""
+    """Return the message of `words`, with the schema's description of the field."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":

@@ -18,7 +18,7 @@ MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})
 class SpecProblem:
     """One problem of a spec, to be fixed by its author.
 
-    `origin` is the spec's file name, or `--set PATH=VALUE` for a value given there; `line` and
+    `origin` is the spec's file name, or `--set PATH=VALUE` for a value from that option; `line` and
     `column` count from 1 and are None if unknown.
     """
 
@@ -46,7 +46,7 @@ class InvalidSpecError(SpecError):
         super().__init__("\n".join(self.lines()), hint)
 
     def lines(self) -> list[str]:
-        """One line per problem; a very long list is cut."""
+        """Return one line per problem; a very long list is cut."""
         lines = [str(problem) for problem in self.problems[:SHOWN_PROBLEMS]]
         if len(self.problems) > SHOWN_PROBLEMS:
             lines.append(f"{self.problems[0].origin}: and more; mend these first")

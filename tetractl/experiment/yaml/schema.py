@@ -32,8 +32,8 @@ def schema_json(schema: dict[str, Any]) -> str:
 def describe(loc: Loc, data: Any, root: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the schema of the value at `loc` in a file's data, {} if there is none.
 
-    `data` decides between the alternatives of a union, by its `type`; `root` is the schema of the
-    file, by default that of a spec.
+    The `type` in `data` selects the alternative of a union; `root` is the schema of the file, by
+    default the schema of a spec.
     """
     root = root or experiment_schema()
     node = _resolved(root, data, root)
@@ -107,7 +107,7 @@ def _resolved(node: dict[str, Any], data: Any, root: dict[str, Any] | None) -> d
 
 
 def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return the schema that a `$ref` names, merged with the entries next to it."""
+    """Return the schema that a node's `$ref` names, merged with the node's other entries."""
     if "$ref" not in node:
         return node
     target = (root or experiment_schema())["$defs"][node["$ref"].rpartition("/")[2]]
@@ -115,7 +115,7 @@ def dereferenced(node: dict[str, Any], root: dict[str, Any] | None = None) -> di
 
 
 def _unwrapped(value: Any) -> Any:
-    """Replace the docstrings' line breaks in the descriptions by spaces."""
+    """Replace line breaks in the descriptions, which are docstrings, by spaces."""
     if isinstance(value, dict):
         return {
             key: " ".join(item.split())

@@ -1,7 +1,7 @@
 """Converts specs of an earlier tetractl: keys and values that have been renamed since.
 
-A spec, a `--set` and the resolved spec in a log all go through here before they are checked. Values
-keep their locations, so that errors point at the original text; each change adds a notice to the
+A spec, a `--set` and the resolved spec in a log are converted before they are checked. Values keep
+their locations, so that errors point at the original text; each change adds a notice to the
 document.
 """
 
@@ -18,18 +18,18 @@ RENAMED = {
     "controller.collision.check": "controller.collision.test",
     "controller.collision.stop": "controller.collision.stop_before_collision",
 }
-"""Keys by their old path; old and new differ in the last step."""
+"""New paths of keys by their old paths, which differ in the last step."""
 REVALUED = (
     ("controller.type", "pso-mpc", "mpc"),
     ("plant.motion", "continuous", "exact"),
     ("controller.initial_lengths", "spread", "geometric"),
 )
-"""Values that have another name, at today's paths."""
+"""Renamed values: path of the key, old value, new value."""
 REMOVED = {
     "controller.losses": "with 'estimate' lost commands are always detected",
     "controller.optimizer.precision": "particles are in double precision always",
 }
-"""Keys that are no longer needed, and why."""
+"""Keys that are no longer needed, and the reason."""
 
 
 def upgrade(document: Document) -> None:
@@ -57,7 +57,7 @@ def upgraded_path(steps: list[str]) -> list[str]:
 
 
 def _rename(document: Document, old: str, new: str) -> None:
-    """Rename a key, which keeps its rank; with both names given, the old one is a problem."""
+    """Rename a key in its place in the order; a problem if both the old and new key are given."""
     holder, loc = _holder(document, old)
     key, name = loc[-1], new.split(".")[-1]
     if key not in holder:
@@ -77,7 +77,7 @@ def _rename(document: Document, old: str, new: str) -> None:
 
 
 def _holder(document: Document, path: str) -> tuple[dict[Any, Any], Loc]:
-    """Return the mapping that holds a key, an empty one if there is none, and the key's place."""
+    """Return the mapping that holds a key, or an empty one, and the location of the key."""
     *home, key = path.split(".")
     data: Any = document.data
     for step in home:

@@ -35,7 +35,7 @@ GOOD = {
         ({"robots": [{**ROBOT, "tag": 100}]}, "tag 100 is used twice"),
         ({"robots": [{**ROBOT, "tag": 587}]}, "tag"),
         ({"floor": FLOOR[:3]}, "floor"),
-        ({"floor": [{**tag, "at": (i, i)} for i, tag in enumerate(FLOOR)]}, "in one line"),
+        ({"floor": [{**tag, "at": (i, i)} for i, tag in enumerate(FLOOR)]}, "on one line"),
         ({"lens": {"focal_px": 900, "distortion": [0.1, 0.2]}}, "coefficients"),
         ({"min_margin": 3}, "min_margin"),
     ],

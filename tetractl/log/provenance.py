@@ -44,8 +44,8 @@ PLUGIN = "package."
 TRIAL_CODE = ("core", "experiment", "model", "control", "plant", "run", "log/format", "log/write")
 """The parts of tetractl that determine the content of a simulated trial's log."""
 
-DIFF_LIMIT = 50_000  # characters
-UNTRACKED_LIMIT = 200  # files
+DIFF_LIMIT = 50_000  # largest number of characters of the local changes
+UNTRACKED_LIMIT = 200  # largest number of untracked files listed
 _GIT_TIMEOUT_S = 5.0
 
 
@@ -74,8 +74,8 @@ def host() -> dict[str, str]:
 def processor(host: Mapping[str, str]) -> str:
     """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if its record lacks it.
 
-    This is LLVM's name for it, and six digits that identify the instruction sets in use: results of
-    code compiled for two types may differ in the last bits.
+    It is LLVM's name and six digits that identify the instruction sets in use: results of code
+    compiled for two types may differ in the last bits.
     """
     if not (name := host.get("cpu_target")):
         return ""
@@ -90,11 +90,11 @@ def _short_digest(text: str) -> str:
 
 @cache
 def versions() -> dict[str, str]:
-    """Return the versions behind a result and, from a source checkout, its git state.
+    """Return the versions of code that affects results and, in a checkout, the git state.
 
-    `code` is a hash of the sources of decisions: `tetractl.control` and `tetractl.model`.
-    `git_commit` and `git_dirty` are left out if tetractl does not run from a git checkout or git
-    is not installed.
+    `code` is a hash of the source files of `tetractl.control` and `tetractl.model`. `git_commit`
+    and `git_dirty` are left out if tetractl does not run from a git checkout or git is not
+    installed.
     """
     sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
     found = {
@@ -108,10 +108,10 @@ def versions() -> dict[str, str]:
 
 @cache
 def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
-    """Return 12 hex digits that identify all code behind a simulated trial and its log.
+    """Return 12 hex digits that identify all code that affects a simulated trial and its log.
 
-    They cover tetractl's own sources from the spec to the log, the versions of the libraries that
-    compute, and `packages`: name and version of those that provide a kind used by the spec.
+    They cover the source files of TRIAL_CODE, the versions of numerical libraries, and `packages`:
+    name and version of each package that provides a kind used by the spec.
     """
     sources = [file for part in TRIAL_CODE for file in (_here() / part).rglob("*.py")]
     computing = [(name, metadata.version(name)) for name in ("numpy", "numba", "llvmlite", "scipy")]
@@ -121,25 +121,25 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
 def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
     """Return the metadata record of the host at the start of a log: time, machine, versions.
 
-    `packages` are name and version of those that provide a kind used by the spec.
+    `packages` are name and version of each package that provides a kind used by the spec.
     """
     return {"started": now(), "pid": str(os.getpid())} | host() | versions() | plugins(packages)
 
 
 def plugins(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the versions of packages besides tetractl, by the keys they have in a log."""
+    """Return the versions of packages that provide kinds, by their keys in a log."""
     return {PLUGIN + name: version for name, version in packages.items()}
 
 
 def is_version(key: str) -> bool:
-    """Return whether a key of the host's metadata belongs to a version behind a result."""
+    """Return whether a key of the host's metadata is one of `versions` or `plugins`."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 
 @cache
 def environment() -> str:
     """Return machine, versions, installed packages and local changes, as JSON."""
-    # parsed once, as each access to `metadata` reads a file
+    # read once: each access to `metadata` reads a file
     installed = [item.metadata for item in metadata.distributions()]
     packages = {item["Name"]: item["Version"] for item in installed if item["Name"]}
     found: dict[str, object] = {
@@ -188,16 +188,14 @@ def _git(*arguments: str) -> str | None:
 
 
 def _cpu_target() -> str:
-    """Return LLVM's name of the processor for which code is compiled."""
+    """Return LLVM's name of this processor, for which code is compiled."""
     from llvmlite import binding  # slow to import, but loaded anyway if anything is computed
 
     return binding.get_host_cpu_name()
 
 
 def _cpu_features() -> str:
-    """Return the processor features that LLVM may use, as a processor's name covers several sets of
-    them.
-    """
+    """Return the processor features that LLVM may use: processors of one name may differ in them."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()
@@ -214,9 +212,7 @@ def _numpy_dispatch() -> str:
 
 
 def _cpu() -> str:
-    """Return the processor's name, from the kernel's list if possible, which is more exact than
-    `platform`.
-    """
+    """Return the processor's name, from the kernel if possible, since `platform` is less exact."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:

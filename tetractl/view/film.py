@@ -1,6 +1,6 @@
-"""Films of a trial: the arena with the robots, the error over time, and numbers. The static
-part is drawn once; each picture adds the rest. MP4 is written by
-ffmpeg if it is installed, GIF and animated WebP by Pillow.
+"""Films of a trial: the arena with the robots, the error over time, and numbers. The static part is
+drawn once; each picture adds the moving parts. ffmpeg, if installed, writes MP4; Pillow writes GIF
+and animated WebP.
 """
 
 import shutil
@@ -30,18 +30,18 @@ from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfin
 from tetractl.view.figures.trajectory import DishGround, draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
-"""Pictures per second; a GIF counts in hundredths of a second."""
+"""Pictures per second; a GIF states intervals in hundredths of a second."""
 WIDTH = 960
 HOLD_S = 1.5
 """Time for which the last picture stays [s]."""
 LONGEST_S = 60.0
 SPEEDS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-ARENA_IN = (5.0, 4.4)  # the arena is as wide or as high as this
-SIDE_IN = 2.2  # width of curve and numbers
+ARENA_IN = (5.0, 4.4)  # largest width and height of the arena
+SIDE_IN = 2.2  # width of the curve and the numbers
 MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of the arena, below it, between it and the side, above
 TRAIL_POINTS = 600
 BODY = 0.028
-"""Length of a robot's wedge if the spec gives no wheels, of the longer side of the arena."""
+"""Length of a robot's wedge relative to the arena's longer side, if the spec gives no wheels."""
 
 Picture = NDArray[np.uint8]
 
@@ -49,13 +49,13 @@ Picture = NDArray[np.uint8]
 def check_file(path: Path) -> str:
     """Return the format of a film by its name.
 
-    Raises UsageError for other names, for a folder that is not there, and for MP4 without ffmpeg.
+    Raises UsageError for other names, for a missing folder, and for MP4 without ffmpeg.
     """
     ending = style.file_format(path, FORMATS, "film")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
         raise UsageError(
-            f"{path}: an MP4 is written by ffmpeg, which is not installed",
-            "install it, or end the name in .gif or .webp",
+            f"{path}: an MP4 needs ffmpeg, which is not installed",
+            "install ffmpeg, or end the name in .gif or .webp",
         )
     return ending
 
@@ -69,7 +69,7 @@ def write_video(
     """Write a film of a trial and return how many times faster than the trial it plays.
 
     A trial of more than a minute plays faster, by 2, 5, 10 and so on. `progress` is called with the
-    number of pictures drawn and of all. Raises LogError if the file cannot be written.
+    numbers of pictures drawn and of all pictures. Raises LogError if the file cannot be written.
     """
     ending = check_file(path)
     rate = FORMATS[ending]
@@ -131,16 +131,16 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
                 process.stdin.write(last.tobytes())
             process.stdin.close()
         except BrokenPipeError:
-            pass  # ffmpeg ended, and says why
+            pass  # ffmpeg ended; stderr has the reason
         said = process.stderr.read().decode(errors="replace").strip()
         if process.wait() != 0:
             raise OSError(said.splitlines()[-1] if said else "ffmpeg failed")
 
 
 class FilmFrames:
-    """Draws instants of a trial as pictures (height, width, 3), both even numbers.
+    """Draws pictures (height, width, 3) of a trial, with even height and width.
 
-    LogError for a log without control steps.
+    Raises LogError for a log without control steps.
     """
 
     def __init__(self, log: TrialLog, width: int) -> None:
@@ -194,7 +194,7 @@ class FilmFrames:
     ) -> list[Line2D | Text]:
         """Prepare the curve of the total error and below it the numbers and the direction u.
 
-        `side` is their left end, width and upper end in the figure.
+        `side` is their left end, width and upper end, as fractions of the figure.
         """
         setup, recording = self._setup, self.recording
         left, width, top = side
@@ -222,7 +222,7 @@ class FilmFrames:
         return [self._curve, self._arrow, *self._texts]
 
     def at(self, elapsed_s: float) -> Picture:
-        """Return the picture of a time from the first direction sent [s]."""
+        """Return the picture at a time since the first direction sent [s]."""
         when = self.recording.began_ns + round(elapsed_s * SECOND)
         self._show(self.recording.at(when))
         if self._ground.show(when):
@@ -269,6 +269,6 @@ ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
 
 
 def _wedge(x: float, y: float, heading: float, half: float) -> Floats:
-    """Return the corners (4, 2) of a robot's sign, the nose first."""
+    """Return the corners (4, 2) of a robot's wedge, the front corner first."""
     corners = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j]) * half * np.exp(1j * heading)
     return np.column_stack([x + corners.real, y + corners.imag])

@@ -1,4 +1,4 @@
-"""The style of every figure: colours, type sizes, sizes on paper; and saving a figure."""
+"""The style of every figure (colours, sizes of type and paper), and saving a figure."""
 
 import io
 import textwrap
@@ -20,12 +20,12 @@ OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
 ALARM = "#B00020"
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
-CHARACTERS_PER_IN = 17  # of a headline, at least
+CHARACTERS_PER_IN = 17  # assumed for the width of a headline
 FORMATS = ("png", "svg", "pdf")
 
 RC: dict[str, Any] = {
     "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],  # comes with matplotlib: the same picture everywhere
+    "font.sans-serif": ["DejaVu Sans"],  # part of matplotlib, so the same everywhere
     "font.size": 7.5,
     "axes.labelsize": 7.5,
     "axes.titlesize": 8,
@@ -49,7 +49,7 @@ RC: dict[str, Any] = {
     "lines.linewidth": 1.2,
     "lines.solid_capstyle": "round",
     "savefig.dpi": 300,
-    "pdf.fonttype": 42,  # text stays text
+    "pdf.fonttype": 42,  # embeds fonts, so that text stays text
     "svg.fonttype": "none",
     "svg.hashsalt": "tetractl",  # the same file from the same log
 }
@@ -62,20 +62,20 @@ _METADATA: dict[str, dict[str, Any]] = {
 
 @contextmanager
 def styled() -> Iterator[None]:
-    """Apply this style to what is drawn inside the block, and restore matplotlib's settings."""
+    """Apply this style to figures drawn inside the block, then restore matplotlib's settings."""
     with style.context(RC, after_reset=True):
         yield
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure that needs no display."""
+    """Return an empty figure; it works without a display."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
 def headline(drawing: Figure, text: str, alarm: str = "") -> None:
-    """Write a line above everything else in a figure, and below it an alarm, if there is one.
+    """Write a line at the top of a figure, and below it `alarm`.
 
-    The figure grows by as much, and what is in it keeps its size.
+    The figure becomes higher by these lines; its axes keep their size.
     """
     wrapped = textwrap.wrap(alarm, int(CHARACTERS_PER_IN * drawing.get_figwidth()))
     old_in, line_in = drawing.get_figheight(), 0.135
@@ -108,7 +108,7 @@ def _lower_legends(drawing: Figure, share: float) -> float:
 
 
 def lay_out(drawing: Figure) -> None:
-    """Give axes and legends the places they will have, without drawing what is in them."""
+    """Compute the positions of axes and legends without drawing."""
     if (engine := drawing.get_layout_engine()) is not None:
         engine.execute(drawing)
 
@@ -119,9 +119,9 @@ def panel(axes: Axes, letter: str, title: str) -> None:
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:
-    """Return the format of a file by its name, among those of pictures or those given.
+    """Return the format of a file, the ending of its name, which must be among `formats`.
 
-    Raises UsageError for a name without one, and if the file's folder does not exist.
+    Raises UsageError for another ending, and if the file's folder does not exist.
     """
     wanted = path.suffix.lower().removeprefix(".")
     if wanted not in formats:

@@ -81,7 +81,7 @@ def test_a_log_without_steps_is_no_film(tmp_path, log):
 
 def test_an_mp4_needs_ffmpeg(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda program: None)
-    with pytest.raises(UsageError, match="written by ffmpeg, which is not installed"):
+    with pytest.raises(UsageError, match="needs ffmpeg, which is not installed"):
         check_file(tmp_path / "film.mp4")
 
 

@@ -1,7 +1,7 @@
 """The records of a log by name: channels and their schemas, metadata, attachments.
 
-A host record describes the machine and the time and differs between two runs of the same trial; all
-other records of a simulated trial's log repeat byte for byte.
+Host records describe the machine and the time, so they differ between two runs of the same trial;
+all other records of a simulated trial's log repeat byte for byte.
 """
 
 from typing import NamedTuple
@@ -28,7 +28,7 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Largest number of characters read of an operator message, with control characters as escapes."""
+"""Largest length read of an operator message, with control characters as escapes."""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
@@ -44,7 +44,7 @@ PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
 """The channels of a camera that follows cells."""
 
-MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # of format 1 alone
+MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # in format 1 only
 
 CHANNELS: dict[str, type[Message]] = {
     FRAMES: CameraFrames,

@@ -13,12 +13,12 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-STOPPED = 60  # largest length of a stop reason that is read
+STOPPED = 60  # largest number of characters read of the reason why a search stopped
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """M camera frames of N robots in columns.
+    """M camera frames of N robots, stored as arrays.
 
     `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
     (M, N); `truth` is None if no true poses are known.
@@ -33,7 +33,7 @@ class Frames:
 
     @classmethod
     def of(cls, samples: Sequence[Sample], robots: int) -> "Frames":
-        """Return samples as columns; `truth` is None unless every sample has true poses."""
+        """Return samples as arrays; `truth` is None unless every sample has true poses."""
         seen = [sample.observation for sample in samples]
         times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
         truth = [sample.truth for sample in samples if sample.truth is not None]
@@ -49,9 +49,7 @@ class Frames:
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Return parts joined in order; true poses are NaN in a part without them if another part
-        has them.
-        """
+        """Join parts in order; if only some parts have true poses, those of the others are NaN."""
         known = [one.truth for one in parts if one.truth is not None]
         if 0 < len(known) < len(parts):
             lost = [np.full_like(one.poses, np.nan) for one in parts]
@@ -79,7 +77,7 @@ class Frames:
 
 
 def _columns(poses: Sequence[Poses], robots: int) -> Floats:
-    """Return the poses of N robots at M times as an array (M, N, 3)."""
+    """Stack the poses of N robots at M times in an array (M, N, 3)."""
     rows = [(one.x, one.y, one.heading) for one in poses]
     return np.array(rows, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)
 
@@ -111,7 +109,7 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     times = {len(m.sampled_ns), len(m.received_ns)}
     known = {len(column) for column in true}
     if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
-        raise ValueError(f"camera frames whose columns do not have {count} times {robots} entries")
+        raise ValueError(f"camera frames whose arrays do not have {count} times {robots} entries")
     poses, truth = (
         np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
     )
@@ -126,13 +124,13 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
 
 
 def _named(record: object, *names: str) -> dict[str, Any]:
-    """Return the named fields of a record as a message takes them; None for one that is unset."""
+    """Return the named fields of a record as arguments of a message; None leaves a field unset."""
     found = ((name, getattr(record, name)) for name in names)
     return {k: value.tolist() if isinstance(value, np.ndarray) else value for k, value in found}
 
 
 def encode_observation(observation: Observation) -> pb.MocapSample:
-    """Encode the frame that a decision was taken on."""
+    """Encode the camera frame on which a control step is decided."""
     return pb.MocapSample(
         **_named(observation, "frame", "sampled_ns", "received_ns", "valid"),
         **_named(observation.poses, "x", "y", "heading"),

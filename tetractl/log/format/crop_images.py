@@ -1,8 +1,8 @@
-"""A microscope's film in a log: cells found, crops, and whole pictures.
+"""Encodes a microscope's film for a log: cells found, crops, and whole pictures.
 
 `/camera/cells` describes each crop and has the checksums of all messages of its picture. Crops are
-not compressed, as the chunks are; they can be searched again without decoding. Whole pictures are
-JPEG, for display.
+stored as raw pixels, since the log's chunks are compressed anyway, and can be searched again as
+they are. Whole pictures are JPEG, for display.
 """
 
 import zlib
@@ -25,9 +25,9 @@ LENS = "microscope"
 
 
 def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, Message]:
-    """Return the messages of a picture by topic.
+    """Return the messages of one picture of the film, by topic.
 
-    `seen` is the picture's frame in the log; the trial starts at `start_ns` [Unix ns].
+    `seen` is the camera frame of the picture; the trial starts at `start_ns` [Unix ns].
     """
     time, side = stamp(start_ns + seen.sampled_ns), film.crops.shape[2]
     crops = RawImage(
@@ -54,7 +54,7 @@ def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, M
 
 
 def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> list[int]:
-    """Return the CRC-32 of the cells found, with the poses of their frame, and of each image."""
+    """Return the CRC-32 of the cells found with their frame's poses, then that of each image."""
     bare = CellCrops.FromString(cells.SerializeToString())
     bare.ClearField("crc")
     poses = np.column_stack([seen.poses.array(), seen.valid]).tobytes()

@@ -1,4 +1,4 @@
-"""The content digest: a hash of all records that repeat when a trial is run again."""
+"""The content digest: a hash of all records that are the same when a trial is run again."""
 
 import hashlib
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ HOST_DIGEST = "host_digest"
 
 class ContentDigest:
     """SHA-256 over the records of a log, in file order, without host records; with `host`, only
-    over the host records, without the report of a recovery.
+    over the host records, except the report of a recovery.
 
     A record is preceded by its number of fields and a field by its length in bytes, so that no two
     different logs give the same bytes to hash. The fields of a message are topic, both times and
@@ -34,7 +34,7 @@ class ContentDigest:
         head = self._heads.get(topic)
         if head is None:
             head = self._heads[topic] = self._head(topic)
-        if head:  # one call of the hash per message, as there are thousands
+        if head:  # one call of the hash per message, since a log has thousands
             times = b"%d %d" % (log_ns, publish_ns)
             self._hash.update(b"%b%d:%b%d:%b" % (head, len(times), times, len(data), data))
 

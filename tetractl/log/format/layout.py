@@ -1,8 +1,8 @@
 """The layout in which Lichtblick and Foxglove show a trial, as JSON for their import from a file.
 
 The format is that of Lichtblick's `LayoutData`: `configById` holds a panel's settings by its type
-and an id, `layout` the arrangement, `userNodes` scripts whose outputs are topics like others. What
-is the same for every experiment is in `layout.json` and `layout_error.ts`.
+and an id, `layout` the arrangement, `userNodes` scripts that publish topics. The parts that are the
+same for every experiment are in `layout.json` and `layout_error.ts`.
 """
 
 import json
@@ -76,8 +76,8 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
     """Return the 3D panel: an orthographic view from above, with the arena as large as possible.
 
     An orthographic camera is always `far` / 2 above the plane, and its `distance` is the visible
-    height [m], so that a field of 5 mm fills the panel too. `near` and `far` are scaled alike,
-    since a depth buffer has 24 bits.
+    height [m], so that a field of 5 mm fills the panel too. `near` and `far` are scaled by the same
+    factor, since a depth buffer has 24 bits.
     """
     arena, metres = setup.arena, setup.metres
     height = MARGIN * max(arena.height, arena.width / ASPECT) * metres

@@ -1,8 +1,8 @@
 """The metadata records of a log: the run at its start, the result at its end; values are strings.
 
-MCAP has checksums for messages and attachments but not for metadata, so each record of tetractl's
-has an item `checksum`. Lists are JSON; in them a number that is not finite is a string ("inf",
-"nan"), since JSON has no such number.
+MCAP has checksums for messages and attachments but not for metadata, so each metadata record of
+tetractl has an item `checksum`. Lists are JSON; in them a number that is not finite is a string
+("inf", "nan"), since JSON has no such number.
 """
 
 import json
@@ -23,7 +23,7 @@ from tetractl.log.read.trial_log import Damage
 FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
-_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # outcome's name in format 1
+_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # name of the outcome in format 1
 
 
 def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
@@ -45,7 +45,7 @@ def run_metadata(start: Start) -> dict[str, str]:
     """Return the metadata record at the start of a log, which identifies the trial."""
     setup, plant = start.setup, start.plant
     run_id = f"{start.spec_hash[:12]}-{start.seed}-{start.trial}"
-    if not plant.simulated:  # repeating a trial in the lab gives another run
+    if not plant.simulated:  # the start time distinguishes trials in a lab
         run_id += f"-{start.start_unix_ns}"
     return {
         FORMAT: str(FORMAT_VERSION),
@@ -80,7 +80,7 @@ class RunRecord:
 
 
 def read_run(items: Mapping[str, str]) -> RunRecord:
-    """Decode what `run_metadata` encodes.
+    """Decode the metadata record that `run_metadata` returns.
 
     Raises KeyError, TypeError or ValueError for items that `run_metadata` does not write.
     """
@@ -155,10 +155,10 @@ def damage_metadata(damage: Damage, source: str, size: int, sha256: str) -> dict
 
 
 def read_damage(items: Mapping[str, str]) -> Damage | None:
-    """Decode what `damage_metadata` encodes; None if nothing was lost."""
+    """Decode the metadata record that `damage_metadata` returns; None if nothing was lost."""
     problems, lost = (json.loads(items[key]) for key in ("problems", "lost"))
     if not isinstance(problems, list) or not isinstance(lost, list):
-        raise TypeError("no lists")
+        raise TypeError("problems and losses must be lists")
     if not lost:
         return None
     whence = f"recovered from {items['source']}, which was damaged"
@@ -166,10 +166,10 @@ def read_damage(items: Mapping[str, str]) -> Damage | None:
 
 
 def read_result(items: Mapping[str, str], timing: Mapping[str, str] | None, robots: int) -> Result:
-    """Decode what `result_metadata` and `timing_metadata` encode, for `robots` robots.
+    """Decode the metadata records of `result_metadata` and `timing_metadata` for `robots` robots.
 
     Without `timing` the result has no solve times. Raises KeyError, TypeError or ValueError for
-    items that these do not write, and for another number of robots.
+    items that these functions do not write, and for another number of robots.
     """
     final = [_floats(items[key]) for key in ("final_x", "final_y", "final_heading")]
     entered = tuple(bool(entered) for entered in json.loads(items["entered"]))

@@ -1,6 +1,6 @@
-"""The messages that viewers draw, in Foxglove's formats and in metres.
+"""Encodes the messages that viewers draw, in Foxglove's formats and in metres.
 
-Positions are converted from the spec's unit to metres only here. Non-finite values are not drawn,
+Only this module converts positions from the spec's unit to metres. Non-finite values are not drawn,
 since viewers drop a whole message for one NaN.
 """
 
@@ -34,7 +34,7 @@ GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
-_UPRIGHT = Quaternion(w=1.0)  # must be given: the default is a zero quaternion
+_UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
 
 
 def frame_of(name: str) -> str:
@@ -54,7 +54,7 @@ def encode_note(note: Note, start_ns: int) -> Log:
 
 
 def decode_note(message: Log, start_ns: int) -> Note:
-    """Decode what `encode_note` encodes; a level that tetractl does not write becomes "info"."""
+    """Decode a message of /log as a note; a level that tetractl does not write becomes "info"."""
     unix_ns = message.timestamp.seconds * SECOND + message.timestamp.nanos
     level = next((name for name, value in _LEVELS.items() if value == message.level), "info")
     return Note(unix_ns - start_ns, level, message.message)
@@ -72,9 +72,9 @@ class Scene:
         self._body = body * self._metres
 
     def transforms(self, frames: Frames, start_ns: int) -> FrameTransforms:
-        """Return the poses in camera frames as transforms; the trial starts at a time [Unix ns].
+        """Return the poses in camera frames as transforms; the trial began at `start_ns` [Unix ns].
 
-        They are ordered by robot; frames in which a robot is not tracked are left out.
+        Transforms are ordered by robot; frames in which a robot is not tracked are left out.
         """
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         made = FrameTransforms()
@@ -94,8 +94,8 @@ class Scene:
         return made
 
     def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return one line per robot along its predicted path (length + 1, N, 3), until the next
-        message.
+        """Return a line along each robot's predicted path (length + 1, N, 3), shown until the next
+        plan.
         """
         return SceneUpdate(
             entities=[
@@ -126,7 +126,7 @@ class Scene:
         return SceneUpdate(entities=entities)
 
     def _obstacle(self, entity_id: str, unix_ns: int, obstacle: Shape) -> SceneEntity:
-        """Return an upright block over the outline, as high as a robot."""
+        """Return an upright prism over an obstacle's outline, as high as a robot."""
         corners, triangles = prism(obstacle.outline() * self._metres, self._body)
         block = TriangleListPrimitive(
             pose=Pose(orientation=_UPRIGHT),
@@ -139,8 +139,8 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Return rings: of the robot's size around its target, of half that around way-points, and
-        the hold's.
+        """Return rings around the target (a robot's size), way-points (half that size) and the
+        hold.
         """
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
         ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres
@@ -153,7 +153,7 @@ class Scene:
         return self._entity(f"target/{name}", unix_ns, lines=lines)
 
     def _robot(self, name: str, color: Color, unix_ns: int) -> SceneEntity:
-        """Return a wedge that points along the heading, with the robot's name above it."""
+        """Return a robot's body, a wedge that points along its heading, with the name above."""
         half = self._body / 2
         nose = [Point3(x=half), Point3(x=-half, y=half), Point3(x=-half, y=-half)]
         wedge = TriangleListPrimitive(pose=Pose(orientation=_UPRIGHT), points=nose, color=color)
@@ -227,7 +227,7 @@ def triangulate(outline: Floats) -> NDArray[np.int64]:
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        # only rounding at nearly collinear corners leaves no ear: any corner may be cut
+        # no ear is left by rounding at nearly collinear corners: any corner may be cut
         i = next(ears, 0)
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]

@@ -1,8 +1,8 @@
-"""The digest of a trial: a hash of its records, independent of how a log stores them.
+"""The trial digest: a hash of a trial's records, independent of how a log stores them.
 
-The content digest is over the bytes of a log, including messages for viewers. This digest is only
-over the records: a running trial (`Recorder`) and its log give the same digest, so that a study's
-row can state it even without a log.
+The content digest covers the bytes of a log, including messages for viewers. The trial digest
+covers only the records: a running trial (`Recorder`) and its log have the same trial digest, so
+that a study's row can state it even without a log.
 """
 
 import hashlib
@@ -24,9 +24,9 @@ def trial_digest(trial: TrialRecords) -> str:
     """Return SHA-256 over the records of a trial except the solve times.
 
     Frames, commands, control steps with their estimates, and operator messages each have a hash of
-    their own over their encoded messages in order; the digest is over those and over start and
-    result. Operator messages are hashed as they are read from a log: with unprintable characters
-    escaped, and cut. The digest of a damaged log differs from the trial's.
+    their encoded messages in order; the digest covers these hashes, the start and the result.
+    Operator messages are hashed as read from a log: shortened, with unprintable characters escaped.
+    The digest of a damaged log differs from the trial's.
     """
     start, result = trial.start, trial.result
     ended = {}

@@ -1,4 +1,4 @@
-"""Finds the logs, and the rows of studies, that names of files, folders and patterns mean."""
+"""Finds the logs and the rows of studies in given files, folders and patterns."""
 
 import glob
 import re
@@ -26,9 +26,7 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file's name is that of a log set aside, including earlier forms of
-    the name.
-    """
+    """Return whether a file name, also of an earlier form, is of a log that `--resume` set aside."""
     return _SET_ASIDE.search(name) is not None
 
 
@@ -40,9 +38,9 @@ def find_logs(
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
     in it and in its sub-folders, sorted by name with numbers in their order. A .part file counts as
     a log, since a crashed trial belongs to its batch, unless the finished log exists too. A
-    recovered log is left out if its source is among the paths. Logs that `--resume` set aside are
-    found in folders and by patterns only if `attempts` are asked for. Raises UsageError for a path
-    that does not exist, and for a folder or a pattern without logs that is not in `bare`.
+    recovered log is left out if its source is among the paths. With `attempts`, folders and
+    patterns also give the logs that `--resume` set aside. Raises UsageError for a path that does
+    not exist, and for a folder or a pattern without logs that is not in `bare`.
     """
     found: dict[Path, Path] = {}
     for path in without_others(paths):
@@ -52,10 +50,10 @@ def find_logs(
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the paths without files whose ending shows that they are not logs.
+    """Return the paths except files that are not logs by their ending.
 
-    A shell's pattern such as `logs/slip/*` catches the tables and figures of a study next to the
-    folders of its arms. Raises UsageError if nothing else is named.
+    A shell expands `logs/slip/*` to the tables and figures of a study and to the folders of its
+    arms. Raises UsageError if no path is left.
     """
     places = [Path(path) for path in paths]
     kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]
@@ -78,7 +76,7 @@ def find_rows(path: Path) -> list[Path]:
 
 
 def find_log(path: Path | str) -> Path:
-    """Return the only log of a path, as found by `find_logs`; UsageError if there are several."""
+    """Return the only log that `find_logs` finds in a path; UsageError if there are several."""
     logs = find_logs([path])
     if len(logs) > 1:
         raise UsageError(f"{path}: {len(logs)} logs", f"name one of them, such as {logs[0]}")

@@ -1,10 +1,10 @@
-"""All limits on memory and computing time for reading a log.
+"""The limits on memory and computing time for reading a log.
 
 A few bytes of a file can expand enormously: compressed zeros, empty messages, a spec with a million
 particles. Each log therefore has a `Budget`, which is charged in bytes of memory before anything is
-unpacked or decoded. With these bounds no command takes more than 30 s and 1 GB on one log, and a
-log may hold about an hour of a trial at 120 Hz. For a longer one the variable FACTOR raises all
-bounds.
+unpacked or decoded. With these limits no command takes more than 30 s and 1 GB on one log, and a
+log may hold about an hour of a trial at 120 Hz. The environment variable FACTOR raises the limits
+for a longer one.
 """
 
 import math
@@ -37,7 +37,7 @@ OVERLAP = 8
 RECORD_COST = 1000
 """Bytes charged for a record outside a chunk, and for a schema or channel."""
 MESSAGE_COST = 400
-"""Bytes charged for each message before it is decoded, as even an empty one takes time."""
+"""Bytes charged for each message before it is decoded, since even an empty message takes time."""
 STEP_COST = 4000
 SEARCH_COST = 1200
 """Bytes charged for a control step and for each of its searches, in addition to their numbers."""
@@ -46,7 +46,7 @@ NUMBER_COST = 16
 
 
 def factor() -> float:
-    """Return the factor that the user set, at least 1."""
+    """Return the value of the environment variable FACTOR, at least 1."""
     with suppress(ValueError):
         given = float(os.environ.get(FACTOR, "1"))
         if math.isfinite(given):
@@ -55,33 +55,31 @@ def factor() -> float:
 
 
 def file_limit() -> int:
-    """Return the largest number of bytes that are read from a file."""
+    """Return the largest number of bytes to read of a file."""
     return int((1 << 28) * factor())
 
 
 def seconds_limit() -> float:
-    """Return the largest processor time for deciding the steps of a log again [s]."""
+    """Return the largest processor time for computing the decisions of a log again [s]."""
     return 15.0 * factor()
 
 
 def swarm_limit() -> float:
     """Return the largest size of one round of an optimiser, which cannot be interrupted.
 
-    The unit is moving one robot by one signal past one obstacle, a few nanoseconds. The round keeps
-    the same number of coordinates in memory.
+    The size counts robot motions under one signal, each times (1 + obstacles): a few nanoseconds,
+    and one coordinate in memory.
     """
     return 2e8 * factor()
 
 
 def simulation_limit() -> float:
-    """Return the largest number of positions times obstacles for simulating a trial again."""
+    """Return the largest product of positions and obstacles for simulating a trial again."""
     return 5e7 * factor()
 
 
 def path_limit() -> float:
-    """Return the largest number of positions times obstacles that may be checked, about 20
-    ns each.
-    """
+    """Return the largest product of positions and obstacles for checking a path, about 20 ns each."""
     return 5e8 * factor()
 
 
@@ -94,7 +92,7 @@ class TooMuchError(ValueError):
 
 @dataclass(slots=True)
 class Budget:
-    """The memory that a log may still take [bytes]."""
+    """The memory that reading a log may still use [bytes]."""
 
     left: float = 0.0
 
@@ -102,7 +100,7 @@ class Budget:
         self.left = 8e8 * factor()
 
     def spend(self, amount: float, what: str) -> None:
-        """Charge memory for `what`; TooMuchError if that exceeds what is left."""
+        """Subtract memory [bytes] used for `what`; TooMuchError if less is left."""
         self.left -= amount
         if self.left < 0:
             raise TooMuchError(f"it holds {what}")

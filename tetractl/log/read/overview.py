@@ -30,11 +30,11 @@ class ChannelCount:
 class Overview:
     """The contents of a log.
 
-    `digest` is the content digest computed from the file, `stated_digest` the one in the result
-    record, and `trial_digest` the trial's, as in a study's row, None for a damaged log. `run`,
-    `host` and `provenance` are the metadata of the run, `attachments` the sizes of attachments
-    [bytes]. `estimate` is the controller's last estimate of the robots, at control step
-    `estimate_step`; None if it estimated nothing.
+    `digest` is the content digest computed from the file, `stated_digest` that in the result
+    record, and `trial_digest` the hash of the trial's records, as in a study's row; None for a
+    damaged log. `run`, `host` and `provenance` are the metadata of the run, `attachments` the sizes
+    of attachments [bytes]. `estimate` is the controller's last estimate of the robots, at control
+    step `estimate_step`; None without an estimate.
     """
 
     path: str

@@ -26,9 +26,9 @@ from tetractl.log.read.limits import FACTOR, Budget, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
-# absent on some systems
+# flags that some systems lack
 _NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
-_END = 4096  # number of zeros kept at the end, as a record may end with some
+_END = 4096  # number of zeros kept at the end of a file, since the last record may end with zeros
 
 
 @dataclass
@@ -59,7 +59,7 @@ class RawLog:
 
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
-        """The attachments by name; of two with one name, the first counts."""
+        """The attachments by name; of two with the same name, the first."""
         found: dict[str, Attachment] = {}
         for record in self.records:
             if isinstance(record, Attachment):
@@ -68,8 +68,8 @@ class RawLog:
 
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
-        """The items of each metadata record by its name, as written; of two records with one name,
-        the first counts.
+        """The items of each metadata record by its name, as written; of two with the same name, the
+        first.
         """
         found: dict[str, dict[str, str]] = {}
         for record in self.records:
@@ -94,7 +94,7 @@ class RawLog:
                 f"{self.path}: the record of the run cannot be read: {_reason(error)}"
             ) from None
         raise LogError(
-            f"{self.path}: of log format {version}; this tetractl reads up to {FORMAT_VERSION}",
+            f"{self.path}: has log format {version}; this tetractl reads up to {FORMAT_VERSION}",
             "update tetractl",
         )
 
@@ -105,7 +105,7 @@ class RawLog:
 
     @property
     def result_problem(self) -> str:
-        """Why there is no result, "" if there is one."""
+        """The reason why the result cannot be read, "" if it can."""
         return self._result[1]
 
     @cached_property
@@ -118,7 +118,7 @@ class RawLog:
             timing, run = self.metadata.get(channels.TIMING), self.run
             return stated_result(items, timing, len(run.robots), run.items["unit"]), ""
         except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
-            return None, f"the result is not as tetractl writes it: {_reason(error)}"
+            return None, f"the result has values that tetractl does not write: {_reason(error)}"
 
     @property
     def warnings(self) -> int:
@@ -158,7 +158,7 @@ class RawLog:
         return {key: value for key, value in items.items() if provenance.is_version(key)}
 
     def text(self, name: str) -> str | None:
-        """Return an attachment as text, None if it is lost."""
+        """Return the attachment `name` as text, None if it is lost."""
         found = self.attachments.get(name)
         return None if found is None else found.data.decode(errors="replace")
 
@@ -169,9 +169,9 @@ class RawLog:
 
     @property
     def host_altered(self) -> bool:
-        """Whether the host records differ from their digest, which the last of them states.
+        """Whether the host records differ from their digest, which the last host record states.
 
-        Logs of earlier versions have no such digest.
+        False for logs of earlier versions, which lack this digest.
         """
         stated = self.metadata.get(channels.TIMING, {}).get(HOST_DIGEST)
         return stated is not None and stated != self._digest(ContentDigest(host=True))
@@ -197,13 +197,11 @@ def read_file(path: Path) -> tuple[bytes, int, str | None]:
     """Return a file's bytes, its size, and a problem if not all bytes were read.
 
     The file is not memory-mapped: if another program shortens it meanwhile, reading a missing page
-    kills the process.
-
-    Of zeros at the end, left by a power cut, only some are returned. Raises LogError if the path is
-    not a file, or the file is empty or cannot be read.
+    kills the process. Zeros at the end, left by a power cut, are returned only in part. Raises
+    LogError if the path is not a file, or the file is empty or cannot be read.
     """
     try:
-        # O_NONBLOCK, since opening a pipe without a writer would wait for ever
+        # O_NONBLOCK, since opening a pipe that no process writes to would wait for ever
         handle = os.open(path, os.O_RDONLY | _NO_WAIT | _BYTES)
         with os.fdopen(handle, "rb") as file:
             found, limit = os.fstat(handle), file_limit()

@@ -39,7 +39,7 @@ from tetractl.model.path_check import check_path
 
 
 def read_trial(path: Path) -> TrialLog:
-    """Read a whole trial, bit for bit as it was written.
+    """Read a whole trial; values have the same bits as when they were written.
 
     Of a damaged or unfinished log, including a .part file, the intact records are read, and
     `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
@@ -100,9 +100,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
 
 
 def _damage(contents: RawLog, until_s: float) -> Damage | None:
-    """Return the damage of a log whose last frame was received at `until_s` [s], None if
-    undamaged.
-    """
+    """Return the damage of a log, None if undamaged; its last frame was received at `until_s` [s]."""
     before = contents.recovered
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]
@@ -113,10 +111,10 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read only the result of a trial, by the file's index, in about a millisecond.
+    """Read only the result of a trial, found by the file's index, in about a millisecond.
 
-    If index or result is lost, the whole file is read, and the result is computed from the last
-    poses if necessary. Raises LogError as `read_trial` does, and for a log without poses.
+    If index or result is lost, the whole file is read and, if necessary, the result computed from
+    the last poses. Raises LogError as `read_trial` does, and for a log without poses.
     """
     contents = peek(Path(path))
     if contents and (result := contents.result):
@@ -186,8 +184,8 @@ def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
 def content_digest(path: Path) -> str:
     """Return the SHA-256 over all records of a log except its host records.
 
-    It is the same when a simulated trial is run again, and is stated in the result record of a
-    complete log.
+    A simulated trial that is run again has the same digest. A complete log states it in its result
+    record.
     """
     return scan(Path(path)).digest
 
@@ -233,9 +231,9 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 
 @lru_cache(maxsize=16)
 def _resolved(text: str) -> tuple[Experiment, str | None]:
-    """Return the experiment and its hash, None if the spec has names of an earlier tetractl.
+    """Return the experiment, and its hash or None if the spec has names of an earlier tetractl.
 
-    The hash of such a spec was computed over the old names and cannot be computed again.
+    The logged hash of such a spec covers the old names, so it cannot be compared.
     """
     spec = parse_spec(text, channels.RESOLVED_SPEC)
     return spec.experiment, None if spec.notices else spec_hash(spec.experiment)
@@ -275,7 +273,7 @@ def _spend_frames(contents: RawLog, robots: int, count: int) -> None:
 
 
 def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
-    """Decode the commands to N robots."""
+    """Decode the commands to `robots` robots."""
     for message in map(pb.WheelCommand.FromString, _messages(contents, channels.COMMANDS)):
         command = codec.decode_command(message)
         check_command(command, robots)
@@ -301,7 +299,7 @@ def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
 
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
-    """Decode the operator messages, as text that a terminal can show."""
+    """Decode the operator messages; unprintable characters in them are escaped."""
     for data in _messages(contents, channels.LOG):
         note = decode_note(Log.FromString(data), start_unix_ns)
         check_note(note)

@@ -21,13 +21,13 @@ from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
 from tetractl.log.write.sink import Sink, protobuf_schema
 
 PART_SUFFIX = ".recovering"
-"""Suffix of an unfinished copy, which does not count as a log: the next recovery replaces it.
+"""Suffix of an unfinished copy, which is not a log; the next recovery replaces the copy.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The records copied from the log `source` to the file `path`, None for an undamaged log."""
+    """The damage of a log, and the records copied to `path`, None for an undamaged log."""
 
     source: str
     path: str | None
@@ -44,7 +44,7 @@ class Recovery:
 
 
 def recovered_path(log: Path) -> Path:
-    """Return the default file of a recovered log, in the folder of its source."""
+    """Return the default path of the recovered log, next to the damaged log."""
     for suffix in (PART, SUFFIX):
         if log.name.endswith(suffix):
             return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)
@@ -79,12 +79,12 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
 
 
 def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
-    """Return the problems and losses; nothing is lost if the content digest matches."""
+    """Return the problems and the losses; a log whose content digest matches has no losses."""
     try:
         trial = trial_of(contents)
     except LogError as error:
         why = str(error).removeprefix(f"{contents.path}: ")
-        return [*contents.problems, why], [*contents.lost, "what tetractl reads a log by"]
+        return [*contents.problems, why], [*contents.lost, "records that reading a log requires"]
     problems, lost = map(
         list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     )
@@ -94,14 +94,14 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
     lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
     if trial.stop is None:
         lost.append("the stop at the end")
-    return problems, lost or ["something that the log's digest or its host records cover"]
+    return problems, lost or ["a record covered by the log's digest or its host digest"]
 
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
     try:
         _fill(contents, damage, sink)
-    except BaseException:  # such as a full disk: the source still has everything
+    except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()
         raise
     sink.close(complete=True)
@@ -129,9 +129,7 @@ def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
 
 
 def _sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, as far as they are read: all, unless the file is too
-    large.
-    """
+    """Return the SHA-256 of a file, at most of its first `file_limit` bytes."""
     found, left = hashlib.sha256(), file_limit()
     with path.open("rb") as file:
         while left > 0 and (piece := file.read(min(left, 1 << 20))):

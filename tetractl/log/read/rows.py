@@ -1,7 +1,7 @@
 """The rows of a study: one record per trial, with or without a log.
 
 The folder of an arm holds its spec and a file with one line of JSON per trial, in which `result`
-and `timing` are the records of these names in a log.
+and `timing` have the items of the log's metadata records of these names.
 """
 
 import json
@@ -21,18 +21,18 @@ from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
-"""The plant of every study, a simulation, with the facts that a result needs."""
-TEXT_MAX = 200  # most characters of a text in a row, other than a reason
+"""The plant of every study, a simulation; results need no other facts of it."""
+TEXT_MAX = 200  # largest number of characters of a text in a row, except a reason
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
     """One trial of an arm.
 
-    `arm_hash` names the experiment, `code` and `processor` the code and the type of processor that
-    ran it. `trial_digest` is that of `log.format.trial_digest`, `count` the number of trials stated
-    in its log, and `logged` whether the log was kept. `wall_s` and `cpu_s` are the trial's time on
-    the clock and of the processor. `place`, the file and line, is not part of the line.
+    `arm_hash` identifies the experiment, `code` and `processor` the code and the type of processor
+    that ran it. `trial_digest` is computed by `log.format.trial_digest`, `count` is the number of
+    trials stated in its log, and `logged` is whether the log was kept. `wall_s` and `cpu_s` are
+    wall and processor time [s]. `place`, the file and line of the row, is not written.
     """
 
     trial: int
@@ -50,7 +50,7 @@ class Row:
 
     @property
     def complete(self) -> bool:
-        """Whether the trial ran to its own end."""
+        """Whether the trial's outcome is complete: the controller ended it."""
         return self.result.outcome.complete
 
     def line(self, experiment: Experiment) -> str:
@@ -64,7 +64,7 @@ class Row:
 
     @classmethod
     def read(cls, stated: Any, experiment: Experiment, place: str) -> Self:
-        """Return the row of a decoded line, every value checked.
+        """Return the row of a line decoded from JSON, after a check of every value.
 
         Raises an error of `UNREADABLE` for a line that tetractl does not write.
         """
@@ -86,7 +86,7 @@ class Row:
         )
 
     def summary(self, experiment: Experiment) -> ResultSummary:
-        """Return the trial's result as its log would give it."""
+        """Return the trial's result, as `read_result` would read it from the log."""
         return ResultSummary(
             path=self.place,
             experiment=experiment,
@@ -107,7 +107,7 @@ UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeEr
 
 def _count(value: Any) -> int:
     if type(value) is not int or not 0 <= value <= COUNT_MAX:
-        raise ValueError("not a count")
+        raise ValueError("a number of trials or steps is not an integer of at least 0")
     return value
 
 
@@ -126,17 +126,17 @@ def _text(value: Any) -> str:
 
 
 def _texts(record: Any) -> dict[str, str]:
-    """Return the items of a record, all of them texts as in a log."""
+    """Return the items of a record; TypeError unless every value is text, as in a log."""
     if not all(isinstance(value, str) for value in record.values()):
         raise TypeError("an item is not text")
     return record
 
 
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
-    """Return the rows in a file by trial, None for a trial whose row tetractl did not write.
+    """Return the rows in a file by trial; None stands for a row that tetractl did not write.
 
-    Of two lines of a trial the later counts. Lines that do not name a trial are skipped, and so is
-    an incomplete last line, left by a killed process. Raises LogError if the file cannot be read.
+    Of two lines of a trial, the later is used. Lines that do not name a trial are skipped, as is an
+    incomplete last line, left by a killed process. Raises LogError if the file cannot be read.
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
@@ -167,10 +167,10 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
         spec = parse_spec(read_text(beside), str(beside))
     except SpecError as error:
         raise LogError(str(error)) from None
-    # with older names the hash differs
+    # a spec with older names has another hash
     known_by = None if spec.notices else arm_hash(spec.experiment)
     found = read_rows(path, spec.experiment)
     for row in found.values():
         if row is not None and row.arm_hash != (known_by or row.arm_hash):
-            raise LogError(f"{row.place}: belongs to another spec than the one in {beside}")
+            raise LogError(f"{row.place}: belongs to another spec than that in {beside}")
     return {trial: row and row.summary(spec.experiment) for trial, row in found.items()}

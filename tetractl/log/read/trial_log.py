@@ -15,7 +15,7 @@ from tetractl.experiment.experiment import Experiment
 ALTERED = "the content does not match the digest that the log states"
 
 
-_OLD_SERVER = "EMULATED"  # part of the camera server's name, for logs without the fact EMULATED
+_OLD_SERVER = "EMULATED"  # part of an emulated server's name, in logs without the fact EMULATED
 
 
 class Origin(StrEnum):
@@ -30,7 +30,7 @@ class Origin(StrEnum):
     def of(cls, experiment: Experiment, plant: PlantInfo) -> "Origin":
         """Return the origin of a trial, from its spec and its plant's facts.
 
-        A lab is emulated if a device stated that; addresses do not matter.
+        A lab is emulated if a device reported so, whatever its address is.
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
@@ -72,10 +72,10 @@ class Event:
 class TrialLog(TrialRecords):
     """A whole trial, read from its log.
 
-    `run` are the items of the run record as written and `digest` is the content digest that the
-    result record states. `content_digest` is computed from the file; `host_altered` is
-    True if the host records do not match the digest of them that the log states. `pictures`
-    are a microscope's, JPEG files by their time of exposure on the trial's clock [ns].
+    `run` has the items of the run record as written; `digest` is the content digest stated in the
+    result record, and `content_digest` that computed from the file. `host_altered` is True if the
+    host records do not match their stated digest. `pictures` are a microscope's JPEG files by their
+    time of exposure on the trial's clock [ns].
     """
 
     path: str
@@ -94,8 +94,8 @@ class TrialLog(TrialRecords):
     def began_ns(self) -> int:
         """The time of the first direction: 0 on every time axis shown to users.
 
-        In the lab the trial's clock starts earlier, while the robots are placed. A log that lost
-        its first steps gives the time by the control period; one without any direction, 0.
+        In the lab the trial's clock starts earlier, while the robots are placed. If the first steps
+        are lost, it is computed from the control period; without directions it is 0.
         """
         directed = (one.sent_ns for one in self.commands if not one.stops)
         sent = [*itertools.islice(directed, 1)]  # commands are in the order of sending
@@ -111,7 +111,7 @@ class TrialLog(TrialRecords):
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """The notes with the times shown to users, in order of time."""
+        """The operator messages, with the times shown to users, in order of time."""
         found = [Event(self.elapsed_s(one.t_ns), one.level, one.text) for one in self.notes]
         return tuple(sorted(found, key=lambda event: event.time_s))
 
@@ -158,7 +158,7 @@ class ResultSummary:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Numbers `first` to `last` are missing, between two times since the first direction [s]."""
+    """Missing numbers `first` to `last`, between two times since the first direction [s]."""
 
     what: str
     first: int

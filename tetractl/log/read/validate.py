@@ -1,7 +1,7 @@
-"""Validates decoded values: each is checked here, once, before it is used.
+"""Validates decoded values before they are used.
 
-A checksum shows that a log is as it was written, not that tetractl wrote it. A value that passed
-these checks can be computed with, drawn and printed. Each function raises ValueError with the first
+A checksum shows that a log was not changed, not that tetractl wrote it. Values that pass these
+checks can be computed with, drawn and printed. Each function raises ValueError that names the first
 value that no trial can have.
 """
 
@@ -48,7 +48,7 @@ def check_run(run: RunRecord, robots: int) -> None:
 
 
 def check_frames(frames: Frames) -> None:
-    """Check camera frames; poses count where `valid`, and true poses where they are not NaN."""
+    """Check camera frames: poses that are `valid`, and true poses that are not NaN."""
     _poses("a pose", frames.poses[frames.valid])
     if np.isinf(frames.poses).any():
         raise ValueError("a pose is infinite")
@@ -129,7 +129,7 @@ def stated_result(
     result = read_result(items, timing, robots)
     check_result(result)
     if items["unit"] != unit:
-        raise ValueError(f"the result's unit is {items['unit']!r}, which is not the run's")
+        raise ValueError(f"the result's unit is {items['unit']!r}, not {unit!r}")
     return replace(result, reason=printable(result.reason, TEXT))
 
 
@@ -145,7 +145,7 @@ def check_result(result: Result) -> None:
     _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
     _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
     distances = (*verdict.clearance, *verdict.edge, *verdict.apart)
-    # inf: without obstacles or other robots
+    # distances are inf without obstacles or other robots
     near = [value for value in distances if value != math.inf]
     _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
     _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)

@@ -17,16 +17,15 @@ from tetractl.log.format.scene import Scene, encode_note
 POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 30
-"""Rate of simulated frames for which viewers get transforms [Hz]; they interpolate between
-these.
+"""Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms.
 """
 
 
 class Notes:
-    """Makes the operator messages of one trial, in the order of its records.
+    """Composes the operator messages of one trial, from its records in order.
 
-    `warnings` counts the warnings and errors, except the message on the end of the trial, which
-    repeats its outcome.
+    `warnings` counts warnings and errors, except the message on the end of the trial, which repeats
+    the outcome.
     """
 
     def __init__(self, start: Start) -> None:
@@ -81,7 +80,7 @@ class Notes:
 
 
 class Messages:
-    """Encodes the records of one trial, in their order; each method returns the messages.
+    """Encodes the records of one trial in their order; each method returns a record's messages.
 
     A message has two times [Unix ns]: log_time, when the host received or sent it, and
     publish_time, when its content was sampled.
@@ -120,8 +119,8 @@ class Messages:
     def frames(self, frames: Frames) -> list[Entry]:
         """Return the messages for camera frames: few for a simulation, two per frame for a lab.
 
-        A lab's frames cannot be repeated, so each is stored twice, with its times, so that a change
-        of one copy is noticed.
+        A lab's frames cannot be simulated again, so each is stored twice, with its times, to reveal
+        a change of one copy.
         """
         made = list[Entry]()
         for begin in range(0, len(frames.numbers), self._most):
@@ -129,7 +128,7 @@ class Messages:
         return made
 
     def film(self, sample: Sample) -> list[Entry]:
-        """Return the film's messages for a picture, if it has any."""
+        """Return a picture's film messages, none without a film."""
         if sample.film is None:
             return []
         seen = sample.observation
@@ -138,7 +137,7 @@ class Messages:
         return [self._entry(topic, message, *times) for topic, message in made.items()]
 
     def block(self, frames: Frames) -> list[Entry]:
-        """Return one message for at least one camera frame, and the transforms for viewers.
+        """Return the message of one or more camera frames, and their transforms for viewers.
 
         The transforms have the time of their first frame, so that a viewer that jumps to a time has
         the transforms before and after it.
@@ -154,7 +153,7 @@ class Messages:
         ]
 
     def command(self, command: Command) -> Entry:
-        """Return the messages for a command."""
+        """Return the message for a command."""
         return self._entry(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def note(self, note: Note) -> Entry:

@@ -14,7 +14,7 @@ from tetractl.log.write.messages import Notes
 
 
 class Recorder:
-    """Keeps the records of one trial as they would be read from its log."""
+    """Keeps the records of one trial; `trial` returns them as its log would."""
 
     result: Result | None = None
 

@@ -38,8 +38,8 @@ _sync_data = getattr(os, "fdatasync", os.fsync)  # Windows has no such module
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Decorate a method: it does nothing on a closed sink, and an OSError closes the sink with
-    LogError.
+    """Decorate a method to do nothing on a closed sink, and to close it with LogError after an
+    OSError.
     """
 
     @wraps(method)
@@ -57,12 +57,12 @@ def _while_open(method: Method[P]) -> Method[P]:
 class Sink:
     """Writes NAME.part and renames it to NAME when it is complete.
 
-    If the file system refuses a write, the call raises LogError and the file is closed: it stays
-    readable as NAME.part. Later calls do nothing, so that stopping a trial because of a full disk
-    raises no second error.
+    If a write fails, the call raises LogError and closes the file, which stays readable as
+    NAME.part. Later calls do nothing, so that stopping a trial because of a full disk raises no
+    second error.
 
-    With another `part` than ".part" the file is a copy, not a trial: an unfinished earlier copy is
-    replaced, unless a process is still writing it.
+    If `part` is not ".part", the file is a copy of a log: an unfinished earlier copy is replaced,
+    unless a process is still writing it.
     """
 
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
@@ -72,9 +72,9 @@ class Sink:
         self._file: BinaryIO | None = None
         # when the oldest message of the open chunk was added
         self._chunk_since: float | None = None
-        self._dirty_since: float | None = None  # time of the oldest write that is not yet synced
+        self._dirty_since: float | None = None  # time of the oldest write that is not synced
         copied = part != TRIAL_PART
-        for name in (path,) if copied else (path, self._part):  # never overwrite a trial
+        for name in (path,) if copied else (path, self._part):  # never overwrite a log
             if os.path.lexists(name):
                 raise LogError(f"{name}: this log exists already", "write to another folder")
         try:
@@ -118,17 +118,17 @@ class Sink:
 
     @_while_open
     def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the host record that states the digest of all host records with this one."""
+        """Add the last host record, with the digest of all host records including this one."""
         self._metadata(name, items, {HOST_DIGEST: self._host_digest})
 
     @_while_open
     def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the metadata record that states the content digest of the log with this record."""
+        """Add the last metadata record, with the content digest of all records."""
         self._metadata(name, items, {DIGEST: self._digest})
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add a metadata record of another log unchanged, with its checksum and digest."""
+        """Copy a metadata record of another log, including its checksum and digest."""
         self._metadata(name, items, None)
 
     def _metadata(
@@ -166,7 +166,7 @@ class Sink:
         self._check_exists()
 
     def flush_if_due(self) -> float | None:
-        """Flush and sync after CHUNK_S and SYNC_S; return the time until the next is due [s]."""
+        """Flush and sync every CHUNK_S and SYNC_S; return the time until the next is due [s]."""
         now, times = time.monotonic(), []
         if self._chunk_since is not None:
             times.append(self._chunk_since + CHUNK_S)
@@ -177,7 +177,7 @@ class Sink:
         if min(times) > now:
             return min(times) - now
         if self._chunk_since is not None and self._chunk_since + CHUNK_S > now:
-            # chunks of a simulation end by the trial's clock, so that every run has the same ones
+            # a simulation's chunks end by the trial's clock, so that they are the same in every run
             self._sync_written()
             return self._chunk_since + CHUNK_S - now
         self.sync()
@@ -214,7 +214,7 @@ class Sink:
         with suppress(FileNotFoundError, NotADirectoryError):
             if os.path.samestat(mine, self._part.stat()):
                 return
-        if mine.st_nlink == 0:  # the file has no name any more
+        if mine.st_nlink == 0:  # the file was removed
             self._part.parent.mkdir(parents=True, exist_ok=True)
             self._file.seek(0)
             with self._part.open("xb") as copy:
@@ -223,13 +223,13 @@ class Sink:
         raise OSError(errno.ENOENT, "the file or its folder was moved during the trial")
 
     def _fail(self, error: OSError) -> NoReturn:
-        with suppress(OSError):  # closing writes the buffer and fails in the same way
+        with suppress(OSError):  # closing writes the buffer, which fails again
             self._release()
         why = error.strerror or str(error)
         kept = os.path.lexists(self._part) and self._part.stat().st_size > 0
         raise LogError(
             f"{self._path}: cannot write the log: {why}",
-            f"what was written until then is in {self._part}" if kept else None,
+            f"the log so far is in {self._part}" if kept else None,
         ) from error
 
     def _release(self) -> None:
@@ -246,9 +246,9 @@ def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
 
 
 def _owned(path: Path) -> BinaryIO:
-    """Open and lock an empty file; OSError if another process has locked it.
+    """Create or empty a file, open and lock it; OSError if another process has locked it.
 
-    The lock ends with its process in every case.
+    The lock ends with the process, however that ends.
     """
     file = path.open("a+b")
     try:

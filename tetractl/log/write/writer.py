@@ -15,14 +15,14 @@ from tetractl.log.format.metadata import result_metadata, run_metadata, timing_m
 from tetractl.log.write.messages import Messages
 from tetractl.log.write.sink import Sink
 
-SIZE = 1000  # calls that may wait for the disk: over a minute of a trial in the lab
-PATIENCE_S = 30.0  # for a disk that stands still
+SIZE = 1000  # length of the queue for the disk: over a minute of a trial in the lab
+PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
 BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
 CHUNK_NS = 2 * SECOND
-"""A chunk of a simulation ends after this much trial time, so that one that runs faster than the
-wall clock gives the same chunks again. A slower one is flushed by the clock, `sink.CHUNK_S`."""
-LAB_CHUNK_NS = SECOND // 4  # time that a log of a lab may lose if the computer crashes
+"""Trial time of a chunk of a simulation [ns], so that a repeated simulation has the same chunks. If
+it is slower than real time, `sink.CHUNK_S` also ends chunks."""
+LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
 
 
 class Encoder:
@@ -34,7 +34,7 @@ class Encoder:
         self._unit = start.setup.unit
         self._messages = Messages(start)
         self._robots = len(start.setup.names)
-        self._waiting: list[Frames] = []  # in a simulation, for others of their chunk
+        self._waiting: list[Frames] = []  # frames of a simulation's open chunk
         self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
         self._flushed_ns = 0
 
@@ -54,7 +54,7 @@ class Encoder:
         self._sink.sync()
 
     def samples(self, samples: list[Sample]) -> None:
-        """Add camera frames; in a simulation those of a chunk together."""
+        """Add camera frames; those of a simulation are collected until their chunk ends."""
         if samples:
             frames = Frames.of(samples, self._robots)
             self._sink.messages(self._messages.tracking(frames))
@@ -66,7 +66,7 @@ class Encoder:
             self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:
-        """Write the camera frames that wait."""
+        """Add the collected camera frames to the sink."""
         if self._waiting:
             self._sink.messages(self._messages.frames(Frames.joined(self._waiting)))
             self._waiting = []
@@ -95,7 +95,7 @@ class Encoder:
         )
 
     def _end_chunk(self, trial_ns: int) -> None:
-        """End the chunk when its part of the trial is over."""
+        """End the chunk if its trial time is over at `trial_ns`."""
         if trial_ns - self._flushed_ns >= self._chunk_ns:
             self.flush_frames()
             self._sink.flush()
@@ -107,8 +107,8 @@ class LogWriter:
 
     One thread encodes and writes; the calls only queue. While the queue is full a call waits: up to
     PATIENCE_S in a simulation, which runs faster than any disk, and not at all in `real_time`. If
-    the queue stays full, or the file system refuses a write, the log is given up: the next call
-    raises LogError, once, and later calls do nothing. What is in the file stays readable.
+    the queue stays full or a write fails, the log is given up: the next call raises LogError, later
+    calls do nothing, and the records in the file stay readable.
     """
 
     def __init__(self, path: Path, real_time: bool = False) -> None:
@@ -130,14 +130,14 @@ class LogWriter:
             wait_s=0.0 if self._real_time else PATIENCE_S,
             patience_s=PATIENCE_S,
             too_slow=LogError(
-                f"{self._path}: the disk is too slow for the log",
-                f"what was written until then is in {self._path}.part",
+                f"{self._path}: the disk is too slow for this log",
+                f"the log so far is in {self._path}.part",
             ),
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
         )
         self._worker.put(self._encoder.start, start)
-        self._worker.drain()  # nothing moves before the log was written successfully
+        self._worker.drain()  # no robot moves before the start of the log is on the disk
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Queue camera frames."""
@@ -167,7 +167,7 @@ class LogWriter:
             self._worker.check()
 
     def close(self) -> None:
-        """Close the log; that of a trial without an end stays a .part."""
+        """Close the log; if the trial has not ended, the file keeps the suffix .part."""
         self._close(complete=False)
 
     def drain(self) -> None:
@@ -182,7 +182,7 @@ class LogWriter:
         self.close()
 
     def _close(self, complete: bool) -> None:
-        """Do the calls in the queue, finish the file and end the thread."""
+        """Process the calls in the queue, finish the file and end the thread."""
         if self._worker:
             self._worker.close(lambda: self._finish(complete and self.failure is None))
 

@@ -1,4 +1,4 @@
-"""The figure of `tetractl analyze`: the ends, their singular values, and two maps of the error."""
+"""The figure of `tetractl analyze`: end positions, singular values, and two curves of the error."""
 
 import math
 
@@ -15,13 +15,14 @@ from tetractl.core.poses import ellipse
 from tetractl.view import style
 from tetractl.view.figures.axes import robot_labels
 
-ROOM = 1.15  # of the panel of ends, beyond the largest ellipse
+ROOM = 1.15  # half width of panel (a), relative to the largest ellipse
 
 
 def analysis_figure(found: Analysis) -> Figure:
-    """Draw an analysis: (a) the 95 % ellipse of each end less its target, (b) singular values, (c)
-    the predicted mean total error against the smallest relative difference of a, and (d) against
-    the number of robots; one robot alone has (a) and (b). Raises UsageError if no plan reaches.
+    """Draw an analysis: (a) the 95 % ellipse of each robot's end position relative to its target,
+    (b) singular values, and the predicted mean total error (c) against the smallest relative
+    difference of a and (d) against the number of robots. For one robot only (a) and (b) are drawn.
+    Raises UsageError if no plan reaches the targets.
     """
     if found.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")
@@ -34,7 +35,7 @@ def analysis_figure(found: Analysis) -> Figure:
         if several:
             _map(panels[1, 0], found, found.steering.error)
             _crowd(panels[1, 1], found)
-    style.headline(figure, f"{found.setup.name}: predicted, linearised; nothing was run")
+    style.headline(figure, f"{found.setup.name}: predicted by a linear model; no trial was run")
     return figure
 
 
@@ -55,7 +56,7 @@ def _ends(axes: Axes, found: Analysis, here: Steering) -> None:
     axes.set_xlabel(f"x error from the planned end [{unit}]")
     axes.set_ylabel(f"y error from the planned end [{unit}]")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    style.panel(axes, "a", "where 95 % of the ends lie, with feedback")
+    style.panel(axes, "a", "95 % of the end positions, with feedback")
 
 
 def _singular(axes: Axes, found: Analysis, here: Steering) -> None:
@@ -65,7 +66,7 @@ def _singular(axes: Axes, found: Analysis, here: Steering) -> None:
         axes.set_yscale("log")
     axes.set_xticks(np.arange(1, len(values) + 1))
     axes.set_xlabel("singular value")
-    axes.set_ylabel(f"of the ends by the signals [{unit_of(found.setup.unit)}/rad]")
+    axes.set_ylabel(f"singular values [{unit_of(found.setup.unit)}/rad]")
     style.panel(axes, "b", "how far signals move the ends")
 
 
@@ -77,7 +78,7 @@ def _map(axes: Axes, found: Analysis, error: float) -> None:
     _error_axis(axes, found, [*errors, error])
     axes.set_xlabel("smallest relative difference of a [%]")
     axes.legend()
-    style.panel(axes, "c", "robots as alike as that")
+    style.panel(axes, "c", "error for more similar robots")
 
 
 def _crowd(axes: Axes, found: Analysis) -> None:
@@ -86,7 +87,7 @@ def _crowd(axes: Axes, found: Analysis) -> None:
     axes.set_xticks(counts)
     _error_axis(axes, found, errors)
     axes.set_xlabel("robots, the first of the spec")
-    style.panel(axes, "d", "as many robots as that")
+    style.panel(axes, "d", "error for fewer robots")
 
 
 def _error_axis(axes: Axes, found: Analysis, errors: "list[float] | tuple[float, ...]") -> None:

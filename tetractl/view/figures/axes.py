@@ -1,4 +1,4 @@
-"""Functions shared by figures: the trial of the logs given, and logarithmic axes."""
+"""Functions shared by figures: selecting trials, labels of robots, and logarithmic axes."""
 
 from collections.abc import Sequence
 
@@ -16,7 +16,7 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
-NUMBERED = 8  # number of robots from which numbers distinguish them
+NUMBERED = 8  # least number of robots that are numbered
 NAME_LENGTH = 16  # of a robot in a figure [characters]
 
 
@@ -31,7 +31,7 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
 
 
 def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the complete trials of each folder by its name, by its path if names clash.
+    """Return the complete trials of each folder, by the folder's name or, if not unique, its path.
 
     Raises UsageError for errors in several units, and LogError if no trial is complete.
     """
@@ -50,7 +50,7 @@ def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered if they are many."""
+    """Return the robots' names for a figure: shortened, and numbered from NUMBERED robots on."""
     short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
     if len(names) < NUMBERED:
         return short
@@ -58,7 +58,7 @@ def robot_labels(names: Sequence[str]) -> list[str]:
 
 
 def unfinished(log: TrialLog) -> str:
-    """Return how and why a trial did not run to its own end, "" if it did."""
+    """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
     if log.result is None:
         return "the log ends before its trial"
     if log.result.outcome.complete:
@@ -67,7 +67,7 @@ def unfinished(log: TrialLog) -> str:
 
 
 def broken_off(logs: Sequence[TrialLog]) -> str:
-    """Return a figure's note on trials that did not run to their own end, "" for none."""
+    """Return a figure's note on the number of incomplete trials, "" for none."""
     if len(logs) == 1:
         return unfinished(logs[0])
     cut = sum(1 for log in logs if unfinished(log))
@@ -113,13 +113,13 @@ def need_steps(log: TrialLog) -> None:
 
 
 def positive(values: Floats) -> Floats:
-    """Return values with NaN for those that a logarithmic axis cannot show."""
+    """Return values with NaN in place of values that are not positive and finite."""
     values = np.asarray(values, dtype=float)
     return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return the least and largest of positive values, the latter at least 10 % above."""
+    """Return limits for an axis that shows positive values, at least 10 % from each other."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0
@@ -128,9 +128,9 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Mark 1, 2 and 5 of each decade if there are few, less than half a decade evenly.
+    """Place ticks at 1, 2 and 5 of each decade of a few decades, evenly in less than half a decade.
 
-    All marks of an axis are written alike: as 100 from 0.01 to 10,000, else as powers of ten.
+    All ticks of an axis have the same format: decimal from 0.01 to 10,000, else powers of ten.
     """
     low, high = axes.get_ylim()
     if high / low < 5:

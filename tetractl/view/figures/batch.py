@@ -18,17 +18,17 @@ from tetractl.results.open_batch import counts
 from tetractl.view import style
 
 COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]
-_NAME = 18  # characters of a line of a group's name
-_ASIDE = 0.14  # how far dots stand left of the centre of their category
-_MANY = 100  # more trials than this get small dots
-_LABELS = 12  # most categories that get a label
+_NAME = 18  # most characters in a line of a group's name
+_ASIDE = 0.14  # distance of dots to the left from the centre of their category
+_MANY = 100  # largest number of trials drawn with large dots
+_LABELS = 12  # largest number of labelled categories
 
 
 def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
-    """Draw the total errors of the counted trials of each group, and those of each robot.
+    """Draw the total errors of the counted trials of each group, and each robot's errors.
 
-    The robots are those of the first group. `links` are the addresses of dots in an SVG by the path
-    of their trial. A headline names the plants.
+    The robots are those of the first group. `links` are addresses by the path of a trial, to which
+    dots in an SVG link. A headline names the plants.
     """
     drawn = [group for group in groups if group.counted]
     if not drawn:
@@ -60,7 +60,7 @@ def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
 
 
 def _totals(axes: Axes, groups: Sequence[Group], links: Mapping[str, str]) -> list[str]:
-    """Draw the strips of total errors and return their labels."""
+    """Draw the total errors of each group and return the labels of the groups."""
     top = max(float(group.totals.max()) for group in groups)
     labels = []
     for i, group in enumerate(groups):
@@ -85,7 +85,7 @@ def _strip(
     top: float,
     links: Sequence[str | None] = (),
 ) -> None:
-    """Draw the values of one category left of its centre and their mean right of it."""
+    """Draw the values of one category to the left of its centre, their mean to the right."""
     dots = axes.scatter(
         at - _ASIDE + _spread(values, top),
         values,
@@ -102,7 +102,7 @@ def _strip(
 
 
 def _spread(values: Floats, top: float) -> Floats:
-    """Offsets, at most 0.2 categories, that set dots of nearly equal height side by side."""
+    """Return offsets, at most 0.2 categories, that separate dots of similar height."""
     if top <= 0:
         return np.zeros(len(values))
     rows = np.rint(values / top * 40).astype(int)
@@ -111,14 +111,14 @@ def _spread(values: Floats, top: float) -> Floats:
     offsets = np.zeros(len(values))
     for i, count in enumerate(counts):
         (members,) = np.nonzero(row == i)
-        golden = np.argsort(np.arange(count) * 0.6180339887 % 1)  # scatters a row's heights
+        golden = np.argsort(np.arange(count) * 0.6180339887 % 1)  # separates neighbours
         members = members[np.argsort(values[members], kind="stable")][golden]
         offsets[members] = step * (np.arange(count) - (count - 1) / 2)
     return offsets
 
 
 def _mean(axes: Axes, at: float, found: Distribution, color: str) -> None:
-    """Draw a mean: a thin line for +- one standard deviation, a thick one for its interval."""
+    """Draw a mean, a thin line of +- one standard deviation, and a thick line of the interval."""
     if math.isfinite(found.std):
         axes.vlines(at, max(found.mean - found.std, 0), found.mean + found.std, color, linewidth=1)
     if found.ci95.known:

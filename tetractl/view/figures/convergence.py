@@ -1,5 +1,5 @@
-"""The work of the optimiser: the cost of the best sequence over its iterations, the paper's
-Figure 3, and the solve times against the control period.
+"""Figures of the optimiser: the best cost over the iterations, the paper's Figure 3, and the solve
+times with the control period.
 """
 
 import math
@@ -29,7 +29,7 @@ from tetractl.view.figures.labels import separated
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its fall in later searches."""
+    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its fall at each step."""
     log = one_trial(logs)
     need_steps(log)
     unit = unit_of(log.start.setup.unit)

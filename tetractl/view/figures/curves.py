@@ -1,4 +1,4 @@
-"""Quantities over the time of trials: errors of a trial, of a batch, of several folders."""
+"""Figures of errors over time: of one trial, of a batch, or of several folders."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -31,15 +31,15 @@ from tetractl.view.figures.labels import end_labels
 
 POINTS = 400  # points of the time axis for several trials
 QUARTILES = (25, 50, 75)
-LINE_IN = 0.1  # height of a robot's label
+LINE_IN = 0.1  # height of a robot's label [in]
 SINCE = "time since the first command [s]"
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A quantity (M,) over time and a band round it from `low` to `high`, if there is one.
+    """Values (M,) over time, with a band from `low` to `high` unless these are None.
 
-    `name` is written at its end; `key` is its entry in a legend.
+    `name` is written at the end of the curve; `key` is the curve's entry in a legend.
     """
 
     values: Floats
@@ -63,9 +63,9 @@ def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
 
 
 def name_curves(axes: Axes, curves: Sequence[Curve], ends: Sequence[float] | None = None) -> None:
-    """Write the curves' names at their ends, once the axes have their limits.
+    """Write the curves' names at their ends; called after the axes' limits are set.
 
-    `ends` are the heights to write them at, by default those of the last values.
+    `ends` are the heights of the names, by default the curves' last values.
     """
     ends = [float(curve.values[-1]) for curve in curves] if ends is None else ends
     end_labels(axes, ends, [curve.name for curve in curves], [curve.color for curve in curves])
@@ -78,9 +78,9 @@ def robot_curves(
     high: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each robot of values (M, N), which have no bands if robots are many.
+    """Return a curve for each robot of values (M, N), without a band from NUMBERED robots on.
 
-    It is named after the robot and, as `show` writes it, its last value.
+    The name is the robot's name and, formatted by `show`, the last value.
     """
     colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
     banded = low is not None and high is not None and len(names) < NUMBERED
@@ -100,15 +100,14 @@ def robot_curves(
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     """Return the robots' distances (M, N) at times (M,) since the first command [s].
 
-    Each distance is the last one measured before its time, or the result's after the end of the
-    trial.
+    The distance at a time is the last one measured until then, or the result's after the trial.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
     sampled_s = (log.mocap_ns - log.began_ns) / SECOND
     found = held[np.maximum(np.searchsorted(sampled_s, time_s, side="right") - 1, 0)]
-    if log.result is not None:  # the robots stand still from there on
+    if log.result is not None:  # the robots stand still after the trial
         found[time_s >= sampled_s[-1]] = log.result.robot_errors
     return found
 
@@ -128,7 +127,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
         whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
         robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
         draw_curves(total, time_s, [whole])
-        for curve in robots:  # the curve ends before the result, the last value
+        for curve in robots:  # curves end before the result: add its value
             each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
         if tolerance := log.experiment.controller.arrival_tolerance:
             label = f"arrival within {tolerance:g} {unit}"
@@ -146,10 +145,10 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error of every trial over time, and the median of each robot's.
+    """Draw the total error of every trial over time, and the median of each robot's error.
 
-    The band holds the middle half of the trials. A trial that has ended counts with its error at
-    the end. Trials that did not run to their own end are drawn and not counted.
+    Bands hold the middle half of the trials. After its end, a trial keeps its final error.
+    Incomplete trials are drawn, but not counted in medians and bands.
     """
     check_alike(logs)
     time_s = _common_times(logs)
@@ -195,8 +194,8 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
 def arms_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the median total error of each folder's trials over time, with their middle half.
 
-    A trial that has ended counts with its error at the end; only complete trials count. Batches
-    may differ in robots, arena and controller, but not in the length unit.
+    After its end, a trial keeps its final error; incomplete trials are left out. Batches may differ
+    in robots, arena and controller, but not in the length unit.
     """
     batches = by_folder(logs)
     _need_frames(logs)
@@ -224,7 +223,7 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
 def _panels(
     setup: Setup, top_in: float, least_in: float, end_s: float
 ) -> tuple[Figure, Axes, Axes]:
-    """Return a figure with axes for a total and below it for each robot, over one time [s]."""
+    """Return a figure with axes for the total and, below, for each robot; times in [s]."""
     each_in = max(least_in, LINE_IN * len(setup.names))
     figure = style.figure(style.PAGE_IN, top_in + each_in)
     total, each = figure.subplots(2, 1, sharex=True, height_ratios=[0.7 * top_in, each_in])
@@ -266,7 +265,7 @@ def _mark_steps(axes: Axes, log: TrialLog) -> None:
 
 
 def _last(gaps: Floats) -> Floats:
-    """Return the last distance (N,) of each robot that was measured, 0 for none."""
+    """Return each robot's last measured distance (N,), 0 if none was measured."""
     known = np.isfinite(gaps)
     last = len(gaps) - 1 - known[::-1].argmax(axis=0)
     return np.nan_to_num(gaps[last, np.arange(gaps.shape[1])])

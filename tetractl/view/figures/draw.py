@@ -22,7 +22,7 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure of a kind, with a headline on the plant and on a trial that was cut short.
+    """Draw the figure of a kind; its headline names the plant and incomplete trials.
 
     Only `trajectory`, `errors`, `arms`, `ecdf` and `scatter` show several trials.
     """

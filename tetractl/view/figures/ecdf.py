@@ -1,7 +1,8 @@
 """The total errors of batches as empirical distribution functions, each with its 95 % band.
 
-The band is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann. Probab. 18, 1990): with
-sqrt(ln(2 / 0.05) / 2n) above and below it holds the whole true function, whatever that is.
+The band is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann. Probab. 18, 1990): of
+half width sqrt(ln(2 / 0.05) / 2n), it contains the whole true function of any distribution with 95
+% probability.
 """
 
 import math
@@ -21,7 +22,7 @@ from tetractl.results.estimate import CONFIDENCE
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder
 
-_BANDS = 4  # most batches whose bands can be distinguished
+_BANDS = 4  # largest number of batches whose bands are shaded
 
 
 def band(n: int) -> float:

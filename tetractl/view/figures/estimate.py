@@ -34,7 +34,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 
     a and speed are drawn relative to the spec's values, on one scale for all robots, and a cross
     marks the true value of a simulation; the heading bias in rad, the dead time in ms. A panel is
-    only drawn for what was estimated, and no bands if the robots are many.
+    drawn for each estimated quantity; many robots have no bands.
     """
     log = one_trial(logs)
     steps = [step for step in log.steps if step.plan.estimate is not None]
@@ -75,7 +75,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 def _relative(
     axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
 ) -> list[Curve]:
-    """Draw a or speed as its difference from the spec's value [%], named with its last value."""
+    """Draw the difference of a or speed from the spec's value [%]; a label has the last value."""
     spec = getattr(log.start.setup, what)
     percent = 100 / spec
     axes.axhline(0, color=style.GREY, lw=0.6)
@@ -135,7 +135,7 @@ def _true(log: TrialLog, what: str) -> Floats | None:
 
 
 def _key(log: TrialLog) -> list[Line2D | Patch]:
-    """Return the signs of the legend."""
+    """Return the entries of the legend."""
     signs: list[Line2D | Patch] = []
     if len(log.start.setup.names) < NUMBERED:
         signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))

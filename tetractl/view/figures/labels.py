@@ -1,4 +1,4 @@
-"""Text next to trails and curves, placed where nothing else is drawn."""
+"""Places text next to trails and curves, away from other marks."""
 
 from collections.abc import Sequence
 
@@ -16,14 +16,14 @@ HALO = [withStroke(linewidth=1.6, foreground="white")]
 def end_labels(
     axes: Axes, ends: Sequence[float], texts: Sequence[str], colors: Sequence[str]
 ) -> None:
-    """Write each curve's name at the right of the axes, at the height of its end or near it.
+    """Write each curve's name at the right of the axes, near the height of the curve's end.
 
     Labels are at least a line from each other, in the order of the ends.
     """
     size = 6.5 if len(texts) < 8 else 5.5
     figure = axes.get_figure(root=True)
     assert figure is not None
-    style.lay_out(figure)  # the height of the axes is known only then
+    style.lay_out(figure)  # computes the height of the axes
     low, high = axes.get_ylim()
     line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
     order = np.argsort(ends, kind="stable")
@@ -43,10 +43,10 @@ def end_labels(
 def separated(wanted: Floats, gap: float) -> Floats:
     """Return rising heights in 0 to 1, at least `gap` from each other, near the rising `wanted`.
 
-    Neighbours that would touch move together about their mean, which is the least squares
-    solution; then all are brought within the range as far as it has space for them.
+    Neighbours that would overlap form a block about the mean of their heights, the least squares
+    solution; then all are shifted into the range as far as it has space.
     """
-    blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and how many
+    blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and the number of heights
     for i, height in enumerate(wanted):
         mean, count = float(height) - i * gap, 1
         while blocks and blocks[-1][0] > mean:
@@ -69,7 +69,7 @@ def edge(arena: Bounds) -> Floats:
 
 
 class Labels:
-    """Writes times next to the trails, each where the distance to other marks is largest."""
+    """Writes times next to the trails, each in the place farthest from other marks."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
         """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
@@ -77,7 +77,7 @@ class Labels:
         self._taken = trails[np.isfinite(trails).all(axis=1)]
 
     def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        """Write text next to the mark at `xy`, whose tick ends at `tip`."""
+        """Write text next to the tick from `xy` to `tip`."""
         self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
         angles = np.arange(0, 2 * np.pi, np.pi / 6)
         aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])

@@ -1,4 +1,4 @@
-"""Where the robots of a batch ended round their targets, with the ellipse of the covariance."""
+"""The figure of the robots' final positions in a batch, with covariance ellipses."""
 
 import math
 from collections.abc import Sequence
@@ -22,14 +22,14 @@ from tetractl.view.figures.axes import (
 )
 
 COLUMNS = 4
-FEWEST = 3  # trials for an ellipse
+FEWEST = 3  # least number of trials for an ellipse
 
 
 def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw each robot's final position less its target, (x, y), a dot for each trial.
+    """Draw each robot's final position relative to its target, a dot for each trial.
 
-    The ellipse is centred on the mean and has the covariance (n - 1) of the trials that ran to
-    their own end; 95 % of a normal distribution would lie in it. All panels have the same scale.
+    The ellipse contains 95 % of a normal distribution with the mean and covariance (n - 1) of the
+    complete trials. All panels have the same scale.
     """
     check_alike(logs)
     for log in logs:
@@ -60,7 +60,7 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
         limit = 1.08 * reach or 1.0
         panels[0, 0].set_xlim(-limit, limit)
         panels[0, 0].set_ylim(-limit, limit)
-        for column in range(columns):  # the lowest panel of each
+        for column in range(columns):  # the lowest panel of the column
             axes = panels[(len(colors) - 1 - column) // columns, column]
             axes.tick_params(labelbottom=True)
             axes.set_xlabel(f"x error [{unit}]")
@@ -72,7 +72,7 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
-    """Draw one robot's errors (n, 2); return how far from the target the drawing reaches."""
+    """Draw one robot's errors (n, 2); return the largest distance of a mark from the target."""
     axes.set_aspect("equal")
     for line in (axes.axhline, axes.axvline):
         line(0, color=style.FAINT, lw=0.5, zorder=0)

@@ -24,9 +24,8 @@ SHARES = (0.0, 0.25, 1.0)
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the swarm of the first plan's search at three iterations, as the paper's Figure 2 does.
 
-    The axes are the first two signals of the sequence; the shades behind are J over these two with
-    the other signals as in the best sequence found. One particle's course is drawn in the last
-    panel.
+    The axes are the first two signals of the sequence; the background shows J over these two with
+    the other signals of the best sequence found. The last panel has the path of one particle.
     """
     log = one_trial(logs)
     need_steps(log)
@@ -50,7 +49,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _shades(axes: Axes, history: SwarmHistory):
-    """Shade J over the two dimensions, lighter for a lower J; return the shades."""
+    """Draw J over the two dimensions as an image, lighter for a lower J; return the image."""
     least, most = float(history.costs.min()), float(np.percentile(history.costs, 98))
     scale = Normalize(least, most if most > least else least + 1)
     shades = axes.imshow(
@@ -80,7 +79,7 @@ def _swarm(axes: Axes, frame: Frame) -> None:
 
 
 def _course(axes: Axes, history: SwarmHistory) -> None:
-    """Draw the course of one particle, and its local best."""
+    """Draw the path of one particle, and its local best."""
     axes.plot(*history.path.T, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(*history.path.T, "o", ms=1.8, color=style.INK, zorder=3, gid="course")
     axes.plot(*history.path_best, "o", ms=6, color=PURPLE, mec="white", mew=0.6, zorder=4)
@@ -91,7 +90,7 @@ def _key(log: TrialLog, history: SwarmHistory) -> list[Line2D | Patch]:
         return Line2D([], [], color=color, marker="o", ms=size, mec="white", ls="none", label=label)
 
     search = log.steps[0].plan.search
-    again = "as logged" if history.repeated else "rounded otherwise than in the log"
+    again = "as logged" if history.repeated else "differs from the log by rounding"
     return [
         dot(f"{len(history.frames[0].particles)} particles", GREEN, 4),
         dot("best of all, $u_{gb}$", BLUE, 7),

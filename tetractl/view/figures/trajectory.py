@@ -1,5 +1,5 @@
-"""The paper's Figure 5: the paths of the robots in one trial or in several; under those
-in a dish the microscope's picture.
+"""The paper's Figure 5: the paths of the robots in one trial or several, for a dish over the
+microscope's picture.
 """
 
 from collections.abc import Sequence
@@ -38,7 +38,7 @@ FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
 
 
 class DishGround:
-    """Shows the picture of a time under the axes of a trial; nothing for a log without pictures."""
+    """Shows a microscope's picture behind a trial's axes; nothing without pictures."""
 
     def __init__(self, axes: Axes, log: TrialLog) -> None:
         self._pictures, self._shown, self._image = DishPictures(log), -1, None
@@ -54,7 +54,7 @@ class DishGround:
         axes.axis(limits)
 
     def show(self, when_ns: int) -> bool:
-        """Show the picture of a time on the trial's clock; return whether it is another one."""
+        """Show the picture at a time of the trial's clock [ns]; return whether it changed."""
         which = self._pictures.at(when_ns)
         if which is None or which == self._shown:
             return False
@@ -64,18 +64,18 @@ class DishGround:
         return True
 
 
-FAR = 2.0  # arena sizes beyond the arena that a figure may show
-LINE_IN = 0.156  # height of a line of the legend
-CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character of it, and of what is between texts
-KEYED = 30  # most robots that get an entry of the legend each
-MARKS = 5  # about as many times are marked along a trail
+FAR = 2.0  # largest distance from the arena that a figure shows, in arena sizes
+LINE_IN = 0.156  # height of a line of the legend [in]
+CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character and of marker and gaps
+KEYED = 30  # largest number of robots with entries in the legend
+MARKS = 5  # largest number of times marked along a trail
 
 
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw one trial with times, headings and errors, or several trials, lighter, together.
 
-    Trails are as measured; a true path that differs visibly is dashed. Raises UsageError for logs
-    of different robots, arenas or obstacles.
+    Trails are measured positions; true paths are dashed if they differ visibly. Raises UsageError
+    for logs of different robots, arenas or obstacles.
     """
     setup = logs[0].start.setup
     check_alike(logs)
@@ -104,7 +104,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
-    """Draw the static part: obstacles, starts and targets, with numbers for many robots."""
+    """Draw obstacles, starts and targets, numbered from NUMBERED robots on."""
     unit = unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
@@ -224,7 +224,7 @@ class _Key:
 
     @property
     def rows(self) -> int:
-        """The number of lines, the title's too."""
+        """The number of lines, including the title's."""
         return self.title.count("\n") + 1 + -(-len(self.handles) // self.columns)
 
     def draw(self, figure: Figure) -> None:
@@ -242,9 +242,9 @@ class _Key:
 
 
 def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key:
-    """Return the key of the robots' names and their errors (trials, N).
+    """Return the legend of the robots' names and errors (trials, N).
 
-    Of several trials the means are over those that ran to their own end.
+    Means over several trials leave out incomplete ones.
     """
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
@@ -268,7 +268,7 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
 
 
 def _spread(errors: Floats) -> str:
-    """Return mean and, of two or more, standard deviation (n - 1) as text."""
+    """Return the mean and, of two or more errors, the standard deviation (n - 1) as text."""
     mean = float(errors.mean())
     digits = 0 if mean >= 100 else 1 if mean >= 10 else 2
     if len(errors) < 2:
@@ -312,7 +312,7 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return true positions (M, N, 2), None within 0.5 % of the arena of the measured ones."""
+    """Return true positions (M, N, 2), None if within 0.5 % of the arena of the measured ones."""
     if log.truth is None or not len(log.truth):
         return None
     gap = np.linalg.norm(log.truth[..., :2] - tracked(log.mocap, log.valid), axis=-1)
@@ -363,6 +363,6 @@ def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure
         over_time.set_xlabel("time since the first command [s]")
         over_time.set_ylabel(f"distance [{unit}]")
         style.panel(paths, "a", "paths")
-        style.panel(over_time, "b", "between the two paths of a robot")
+        style.panel(over_time, "b", "distance between each robot's two paths")
         figure.legend(loc="outside lower center", ncols=6)
     return figure

@@ -24,7 +24,7 @@ BORDER_STYLE = Style(dim=True)
 
 @dataclass(frozen=True, slots=True)
 class Projection:
-    """Maps the arena onto `width` x `height` character cells, `scale` length units a dot."""
+    """Maps the arena to `width` x `height` character cells; a dot is `scale` length units wide."""
 
     arena: Bounds
     width: int
@@ -40,7 +40,8 @@ class Projection:
         return cls(arena, math.ceil(across / ACROSS), math.ceil(down / DOWN), scale)
 
     def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Columns and rows of dots, (0, 0) at the top left, of positions (..., 2); NaN is left out.
+        """Return columns and rows of dots, (0, 0) at the top left, of positions (..., 2) except
+        NaN.
 
         A position outside the arena may give a dot outside the canvas.
         """
@@ -54,8 +55,8 @@ class Projection:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Column and row of a position's cell; positions outside give the nearest cell at the
-        edge."""
+        """Return column and row of a position's cell; for positions outside, of the nearest
+        cell."""
         if not (math.isfinite(x) and math.isfinite(y)):
             x, y = self.arena.left, self.arena.bottom
         (column,), (row,) = self.dots(np.array([[x, y]]))
@@ -79,7 +80,7 @@ class Canvas:
     def dots(
         self, columns: NDArray[np.int64], rows: NDArray[np.int64], style: Style, char: str
     ) -> None:
-        """Draw dots; an ASCII canvas shows `char` in each of their cells."""
+        """Draw dots; an ASCII canvas shows `char` in each cell with a dot."""
         seen = (columns >= 0) & (columns < ACROSS * self.width)
         seen &= (rows >= 0) & (rows < DOWN * self.height)
         columns, rows = columns[seen], rows[seen]
@@ -89,7 +90,7 @@ class Canvas:
         self._chars[cells] = char
 
     def put(self, column: int, row: int, char: str, style: Style) -> None:
-        """Write a character in place of a cell's dots; outside the canvas nothing is drawn."""
+        """Replace a cell's dots by a character; nothing is drawn outside the canvas."""
         if 0 <= column < self.width and 0 <= row < self.height:
             self._bits[row, column] = 0
             self._chars[row, column] = char
@@ -104,7 +105,7 @@ class Canvas:
         return ["".join(row) for row in chars]
 
     def segments(self) -> list[list[Segment]]:
-        """Return the rows, each cut where the style changes."""
+        """Return the rows, each split into segments of one style."""
         rows = []
         for text, styles in zip(self.text(), self._style, strict=True):
             cuts = [0, *(np.flatnonzero(np.diff(styles)) + 1), self.width]
@@ -118,10 +119,10 @@ class Canvas:
 
 
 def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: int) -> Canvas:
-    """Draw a frame on a canvas of at most `width` x `height` cells.
+    """Draw one instant of a trial on a canvas of at most `width` x `height` cells.
 
-    Obstacles, then the plan (dotted), trails, starts (circles), targets (squares), robots. On an
-    ASCII canvas a robot is its number with a tick ahead, its target the number in brackets.
+    Drawn are obstacles, the plan (dotted), trails, starts (circles), targets (squares) and robots.
+    On an ASCII canvas a robot is its number with a tick ahead, and a target the number in brackets.
     """
     setup = frame.setup
     view = Projection.fit(setup.arena, width, height)
@@ -145,7 +146,7 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
 
 
 def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]]:
-    """Put a thin border around a canvas, with a label in its lower edge if it fits."""
+    """Add a thin border to a canvas, with a label in the lower edge if there is space."""
     nw, ne, se, sw, line, side = glyphs.box
     label = f" {label} " if len(label) + 2 <= canvas.width else ""
     yield [Segment(nw + line * canvas.width + ne, BORDER_STYLE)]
@@ -157,9 +158,9 @@ def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return points that fill a shape, one per dot, and its outline: shape (M, 2).
+    """Return points (M, 2) that fill a shape, one per dot, and the points of its outline.
 
-    A shape smaller than a dot is drawn by its outline alone.
+    A shape smaller than a dot has only outline points.
     """
     arena, outline = view.arena, shape.outline()
     low, high = outline.min(axis=0), outline.max(axis=0)

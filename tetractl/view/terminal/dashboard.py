@@ -1,4 +1,4 @@
-"""The dashboard: the arena at the left, the numbers at the right, one line of controls below."""
+"""The dashboard: the arena on the left, numbers on the right, a line of controls below."""
 
 import math
 import textwrap
@@ -15,15 +15,15 @@ from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
-SIDE_MIN, SIDE_MAX = 20, 58  # columns of the numbers
-ARENA_SHARE = 0.58  # largest fraction of the width, since the numbers need the rest
+SIDE_MIN, SIDE_MAX = 20, 58  # least and largest width of the numbers [columns]
+ARENA_SHARE = 0.58  # largest fraction of the screen's width for the arena
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
-COMPACT = 30  # columns below which the labels of the numbers are short
+COMPACT = 30  # width of the numbers below which labels are short [columns]
 
 
 @dataclass(frozen=True, slots=True)
 class Footer:
-    """The lowest line: text at the left, a bar, text at the right, and the `hints` that fit."""
+    """The lowest line: text on the left, a bar, text on the right, and the `hints` that fit."""
 
     left: str
     fraction: float
@@ -31,7 +31,7 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
-        """Return the line; if it is too long, hints are left out, then the bar is shortened."""
+        """Return the line; if too long, hints are left out, then the bar is shortened."""
         fixed = len(self.left) + len(self.right) + 2
         hints = list(self.hints)
         while hints and fixed + 12 + _length(hints) > width:
@@ -51,10 +51,10 @@ def _length(hints: list[str]) -> int:
 
 
 class Dashboard:
-    """The state of a trial at one time, as a rich renderable that fills the available space.
+    """A rich renderable of a trial at one time, which fills the available space.
 
-    `heading` names the trial, `notes` are warnings such as a log's damage, `aside` is a line below
-    them.
+    `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
+    below the notes.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Dashboard:
         yield from Segment.adjust_line_length(list(footer.render(console)), width)
 
     def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
-        """Return the numbers in at most `height` lines, without the least important blocks."""
+        """Return the numbers in at most `height` lines; the least important blocks are left out."""
         blocks = [
             (0, self._head(glyphs, width)),
             (3, self._robots(glyphs, width, height)),
@@ -210,7 +210,7 @@ class Dashboard:
         return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]
 
     def _events(self, height: int) -> list[Text]:
-        """Return the newest events, the last one at the bottom; more if there are more lines."""
+        """Return the newest events that fit in `height` lines, the newest at the bottom."""
         most = 0 if height < 16 else 1 if height < 24 else 2 if height < 36 else 6
         if not self._frame.events:
             return []
@@ -254,7 +254,7 @@ class _Rows:
 
 
 def _number(value: float) -> str:
-    """Write a length with three significant digits or all before the point."""
+    """Return a length as text, with three significant digits or rounded to an integer."""
     if not math.isfinite(value):
         return str(value)
     size = abs(value)

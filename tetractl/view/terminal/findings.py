@@ -1,4 +1,4 @@
-"""The result of a preflight, as text and as JSON."""
+"""Prints the result of a preflight as text or JSON."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ def _turn(off_rad: float | None) -> str:
 
 
 def print_findings(found: Preflight) -> None:
-    """Print a table of the robots, the camera's figures, and every warning and problem."""
+    """Print a table of the robots, the camera's rates and delays, warnings and problems."""
     console = Console()
     print_tables([robots_table(found)], console)
     rate = "unknown" if found.camera_rate_hz is None else f"{found.camera_rate_hz:.1f} Hz"
@@ -52,7 +52,7 @@ def print_findings(found: Preflight) -> None:
 
 
 def as_json(found: Preflight) -> dict[str, Any]:
-    """Return the result of the preflight as plain data."""
+    """Return the result of the preflight as data for JSON."""
     robots = [
         {
             "name": robot.name,

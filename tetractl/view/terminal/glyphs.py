@@ -13,16 +13,16 @@ from tetractl.core.poses import Floats
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """One set of characters; `arrows` go anticlockwise from +x in eighths of a turn."""
+    """A set of characters; `arrows` are eight directions, anticlockwise from +x."""
 
     ascii: bool
     arrows: str
     start: str
     target: str
     box: str  # corners from top left clockwise, then horizontal and vertical
-    bar: str  # done, to do
-    spark: str  # from low to high
-    rest: str  # of a sparkline, to come
+    bar: str  # characters for the done and the open part of a bar
+    spark: str  # characters of a sparkline, from low to high
+    rest: str  # character for values to come in a sparkline
     degree: str
     play: str
     pause: str
@@ -69,7 +69,7 @@ ASCII = Glyphs(
 
 
 def glyphs_for(console: Console) -> Glyphs:
-    """Return Unicode glyphs, or ASCII for a terminal that is dumb, not UTF-8 or without colour.
+    """Return Unicode glyphs, or ASCII for a terminal without cursor control, UTF-8 or colour.
 
     Without colour the robots' dots look alike: the ASCII view distinguishes them by number.
     """
@@ -83,7 +83,7 @@ def arrow(glyphs: Glyphs, angle: float) -> str:
 
 
 def eighth(angle: float) -> int:
-    """Return the nearest eighth of a turn, 0 to 7 anticlockwise from +x, 0 for an unknown angle."""
+    """Return the index of the nearest eighth of a turn, 0 to 7 anticlockwise from +x; 0 for NaN."""
     if not math.isfinite(angle):
         return 0
     return round(math.remainder(angle, math.tau) / (math.pi / 4)) % 8
@@ -103,9 +103,10 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Return values as a line of bars from 0, or on a logarithmic scale from the least.
+    """Return values as bars from 0 or, with `log`, on a logarithmic scale from the least value.
 
-    The width stands for `total` values, at least those given; values to come are dots.
+    The width corresponds to `total` values, or to the given ones if these are more; values to come
+    are dots.
     """
     y = np.asarray(values, dtype=float)
     y = np.where(np.isfinite(y), y, np.nan)

@@ -1,5 +1,5 @@
-"""Keys of a terminal, whose settings are restored at the end: those of the player, and the
-operator's emergency stop.
+"""Reads keys of a terminal, for the player and for the operator's emergency stop, and restores the
+terminal's settings at the end.
 """
 
 import os
@@ -35,7 +35,8 @@ _NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
 def decode(data: bytes) -> tuple[list[str], bytes]:
     """Split bytes of a terminal into names of keys and an unfinished escape sequence.
 
-    Printable characters name themselves, except "space"; unknown sequences are dropped.
+    The name of a printable character is the character, except "space"; unknown sequences are
+    dropped.
     """
     keys: list[str] = []
     while data:
@@ -55,7 +56,7 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
 
 
 def _sequence_length(data: bytes) -> int | None:
-    """Return the length of the escape sequence at the start; None if it is not complete."""
+    """Return the length of the escape sequence at the start of `data`; None if it is incomplete."""
     if len(data) < 2:
         return None
     if data[1] == ord("O"):
@@ -73,9 +74,9 @@ def _sequence_length(data: bytes) -> int | None:
 class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
-    Ctrl-C and all other SIGNALS raise nothing, so that no operation is cut short: `interrupted` is
-    True from then on, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal
-    restored before the process stops; in the foreground again, `back` is called.
+    Ctrl-C and other SIGNALS raise no exception, so that no operation is cut short: they set
+    `interrupted`, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal restored
+    before the process is suspended; when it continues, `back` is called.
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
@@ -107,7 +108,7 @@ class Keyboard:
             if self.interrupted:
                 return ["q"]
             if not ready:
-                self._rest = b""  # a lone Escape
+                self._rest = b""  # the Esc key
                 return []
             data = os.read(self._fd, 1024)
         except OSError:
@@ -125,7 +126,7 @@ class Keyboard:
         self._leave()
         termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
-        os.kill(os.getpid(), signal.SIGTSTP)  # stops here until SIGCONT
+        os.kill(os.getpid(), signal.SIGTSTP)  # suspends the process until SIGCONT
         signal.signal(signal.SIGTSTP, self._note_stop)
         tty.setcbreak(self._fd, termios.TCSANOW)
         self._back()
@@ -158,7 +159,7 @@ class StopKey:
         if self.listening:
             self._fd = sys.stdin.fileno()
             self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)  # does not wait if the terminal blocks
+            tty.setcbreak(self._fd, termios.TCSANOW)  # TCSANOW does not wait for pending output
             self._thread.start()
         return self
 

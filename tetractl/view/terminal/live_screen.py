@@ -1,6 +1,6 @@
 """The live view of running trials: the dashboard, drawn while the loop runs.
 
-In the lab also notes, a line per trial, and the placing of robots.
+In the lab it also prints notes, a line per trial, and where to place robots.
 """
 
 import threading
@@ -24,7 +24,7 @@ from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration, trial_line
 
-FRAME_S = 1 / 12  # least wall time between two pictures
+FRAME_S = 1 / 12  # least wall time between two pictures [s]
 
 
 class LiveView:
@@ -52,13 +52,13 @@ class LiveView:
         self._live.stop()
 
     def trial_started(self, task: Task) -> None:
-        """Set the number of the trial and that of all trials."""
+        """Store the trial's number and the number of trials."""
         self._index, self._count = task.trial, task.count
         if self._began is None:
             self._began = self._wall()
 
     def trial_ended(self, ending: Ending) -> None:
-        """Count the trial as done."""
+        """Add the trial to the counts."""
         if ending.result:
             self._tally.add(ending.result)
 
@@ -80,7 +80,7 @@ class LiveView:
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Lengthen the trails."""
+        """Add camera frames to the trails."""
         for sample in samples:
             seen = sample.observation
             poses = seen.poses.array()
@@ -98,12 +98,12 @@ class LiveView:
         self._draw_in_time()
 
     def on_command(self, command: Command) -> None:
-        """Count the time from the first direction; the trails show the effect of the command."""
+        """Store the time of the first direction; the command's effect shows in the trails."""
         if self._first_ns is None and not command.stops:
             self._first_ns = command.sent_ns
 
     def on_note(self, note: Note) -> None:
-        """Show the note among the events."""
+        """Show the note in the list of events."""
         self._notes.append(note)
         self._draw_in_time()
 
@@ -162,7 +162,7 @@ class TerminalPrompt:
         self._shown: tuple[Sequence[str], Sequence[str]] | None = None
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Print the lines and questions if they have changed."""
+        """Print the lines and questions if they differ from those last printed."""
         if (lines, questions) != self._shown:
             self._shown = lines, questions
             self._entered.clear()
@@ -181,10 +181,10 @@ class TerminalPrompt:
 
 
 class LabWatch:
-    """Shows a batch in the lab: lines, or each trial's live view; an `Observer` and a watcher.
+    """Shows a batch in the lab by lines or live views; an `Observer` and a `RunObserver`.
 
-    Notes go to `console`, one line per trial to `quiet`, which may drop it; `unit` is the length
-    unit. Between trials the live view restores the screen, for placing the robots.
+    Notes are printed on `console`, a line per trial on `quiet`, which may be silent; `unit` is the
+    length unit. Between trials the live view is closed, since robots are placed.
     """
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
@@ -226,7 +226,7 @@ class LabWatch:
         """Do nothing, since the robots' motion shows a command."""
 
     def on_note(self, note: Note) -> None:
-        """Print a note, after the live view if there is one."""
+        """Print a note, or keep it until the live view is closed."""
         self._notes.append(note)
         if not self._view:
             self._print_notes()

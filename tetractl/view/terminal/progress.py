@@ -1,4 +1,4 @@
-"""Progress of a run: on a terminal a bar with the remaining time, otherwise lines."""
+"""Shows the progress of a run: on a terminal a bar with the remaining time, otherwise lines."""
 
 from typing import Self
 
@@ -10,7 +10,7 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
 LINES = 10  # number of progress lines that a study prints without a terminal
-FIRST = 3  # least number of trials for the expected duration of a study
+FIRST = 3  # least number of finished trials for estimating a study's duration
 
 
 class Tally:
@@ -38,7 +38,7 @@ class Tally:
 
 
 class _TrialsBar:
-    """A progress bar, shown only on a terminal and unless `quiet`; a context manager."""
+    """A progress bar, shown on a terminal unless `quiet`; a context manager."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         self._console, self._total = console, total
@@ -90,8 +90,8 @@ class BatchProgress(_TrialsBar):
 
 
 class StudyProgress(_TrialsBar):
-    """A `RunObserver` of a study: failures, how long it takes and, without a terminal, a line after
-    each tenth of the trials. A quiet one prints failures only."""
+    """A `RunObserver` of a study: prints failures, the expected duration and, without a terminal, a
+    line after each tenth of the trials; with `quiet` only failures."""
 
     def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
         super().__init__(console, total, quiet)
@@ -132,7 +132,7 @@ def trial_line(task: Task, result: Result, unit: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return a time as 45 s, 3 min 20 s or 2 h 5 min."""
+    """Return a time [s] as text such as 45 s, 3 min 20 s or 2 h 5 min."""
     whole = max(round(seconds), 0)
     if whole < 60:
         return f"{whole} s"

@@ -32,14 +32,14 @@ def play(
     follow: Callable[[], None] = lambda: None,
     note: str = "",
 ) -> bool:
-    """Play the first of `count` trials, and others at the keys n and p, until q is pressed.
+    """Play the first of `count` trials, on the keys n and p another one, until q is pressed.
 
-    `turn_to(i)` returns the player of trial i; `follow` is called before each picture, which shows
-    `note`. Returns whether an interrupt ended the play.
+    `turn_to(i)` returns the player of trial i; `follow` is called before each picture is drawn, and
+    `note` is shown in it. Returns whether a signal ended the play.
     """
     index, drawn, helping = 0, None, False
     live = Live(console=console, screen=True, auto_refresh=False, redirect_stderr=False)
-    # the keyboard is the outer context: until the screen is restored, no signal interrupts
+    # the keyboard is the outer context: no signal interrupts before the screen is restored
     with Keyboard(leave=live.stop, back=lambda: live.start(refresh=True)) as keyboard, live:
         while player.state is not Playback.QUIT:
             follow()
@@ -64,7 +64,7 @@ def play(
 def dashboard(
     player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
 ) -> Dashboard:
-    """Return the view at the player's time; `place` is the log's number and the number of logs."""
+    """Return the dashboard at the player's time, for log `place[0]` of `place[1]`."""
     recording, now_ns = player.recording, player.now
     setup, log = recording.log.start.setup, recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
@@ -94,7 +94,7 @@ def dashboard(
 
 
 def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
-    """Return each key or group of keys, and its action."""
+    """Return each key or group of keys with its action."""
     return (
         ("space", "pause, play on; at the end: again from the start"),
         (glyphs.left_right, "1 s back or on"),
@@ -139,7 +139,7 @@ def print_lines(
 ) -> None:
     """Print the control steps and events of a span [ns], in the order of their times.
 
-    They are printed at `rate` times the trial's speed, or all at once. A loop without a rate has
+    Lines appear at `rate` times the trial's speed; without a rate all at once or, with `loop`, at
     the trial's speed.
     """
     start_ns, until_ns = span
@@ -158,7 +158,7 @@ def print_lines(
 
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
-    """Return times [ns] and lines; a step comes before the events of its time."""
+    """Return times [ns] and lines in order; a step precedes events at the same time."""
     steps = [(int(ns), step_line(recording, i)) for i, ns in enumerate(recording.step_ns)]
     lines = map(event_line, recording.events)
     events = list(zip(map(int, recording.event_ns), lines, strict=True))

@@ -245,7 +245,7 @@ def test_a_bad_result_costs_its_own_trial_only(tmp_path, contents, record, chang
     assert not counts(bad)
     log = read_trial(tmp_path / "bad.mcap")
     assert log.damage
-    assert any("not as tetractl writes it" in problem for problem in log.damage.problems)
+    assert any("values that tetractl does not write" in problem for problem in log.damage.problems)
 
 
 @pytest.mark.parametrize(

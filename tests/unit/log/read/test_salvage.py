@@ -197,7 +197,7 @@ def _with_run(path, facts):
 def test_a_log_of_a_newer_format_is_refused(tmp_path, log):
     facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
     del facts[CHECKSUM]
-    with pytest.raises(LogError, match="of log format 3; this tetractl reads up to 2") as caught:
+    with pytest.raises(LogError, match="has log format 3; this tetractl reads up to 2") as caught:
         read_trial(_with_run(tmp_path / "new.mcap", facts))
     assert caught.value.hint == "update tetractl"
 

@@ -85,7 +85,7 @@ def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):
     made.give_rounds(writer)
     with pytest.raises(LogError, match="the file or its folder was removed during") as caught:
         writer.on_stop(made.stop, made.result)
-    assert caught.value.hint == f"what was written until then is in {folder / 'trial.mcap.part'}"
+    assert caught.value.hint == f"the log so far is in {folder / 'trial.mcap.part'}"
     writer.close()
     put_back = read_trial(folder / "trial.mcap.part")
     assert [step.k for step in put_back.steps] == [0]
@@ -145,7 +145,7 @@ def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path, limit):
         check=True,
     )
     part = path.with_name("trial.mcap.part")
-    hint = f"what was written until then is in {part}" if limit else None
+    hint = f"the log so far is in {part}" if limit else None
     assert done.stdout == f"{path}: cannot write the log: File too large | {hint}\n"
     assert not path.exists()
     assert part.stat().st_size == limit

@@ -195,7 +195,7 @@ def _cpu_target() -> str:
 
 
 def _cpu_features() -> str:
-    """Return the processor features that LLVM may use: processors of one name may differ in them."""
+    """Return the processor features that LLVM may use; they may differ for the same name."""
     from llvmlite import binding
 
     features = binding.get_host_cpu_features()

@@ -79,7 +79,7 @@ def simulation_limit() -> float:
 
 
 def path_limit() -> float:
-    """Return the largest product of positions and obstacles for checking a path, about 20 ns each."""
+    """Return the largest product of positions and obstacles for a check of a path, 20 ns each."""
     return 5e8 * factor()
 
 

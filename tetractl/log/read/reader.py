@@ -100,7 +100,7 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
 
 
 def _damage(contents: RawLog, until_s: float) -> Damage | None:
-    """Return the damage of a log, None if undamaged; its last frame was received at `until_s` [s]."""
+    """Return the damage of a log or None; its last frame was received at `until_s` [s]."""
     before = contents.recovered
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]

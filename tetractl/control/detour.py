@@ -23,6 +23,7 @@ from tetractl.core.poses import Floats, wrap
 
 ENOUGH = 0.1  # share of the accepted error that ends the search for a longer sequence
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows each time the robots go round
+LATE_FROM, LATE_GROWTH = 0.5, 4.0  # from that part of the steps on it grows, up to that factor
 LAST_S = 0.7  # last part of a plan, per robot, in which going round raises the accepted error [s]
 LAST_LEAST_S = 2.0  # least length of that part, for few robots [s]
 OUT_SIGNALS = 8  # signals of a way out of a corner
@@ -51,9 +52,17 @@ def longer(count: int, most: int) -> Iterator[int]:
         length = max(length + 1, round(GROWTH * length))
 
 
-def nearly_done(problem: Problem, count: int) -> bool:
-    """Return whether going round with `count` signals left raises the accepted error."""
-    return count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
+def growth(problem: Problem, count: int) -> float:
+    """Return the factor of the accepted error for going round with `count` signals left."""
+    nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
+    return 1 + ACCEPT_GROWTH if nearly_done else 1.0
+
+
+def late(part: float) -> float:
+    """Return the factor by which the accepted error has grown when `part` of the steps is over, so
+    that a trial ends at an acceptable stop before it has to end anywhere.
+    """
+    return LATE_GROWTH ** (max(part - LATE_FROM, 0) / (1 - LATE_FROM))
 
 
 def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:

@@ -21,8 +21,8 @@ control's (`hold`); the state may be predicted over the dead time; the motion ma
 while the robots drive (`estimate`); margins may grow with the uncertainty (`collision.adaptive`);
 robots may pause before an obstacle that no plan avoids, and at the end (`stop_before_collision`);
 longer sequences may be searched if no short one ends at the targets (`accept_error`); the stop may
-come between two steps (`stop_between`); an optimiser may count costs as equally good; searches may
-be limited; and robots may pass way-points (`robots.via`) and stay at their targets (`hold`).
+come between two steps (`stop_between`); and robots may pass way-points (`robots.via`) and stay at
+their targets (`hold`).
 """
 
 import time
@@ -35,7 +35,7 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ACCEPT_GROWTH, ENOUGH, best_stop, longer, nearly_done, way_out
+from tetractl.control.detour import ENOUGH, best_stop, growth, late, longer, way_out
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -142,14 +142,18 @@ class Mpc:
         """Number of the leg that ends the trial: the one to the targets, or the hold."""
         return len(self.legs) - (self.hold is None)
 
+    @property
+    def accept(self) -> float:
+        """Total error accepted at present."""
+        return self.accepted * late(self.k / self.section.steps_max)
+
     def _begin_leg(self) -> None:
-        """Start planning for the next way-points or targets, of the robots left, from their present
-        poses."""
+        """Start planning for the next way-points or targets of the robots that are left."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
         self.margins = Margins(self.setup.obstacles, walls, targets)
-        self.accept = self.section.accept_error  # total error accepted at present
+        self.accepted = self.section.accept_error  # total error, before the time runs out
         self.warm: Floats | None = None  # u_(warm), None before the first plan
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
@@ -285,8 +289,7 @@ class Mpc:
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
-        """Return whether a robot enters an obstacle before the next stop could act, under a plan
-        and, after its end, the direction held."""
+        """Return whether a robot enters an obstacle before the next stop can act."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
@@ -333,8 +336,8 @@ class Mpc:
             good = [search for search in searcher.found if searcher.good(search, accepted)]
         among = good or searcher.found
         best = among[choose(among, good_enough, count)]
-        if self.warm is not None and best.length > count + 1 and nearly_done(problem, count):
-            self.accept *= 1 + ACCEPT_GROWTH
+        if self.warm is not None and best.length > count + 1:
+            self.accepted *= growth(problem, count)
         chosen = next(i for i, search in enumerate(searcher.found) if search is best)
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)

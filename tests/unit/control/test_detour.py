@@ -8,7 +8,7 @@ import pytest
 from support.trials import experiment
 
 from tetractl.control.cost import predict
-from tetractl.control.detour import way_out
+from tetractl.control.detour import LATE_GROWTH, late, way_out
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
 
@@ -65,3 +65,8 @@ def test_it_never_leads_further_into_anything(seed):
         room = margins.room(path[..., 0], path[..., 1], 0.0)
         assert room.min() >= min(0.0, room[0])
     assert signals is not None or margins.room(x, y, 0.0) < 2 * CIRCLE
+
+
+def test_the_accepted_error_grows_only_in_the_second_half_of_the_steps():
+    assert [late(part) for part in (0.0, 0.3, 0.5)] == [1.0, 1.0, 1.0]
+    assert 1 < late(0.6) < late(0.9) < late(1.0) == LATE_GROWTH

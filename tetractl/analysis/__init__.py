@@ -1,2 +1,1 @@
-"""Predicts from a spec, without trials, how accurately its robots can be steered under an assumed
-noise."""
+"""Predicts the errors of a spec's robots under an assumed noise, without running trials."""

@@ -19,13 +19,13 @@ OF_PLANS = (
     "signals",
     "singular_values",
 )
-"""Items of the JSON object that are None if no plan was found."""
+"""Keys of the JSON object whose values are None if no plan was found."""
 NO_PLAN = "no plan found"
 SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
 
 
 def tables(found: Analysis) -> list[Table]:
-    """Return the tables of an analysis; print the line from `advice` below them."""
+    """Return the tables of an analysis, without the line from `advice`."""
     setup, here, unit = found.setup, found.steering, found.setup.unit
     reaching = 0 if here is None else len(here.errors)
     names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
@@ -85,9 +85,7 @@ def tables(found: Analysis) -> list[Table]:
 
 
 def _maps(found: Analysis) -> list[Table]:
-    """Return the tables of predicted errors over the least difference of a and over the number of
-    robots.
-    """
+    """Return tables of the predicted error by least difference of a, and by number of robots."""
     if not found.by_gap:
         return []
     unit = found.setup.unit

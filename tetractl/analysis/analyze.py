@@ -15,18 +15,18 @@ from tetractl.experiment.experiment import Experiment
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Smallest relative differences of a for which an error is predicted."""
 TOO_ALIKE = 0.2
-"""If the smallest relative difference of a is below this, a greater one is sought."""
+"""If the smallest relative difference of a is below this value, other values of a are tried."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Relative differences of a that are tried between the two robots most alike."""
+"""Relative differences that are tried between the two robots whose a differ least."""
 WORTH = 0.8
-"""A change must reduce the predicted error to at most this fraction."""
+"""An advised change must reduce the predicted error to at most this fraction."""
 AS_GOOD = 1.1
-"""Of changes whose predicted errors differ by less than this factor, the smallest is advised."""
+"""Of changes with an error within this factor of the least error, the smallest is advised."""
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """The advice to give a robot another a [rad/s], with the mean total error predicted for it."""
+    """A proposed a [rad/s] of one robot, and the mean total error predicted with it."""
 
     robot: str
     old: float
@@ -38,15 +38,15 @@ class Change:
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
-    `steering` analyses those of the `plans` searched that reach the targets, None if no plan does;
-    errors of robots for which no plan was found are NaN. `left_out` lists disturbances of the plant
-    that are not in the predictions. A plan reaches the targets if its cost is at most `tolerance`
-    [length unit], from the optimiser or the accepted error. `alike` are the two robots whose a
-    differ least, and `gap` by how much, relative to the smaller; None and inf for one robot.
-    `by_gap` pairs smallest relative differences with errors: the robots keep their order and the
-    geometric mean of their a, and each a is that factor above the next. `by_count` pairs a number
-    of robots, the first of the spec, with the error. `change` is the advice if two robots are too
-    alike and another a helps; `looked` is whether one was sought.
+    `steering` analyses the plans, of the `plans` searched, that reach the targets; None if no plan
+    does. An error is NaN if no plan was found. `left_out` lists disturbances of the plant that are
+    not in the predictions. A plan reaches the targets if its cost is at most `tolerance` [length
+    unit], from the optimiser or the accepted error. `alike` are the two robots whose a differ
+    least, `gap` is this difference relative to the smaller a; None and inf for one robot. `by_gap`
+    pairs relative differences of a with errors: the robots keep the order and the geometric mean of
+    their a, and each a is larger than the next by this difference. `by_count` pairs a number n with
+    the error of the spec's first n robots. `change` is the advised change if two robots are too
+    alike and another a helps; `looked` is whether changes were tried.
     """
 
     setup: Setup
@@ -66,8 +66,8 @@ class Analysis:
 def analyze(
     experiment: Experiment, plans: int, on_done: Callable[[int, int], object] = lambda *_: None
 ) -> Analysis:
-    """Analyse an experiment along a given number of plans each; `on_done` is called with the number
-    of analyses done and of all."""
+    """Analyse an experiment's robots, and variants of them, each along a number of plans; `on_done`
+    is called with the number of analyses done and the number of all."""
     setup, noise = experiment.setup, Noise.of(experiment.plant)
     section, seed = planner(experiment), experiment.trials.seed
     gap, alike = smallest_gap(setup)
@@ -113,8 +113,8 @@ def analyze(
 
 
 def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
-    """Return the least relative difference of a between two robots, and the two, the smaller a
-    first.
+    """Return the least relative difference of a between two robots, and the indices of the two
+    robots, smaller a first.
     """
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
@@ -125,16 +125,16 @@ def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
-    """Return the robots with each a 1 + gap times the next lower, and the same geometric mean."""
+    """Return the setup with each a 1 + gap times the next lower a, and the same geometric mean."""
     rank = np.argsort(np.argsort(setup.a, kind="stable"))
     middle = np.exp(np.log(setup.a).mean())
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))
 
 
 def best_change(changes: list[Change], error: float) -> Change | None:
-    """Return the smallest change that is about as good as the best, None if no change helps.
+    """Return the smallest change with an error within `AS_GOOD` of the least, None if none helps.
 
-    An error is NaN if no plan was found for the robots.
+    `error` is the error without a change; an error is NaN if no plan was found.
     """
     most = math.inf if math.isnan(error) else WORTH * error
     least = min((one.error for one in changes if one.error <= most), default=None)
@@ -145,9 +145,7 @@ def best_change(changes: list[Change], error: float) -> Change | None:
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield pairs of a robot, one of the two most alike, and an a that makes all robots differ
-    more.
-    """
+    """Yield (index, new a) of one of the two robots `alike`, by which all robots differ more."""
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

@@ -1,4 +1,4 @@
-"""Which cells of a dish can be steered together, and how well."""
+"""Ranks choices of cells in a dish by the total error predicted for steering them together."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -11,17 +11,17 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
-COMPARED = 40  # choices of cells whose errors are predicted: those with the most different a
-# shares of these that are compared, and along which share of the plans
+COMPARED = 40  # number of choices whose errors are predicted: the choices with most different a
+# rounds: fraction of these choices that are compared, and fraction of the plans used
 ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 3), (0.1, 1.0))
-LEAST = 5  # compared in each round, if there are as many
-# difference of the logarithms of a below which cells cannot be distinguished in time
+LEAST = 5  # least number of choices compared in each round
+# difference of log(a) below which cells cannot be distinguished in time after they meet
 ALIKE = 0.08
 
 
 @dataclass(frozen=True, slots=True)
 class RankedChoice:
-    """Some cells, the fastest turning first, and their predicted mean total error [length unit],
+    """A choice of cells, fastest turning first, and its predicted mean total error [length unit],
     inf if no plan reaches the targets."""
 
     cells: tuple[FoundCell, ...]
@@ -35,11 +35,11 @@ def ranked(
     plans: int,
     on_done: Callable[[int, int], object] = lambda *_: None,
 ) -> list[RankedChoice]:
-    """Return the best choices of cells for an experiment that leaves them open, the best first.
+    """Return the best choices of cells for an experiment that chooses its robots, best first.
 
-    Errors are predicted as by `tetractl analyze`, from the cells' poses. The best choices along a
-    few plans are compared along more, up to the given number (successive halving), with the same
-    random numbers for all choices. Only cells with a magnet count; [] if there are too few.
+    Errors are predicted as by `tetractl analyze`, from the cells' poses. All choices are compared
+    along a few plans, and the best of them along more, up to `plans` (successive halving), with the
+    same random numbers. Only cells with a magnet count; [] if there are too few.
     """
     choice = experiment.chosen
     assert choice is not None, "only a spec that leaves its robots open chooses"
@@ -62,15 +62,15 @@ def ranked(
 def predicted(
     experiment: Experiment, cells: Sequence[FoundCell], noise: Noise, plans: int
 ) -> float:
-    """Return the mean total error predicted for some cells [length unit], inf if no plan reaches
-    the targets."""
+    """Return the mean total error [length unit] predicted for a choice of cells, inf if no plan
+    reaches the targets."""
     trial = settled(experiment, cells)
     result = steering(planner(trial), trial.setup, noise, trial.trials.seed, plans)
     return math.inf if result is None else result.error
 
 
 def alike(cells: Sequence[FoundCell]) -> Iterator[tuple[FoundCell, FoundCell]]:
-    """Yield pairs of cells that turn too much alike to be distinguished after they meet."""
+    """Yield pairs of cells whose a are too similar to distinguish the cells after they meet."""
     for one, two in combinations([cell for cell in cells if cell.magnetised], 2):
         if abs(math.log(one.a / two.a)) < ALIKE:
             yield one, two

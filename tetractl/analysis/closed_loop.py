@@ -1,25 +1,25 @@
-"""Where robots end under an assumed noise: the loop of a plan, linearised.
+"""Predicts the final positions of robots under an assumed noise: the linearised closed loop.
 
-The deviation e (2N,) of the ends from the plan's, and the relative errors of a and speed, are
-normal variables with a joint covariance. Signal by signal, from the first to the last,
+The deviation e (2N,) of the final positions from the plan, and the relative errors of a and speed,
+are normal variables with a joint covariance. Signal by signal, from the first to the last,
 
-1. the controller sees the deviation, with the measurement's noise carried to the end, and corrects
-   what the signals that are left can: of a deviation of covariance P seen with noise M it takes
-   away C = R (R + P + M)^-1, R being the covariance of what corrections of TURN in every signal
-   left, and a stop of one signal earlier or later, do to the ends;
-2. the robots move: errors of a and speed act, and the heading walks.
+1. the controller measures the deviation, with noise propagated to the end, and corrects it by the
+   remaining signals: for a deviation of covariance P, measured with noise M, the correction is the
+   fraction C = R (R + P + M)^-1. R is the covariance of the final positions if every remaining
+   signal varies with the deviation TURN, and the stop comes one signal earlier or later;
+2. the robots move: errors of a and speed act, and the heading makes its random walk.
 
 A controller that identifies a and speed plans with its estimates, which improve with every
-measurement. There is no feedback if nothing is corrected (`corrects`).
+measurement. Without `corrects` there is no feedback.
 
-How the ends of a plan depend on what is sent, on the robots, and on their headings: a step moves
-robot i by d(heading, u) and turns it by w(heading, u). With g_j, how its end depends on its heading
-before signal j (g_L = 0), the chain rule backwards in time gives
+The derivatives of the final positions: a step moves robot i by d(heading, u) and turns it by
+w(heading, u). Let g_j be the derivative of its final position by its heading before signal j, with
+g_L = 0. The chain rule backwards in time gives
 
     d end / d u_j = dd/du + g_{j+1} dw/du,      g_j = dd/dheading + g_{j+1} (1 + dw/dheading)
 
-and likewise for its a and speed. The derivatives of a step are those that the optimiser's kernels
-use, of the problem's motion; those by a and speed are central differences.
+and likewise for its a and speed. The derivatives of a step are the derivatives of the problem's
+motion that the optimiser's kernels use; derivatives by a and speed are central differences.
 """
 
 import math
@@ -43,10 +43,10 @@ class Linear:
 
     `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends:
     `by_signal` (2N, L), of x_1, y_1, x_2, ..., by the signals [1/rad]; `by_heading` (L + 1, N, 2)
-    by the heading before each signal and at the end [1/rad]. `by_a` and `by_speed` (L, N, 2) are
-    those by the logarithms of a and speed in force during each signal alone, and `turn_by_a` (L, N)
-    how the turn of one signal depends on ln a [rad]. `onward` (2N, 1) is the displacement of the
-    ends by one more signal of straight motion, and `seconds` (L,) how long each signal is held.
+    by the heading before each signal and at the end [1/rad]; `by_a` and `by_speed` (L, N, 2) by the
+    logarithms of a and speed during one signal alone. `turn_by_a` (L, N) is the derivative of one
+    signal's turn by ln a [rad]. `onward` (2N, 1) is the displacement of the ends by one more signal
+    of straight motion, and `seconds` (L,) the duration of each signal [s].
     """
 
     miss: Floats
@@ -94,9 +94,9 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
 def _steps(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return how each step depends on heading and signal, (L, N, 2) each, and its KEEP (L, N).
+    """Return each step's derivatives by heading and by signal, (L, N, 2) each, and keep (L, N).
 
-    KEEP is how the next heading depends on the one before; on the signal it depends by 1 - KEEP.
+    keep is the derivative of the next heading by the heading; by the signal, it is 1 - keep.
     """
     lanes = MOTIONS.load(problem.motion).lanes(problem.a, float(seconds.max()))
     robots = list(zip(problem.a.tolist(), problem.speed.tolist(), strict=True))
@@ -115,7 +115,8 @@ def _steps(
 def _by_logarithm(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats, which: int
 ) -> Floats:
-    """Return how each step's dx, dy and turn depend on ln a (`which` 0) or ln speed, (L, N, 3)."""
+    """Return the derivatives of each step's dx, dy and turn by ln a (`which` 0) or ln speed (1),
+    (L, N, 3)."""
     step, zero = MOTIONS.load(problem.motion).step, np.zeros_like(heading)
 
     def moved(factor: float) -> Floats:
@@ -129,17 +130,17 @@ def _by_logarithm(
     return (moved(1 + NUDGE) - moved(1 - NUDGE)) / (2 * NUDGE)
 
 
-TURN = float(np.pi / np.sqrt(3))  # rad; the deviation of a signal that is free in [-pi, pi]
+TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]
 SURE = 1e-8  # least variance of a measured turn [rad^2] or relative path length: no camera is exact
-LEAST = 1e-30  # length unit^2; robots that stand cannot be corrected at all
+LEAST = 1e-30  # length unit^2; keeps matrices regular for robots that stand
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Standard deviations that a simulated plant assumes.
+    """Standard deviations of a simulated plant's disturbances.
 
-    `a` and `speed` are relative; `position` [length unit] and `heading` [rad] are of one
-    measurement, `walk` of the heading [rad/sqrt(s)].
+    `a` and `speed` are relative errors; `position` [length unit] and `heading` [rad] are errors of
+    one measurement, `walk` [rad/sqrt(s)] is the random walk of the heading.
     """
 
     a: float
@@ -150,9 +151,9 @@ class Noise:
 
     @classmethod
     def of(cls, plant: PlantSection) -> "Noise":
-        """Return the noise of a plant; zero for one that states none, such as a lab.
+        """Return the noise of a plant; zero for a plant without such fields, such as a lab.
 
-        An error that is uniform within +-e has the deviation e / sqrt(3).
+        An error uniform in [-e, e] has the standard deviation e / sqrt(3).
         """
         measured = getattr(plant, "measurement_noise", None)
         return cls(
@@ -170,7 +171,7 @@ class Noise:
 
 
 def left_out(plant: PlantSection) -> tuple[str, ...]:
-    """Return the fields of a plant that are disturbances but not part of the noise."""
+    """Return the names of a plant's disturbances that `Noise` does not contain."""
     names = ("dead_time", "lost_commands", "drive", "cells", "disturbances")
     return tuple(name for name in names if getattr(plant, name, None))
 
@@ -206,8 +207,8 @@ def end_covariance(
 
 
 def _told(plan: Linear, noise: Noise, k: int) -> Floats:
-    """Return the information (1/variance) on ln a, then on ln speed, (2N,) from the motion under
-    signal k, measured as the difference of two headings and of two positions.
+    """Return the information (1/variance) on ln a, then on ln speed, (2N,), from two measured
+    headings and positions before and after signal k.
     """
     turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
     ways = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
@@ -217,10 +218,10 @@ def _told(plan: Linear, noise: Noise, k: int) -> Floats:
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
-    """Return each robot's mean distance to its target (N,), if its plan ends `miss` (N,) from it.
+    """Return the robots' mean distances to their targets (N,); their plans end `miss` (N,) away.
 
-    The mean length of a normal vector of deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
-    with the complete elliptic integral E; the planned miss is added in square.
+    The mean length of a normal vector with deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
+    with the complete elliptic integral E; its square and the square of `miss` are added.
     """
     count = len(miss)
     each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]
@@ -231,7 +232,7 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
 
 
 def _columns(each: Floats) -> Floats:
-    """Return (2N, N) with the vector (2,) of each robot in its own column."""
+    """Return (2N, N): column i holds the vector (2,) of robot i in rows 2i and 2i + 1."""
     count = len(each)
     placed = np.zeros((count, 2, count))
     placed[np.arange(count), :, np.arange(count)] = each
@@ -239,6 +240,6 @@ def _columns(each: Floats) -> Floats:
 
 
 def _blocks(each: Floats) -> Floats:
-    """Return (2N, 2N) with the outer product of the vector (2,) of each robot with itself."""
+    """Return the block-diagonal matrix (2N, 2N) of each robot's vector (2,) times its transpose."""
     columns = _columns(each)
     return columns @ columns.T

@@ -1,6 +1,6 @@
-"""Can these robots be steered together, and how well? Of one setup, along several good plans.
+"""Predicts how accurately the robots of a setup can be steered together, along several good plans.
 
-The plans are those with which the controllers of the first trials would begin.
+The plans are the first plans that the controllers of the first trials would find.
 """
 
 from collections.abc import Iterator
@@ -22,8 +22,8 @@ from tetractl.run.task import trial_seeds
 class Planned:
     """A plan of the robots at their starts, and the problem that it solves.
 
-    `reaches` is whether its cost is good enough for the optimiser, or accepted by the controller.
-    `shortest` is the fewest signals with such a cost, None if no length has one.
+    `reaches` is whether the plan's cost is at most the tolerance. `shortest` is the least number of
+    signals of a sequence with such a cost, None if there is none.
     """
 
     plan: Plan
@@ -33,10 +33,10 @@ class Planned:
 
 
 def planner(experiment: Experiment) -> MpcSection:
-    """Return the section of the model predictive control that an experiment is analysed with.
+    """Return the section of the model predictive control by which an experiment is analysed.
 
-    This is the spec's own, or else the default, with the multistart optimiser, which has a
-    tolerance, and without limits.
+    It is the spec's section if that is of this type, otherwise the default; with the multistart
+    optimiser, which has a tolerance, and without limits.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
@@ -77,13 +77,13 @@ def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[
 class Steering:
     """The analysis of N robots along M plans that reach the targets; lengths in the spec's unit.
 
-    The shortest of them has `shortest` signals. `errors` (M,) are the predicted mean total errors
-    with feedback, and `open_loop` (M,) those without; `planned` (M,) are the total errors without
-    any noise. Of the plan whose predicted error is the median one: `signals` is its length,
+    The shortest plan has `shortest` signals. `errors` (M,) are the predicted mean total errors with
+    feedback, `open_loop` (M,) without feedback; `planned` (M,) are the total errors without noise.
+    The other fields describe the plan of the median predicted error: `signals` is its length,
     `singular` (2N,) the singular values of the derivative of the ends by the signals [length
-    unit/rad], descending, `weakest` (N,) each robot's share of the direction of the least,
-    `robot_errors` (N,) the predicted mean errors and `covariance` (N, 2, 2) that of each end, and
-    `free_covariance` the same without feedback.
+    unit/rad], descending, `weakest` (N,) each robot's share of the least one's direction,
+    `robot_errors` (N,) the predicted mean errors, `covariance` (N, 2, 2) the covariance of each
+    end, and `free_covariance` that covariance without feedback.
     """
 
     shortest: int | None
@@ -102,8 +102,7 @@ class Steering:
     def error(self) -> float:
         """The predicted mean total error with feedback, the median of the plans.
 
-        The median, because a controller changes to a better plan if robots are hard to hold along
-        one.
+        It is the median, because a controller changes to a better plan if a plan is hard to follow.
         """
         return float(np.median(self.errors))
 
@@ -111,8 +110,8 @@ class Steering:
 def steering(
     section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
-    """Analyse the robots of a setup along the first plans of `trials` trials that reach the
-    targets; None if no plan does.
+    """Analyse the robots of a setup along the plans, of `count` searched, that reach the targets;
+    None if no plan does.
     """
     found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not found:
@@ -146,7 +145,7 @@ def steering(
 
 
 def _each(covariance: Floats) -> Floats:
-    """Return the covariance of each robot's end, (N, 2, 2), from the joint one, (2N, 2N)."""
+    """Return the covariance of each robot's end (N, 2, 2) from the joint covariance (2N, 2N)."""
     count = len(covariance) // 2
     robots = np.arange(count)
     return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]

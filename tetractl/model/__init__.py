@@ -1,1 +1,1 @@
-"""How robots move, and the obstacles between them."""
+"""Models of robots' motion, of obstacles and of swimming cells."""

@@ -1,4 +1,4 @@
-"""Lower bounds of the error that any sequence of common directions leaves.
+"""Lower bounds of the total error that hold for every sequence of common directions.
 
 N robots move by (1)-(3) for t seconds at most: theta_i' = a_i sin(u - theta_i), with one u for all.
 Let g_i be the vector from a robot's start to its target, e_i its distance to the target at the end,
@@ -17,15 +17,15 @@ difference of the start headings:
 
     D(t) = D(0) cosh(k t) + B sinh(k t),   k = s/2,   B = sqrt((2d/s)^2 + D(0)^2).
 
-Unit vectors that differ by delta are 2 |sin(delta/2)| <= min(|delta|, 2) apart, hence
-|w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
+Unit vectors that differ in angle by delta have the distance 2 |sin(delta/2)| <= min(|delta|, 2),
+hence |w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
 
     e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
-Robots of equal a and start heading have D = 0: their paths have the same shape, and for two of them
-the bound is exact if they have the time. The bounds hold for the Euler model (4)-(6) and for held
-wheel speeds (24)-(25) too: the right-hand side of D' grows with D, so a step of length T along the
-tangent stays below D, and a left Riemann sum of a growing function below its integral.
+Robots of equal a and start heading have D = 0: their paths have the same shape, and for two such
+robots the bound is exact if t is long enough. The bounds hold for the Euler model (4)-(6) and for
+held wheel speeds (24)-(25) too: the right-hand side of D' grows with D, so a step of length T along
+the tangent stays below D, and a left Riemann sum of a growing function stays below its integral.
 
 All robots. The total error is at least the minimum of e_1 + ... + e_N under all these inequalities,
 a linear programme.
@@ -56,7 +56,7 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
     rate = (a_1 + a_2) / 2
     relative = np.abs(a_1 - a_2) / rate
     both = np.hypot(relative, turned)
-    # e^(k t) at the time when D = 2, from the quadratic equation for it
+    # e^(k t) at the time when D = 2, the solution of a quadratic equation
     growth = (2 + np.sqrt(4 + relative**2)) / (turned + both)
     until = np.clip(np.log(growth) / rate, 0.0, seconds)
     grown = (turned * np.sinh(rate * until) + both * (np.cosh(rate * until) - 1)) / rate
@@ -68,7 +68,7 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> float:
     """Return a lower bound of the total error of any sequence of directions [length unit].
 
-    With `alike`, the bound is that of robots whose a and start headings do not differ.
+    With `alike`, the bound is for robots with equal a and equal start headings.
     """
     alone = reach(setup, seconds)
     one, other = np.triu_indices(len(alone), 1)
@@ -101,6 +101,6 @@ def _least_sum(alone: Floats, pairs: np.ndarray, both: Floats) -> float:
         b_ub=-both / scale,
         bounds=np.column_stack([alone / scale, np.full(len(alone), np.inf)]),
     )
-    # any one pair bounds the total too, should the solver give up
+    # if the solver fails, each single pair still bounds the total
     fallback = alone.sum() + np.max(both - alone[pairs].sum(axis=1))
     return float(solved.fun * scale if solved.success else fallback)

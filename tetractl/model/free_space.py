@@ -1,4 +1,4 @@
-"""Tests whether obstacles wall a target off, for a point robot.
+"""Tests whether obstacles separate a start from a target, for a point robot.
 
 The arena is covered with square cells. A cell is free unless its centre is deeper inside an
 obstacle than half a side; cells that share a corner are neighbours too. Two points that are not
@@ -25,7 +25,7 @@ TOUCHING = 1e-6
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
     """Return the distance of points to the nearest obstacle [length unit], negative inside.
 
-    With `walls`, all outside the arena is an obstacle.
+    With `walls`, everything outside the arena is an obstacle.
     """
     nearest = Obstacles.of(setup.obstacles).distance(x, y)
     if not walls:
@@ -41,9 +41,9 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
 def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     """Return the least possible distance of each robot to its target (N,) [length unit].
 
-    The distance is 0 if no wall is found between start and target. Robots keep `margin` from
-    obstacles; with `walls` they stay in the arena, otherwise they may pass outside. A start nearer
-    to an obstacle than the margin is in no free space, which gives 0.
+    The distance is 0 if a path from start to target may exist. Robots keep the distance `margin`
+    from obstacles; with `walls` they stay in the arena, otherwise they may leave it. A start nearer
+    to an obstacle than the margin is not in free space, and also gives 0.
     """
     from scipy.ndimage import label
 
@@ -59,9 +59,7 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     label(free, np.ones((3, 3)), output=regions)
 
     def around(point: Floats) -> set[int]:
-        """Return the numbers of the regions at a point, which may lie between the discs of
-        neighbours.
-        """
+        """Return the numbers of the connected regions of the cells around a point (2,)."""
         row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
         near = regions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         return set(near[near > 0].tolist())
@@ -77,7 +75,7 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
 
 
 def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
-    """Return the centres of the cells along an extent; without walls, of two more at either end."""
+    """Return the cells' centres along an axis; without walls, with two more cells at each end."""
     beyond = 0 if walls else 2
     cells = np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond, dtype=np.float64)
     return begin + (cells + 0.5) * side

@@ -16,7 +16,7 @@ from tetractl.model.shapes.rectangle import PackedRectangles
 
 @dataclass(frozen=True)
 class Obstacles:
-    """A union of shapes; their edges belong to it. Lengths in the spec's unit."""
+    """A union of shapes, edges included. Lengths in the spec's unit."""
 
     shapes: tuple[Shape, ...]
 
@@ -24,7 +24,7 @@ class Obstacles:
     def of(cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None) -> Self:
         """Return the union of shapes, each grown by `margin` [length unit].
 
-        With `walls`, everything outside that arena belongs to it too, as four half-planes.
+        With `walls`, the union includes everything outside that arena, as four half-planes.
         """
         every = [*shapes, *(_walls(walls) if walls else ())]
         return cls(tuple(shape.grown(margin) for shape in every))
@@ -53,8 +53,8 @@ class Obstacles:
     def packed(self) -> tuple[Any, ...]:
         """Return the shapes for the kernels, one `PackedShapes` per kind.
 
-        Rectangles and circles are always included, even if empty, so that one compiled kernel
-        serves most experiments, and another one those with walls. Every call returns the same
+        Rectangles and circles are always included, even if there are none, so that most experiments
+        share one compiled kernel, and those with walls another one. Every call returns the same
         arrays, which must not be changed.
         """
         return self._packed

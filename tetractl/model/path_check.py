@@ -15,12 +15,12 @@ BLOCK = 10_000  # number of samples of a recorded path that are checked at a tim
 
 
 class PathCheck:
-    """The check of a path of N robots, added sample by sample and straight between samples.
+    """Checks the path of N robots, which is added in parts and straight between samples.
 
     `entered` (N,) is True for robots whose path touched an obstacle; `clearance` (N,) is the least
     signed distance of each robot's samples to an obstacle [length unit], inf without obstacles.
-    `edge` (N,) is the least signed distance of each to the edge of the arena, negative outside, and
-    `apart` (N,) to the nearest other robot, inf for one alone.
+    `edge` (N,) is each robot's least signed distance to the arena's edge, negative outside, and
+    `apart` (N,) its least distance to another robot, inf for a single robot.
     """
 
     def __init__(self, obstacles: Obstacles, arena: Bounds, count: int) -> None:
@@ -37,7 +37,7 @@ class PathCheck:
         return cls(Obstacles.of(setup.obstacles), setup.arena, len(setup.names))
 
     def add(self, x: Floats, y: Floats) -> None:
-        """Add M further samples in time order; x, y of shape (M, N), NaN where it is lost."""
+        """Add M further samples in time order; x, y (M, N), NaN where a position is unknown."""
         if self._last is not None:
             x, y = np.vstack([self._last[0], x]), np.vstack([self._last[1], y])
         self._last = (x[-1], y[-1])
@@ -68,7 +68,7 @@ def _least(each: Floats) -> Floats:
 def separations(x: Floats, y: Floats) -> Floats:
     """Return the least distance of each of N robots to another over M samples, (N,).
 
-    x, y are (N, M) [length unit]; samples that are nan are left out.
+    x, y are (N, M) [length unit]; NaN samples are ignored.
     """
     count = len(x)
     apart = np.full(count, np.inf)
@@ -83,7 +83,7 @@ def separations(x: Floats, y: Floats) -> Floats:
 def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdict:
     """Return the verdict of `PathCheck` on a recorded path which ended in `final`.
 
-    `path` (M, N, 2 or more) begins with x and y; samples that are not `known` (M, N) are left out.
+    `path` (M, N, 2 or more) begins with x and y; samples not `known` (M, N) are ignored.
     """
     whole = PathCheck.of(setup)
     for robot in range(path.shape[1]):

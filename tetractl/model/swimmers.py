@@ -1,8 +1,8 @@
 """One model of swimming cells, for the simulated and the emulated dish.
 
 A cell swims along a helix. Its axis follows (1)-(3): (3) turns the axis, not the momentary velocity
-(Crenshaw). Lengths are micrometres, whatever a spec's unit. Where each number comes from is in
-docs/explanation/cells.md; `guess` there means that no source was found.
+(Crenshaw). Lengths are micrometres, whatever a spec's unit. docs/explanation/cells.md states the
+source of each number; `guess` means that no source was found.
 """
 
 import math
@@ -33,7 +33,7 @@ SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 def speed_factor(celsius: float) -> float:
-    """Return the ratio of the speed at a temperature to that at 20 C, by Arrhenius with
+    """Return the speed at a temperature relative to the speed at 20 C, by Arrhenius with
     `ACTIVATION_EV`.
 
     The speed changes by about 4 % per degree. Valid for 10 to 28 C; ValueError outside 0 to 40.
@@ -48,10 +48,10 @@ def speed_factor(celsius: float) -> float:
 class Swimmers:
     """The true state of N cells: one number per cell in each array (N,).
 
-    x, y [um] and `heading` [rad] are those of the helix's axis, `depth` [um] is the axis's height
+    x, y [um] and `heading` [rad] describe the helix's axis, `depth` [um] is the axis's height
     from focus, `phase` [rad] the body's position on the helix. `a` [rad/s] is the turning rate at
     the reference field, 0 for a cell without magnet, `bias` [rad] the dipole's angle from the axis,
-    `walk` [rad/sqrt(s)] the random walk of the heading. `resting` cells keep their place.
+    `walk` [rad/sqrt(s)] the random walk of the heading. `resting` cells do not swim.
     """
 
     x: Floats
@@ -73,9 +73,7 @@ class Swimmers:
     def drawn(
         cls, random: np.random.Generator, count: int, unmagnetised: int = 0, celsius: float = WARM_C
     ) -> Self:
-        """Return cells drawn at random from a culture, at the origin; the last `unmagnetised` have
-        no magnet.
-        """
+        """Return `count` random cells at the origin; the last `unmagnetised` have no magnet."""
 
         def normal(mean: float, deviation: float) -> Floats:
             return np.clip(random.normal(mean, deviation, count), 0.5 * mean, 1.5 * mean)
@@ -123,7 +121,7 @@ class Swimmers:
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        """Advance every cell by the midpoint rule, by a few milliseconds.
+        """Advance every cell by one step, of a few milliseconds, by the midpoint rule.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
         rate is proportional to it. `drift` [um/s] is the medium's flow. A resting cell only drifts.
@@ -142,8 +140,8 @@ class Swimmers:
     def slide(self, low: tuple[float, float], high: tuple[float, float]) -> None:
         """Keep the cells within rectangular walls, given by two corners [um].
 
-        A cell that meets a wall slides along it (Ohmura et al.): it keeps the part of its heading
-        along the wall, and leaves once it is turned away.
+        A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and
+        leaves the wall once its heading points away from it.
         """
         for at, heading_to, least, most in (
             (self.x, 0.0, low[0], high[0]),
@@ -157,13 +155,13 @@ class Swimmers:
                 at[beyond] = edge
 
     def rest(self, cell: int, resting: bool = True) -> None:
-        """Make a cell rest, or swim again."""
+        """Make a cell rest, or swim again if not `resting`."""
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
         """Return the cells after one has divided; the daughter is the last.
 
-        Both have the mother's width and 0.8 of its length, and share the magnet unequally.
+        Both cells have the mother's width and 0.8 of its length, and share its magnet unequally.
         """
         daughter = self.kept(np.arange(len(self)) == cell)
         both = self.copy()
@@ -190,8 +188,8 @@ _FIELDS = fields(Swimmers)
 class Bodies:
     """The bodies of N cells as a camera sees them: x, y [um], `height` from focus [um] (N,).
 
-    `axis` [rad] is the body's direction in the picture, swaying about the helix's, and `tilt` [rad]
-    how far it points out of the picture.
+    `axis` [rad] is the body's direction in the picture, which sways about the helix's axis, and
+    `tilt` [rad] its angle out of the picture's plane.
     """
 
     x: Floats
@@ -202,9 +200,7 @@ class Bodies:
 
 
 def bodies(cells: Swimmers) -> Bodies:
-    """Return the bodies' positions on their helices, and their tilts, at most atan(2 pi f r
-    / v).
-    """
+    """Return the bodies at their positions on the helices; tilts are at most atan(2 pi f r / v)."""
     across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
     turning = 2 * math.pi * cells.helix_hz
     return Bodies(

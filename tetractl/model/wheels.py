@@ -1,8 +1,8 @@
-"""A two-wheeled robot in place of a cell, (21)-(25), and the counts sent to its wheels.
+"""A two-wheeled robot that moves like a cell, (21)-(25), and the counts sent to its wheels.
 
-A wheel turns at gain * (|count| - dead zone) mm/s, and stands within the dead zone. One count turns
+A wheel runs at gain * (|count| - dead zone) mm/s, and stands within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
-(error diffusion), so that the mean of the speeds sent is the wanted one.
+(error diffusion), so that the mean of the speeds sent is the requested speed.
 """
 
 import math
@@ -23,8 +23,7 @@ STOP: Counts = (0, 0)
 def wheel_speeds(
     heading: Floats, u: Floats | float, a: Floats, v: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return (left, right) wheel speeds [length unit/s] with which a robot turns like a cell,
-    (24)-(25).
+    """Return (left, right) wheel speeds [length unit/s] that turn a robot like a cell, (24)-(25).
 
     heading, a [rad/s] and v [length unit/s] have shape (N,); r is the distance from a wheel to the
     centre [length unit].
@@ -45,9 +44,7 @@ def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Float
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count that does not
-    move it.
-    """
+    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count without motion."""
 
     gain: float = 1000.0 / COUNT_MAX
     dead_zone: int = 0
@@ -65,7 +62,7 @@ class Wheel:
         return self.gain * (steps if (count > 0) != self.invert else -steps)
 
     def _count(self, steps: int) -> int:
-        """Return the count that turns the wheel at `steps` times its gain."""
+        """Return the count for a speed of `steps` times the gain."""
         if steps == 0:
             return 0
         count = abs(steps) + self.dead_zone
@@ -74,9 +71,9 @@ class Wheel:
 
 @dataclass(frozen=True, slots=True)
 class Drivetrain:
-    """One robot's wheels, as calibrated.
+    """One robot's calibrated wheels.
 
-    `swap`: the left wheel is connected to the channel sent second. `limit`: the largest count that
+    `swap`: the left wheel is connected to the second motor channel. `limit`: the largest count that
     is sent.
     """
 
@@ -103,9 +100,9 @@ def wheel_counts(
 ) -> tuple[Counts, Residue]:
     """Return the counts to send for speeds [mm/s], and the residue for the next call.
 
-    If a wheel would exceed the limit, both are scaled equally, which keeps the path's curvature. A
-    wheel that must stand gets exactly 0; if both stand, the residue is cleared. Speeds that are not
-    finite are refused with ValueError.
+    If a wheel would exceed the limit, both speeds are scaled equally, which keeps the path's
+    curvature. A wheel of speed 0 gets the count 0; if both stand, the residue is cleared.
+    ValueError for speeds that are not finite.
     """
     if not (math.isfinite(left) and math.isfinite(right)):
         raise ValueError(f"wheel speeds must be finite, not {left} and {right}")
@@ -126,16 +123,16 @@ def wheel_counts(
 
 
 def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
-    """Return the left and right speeds [mm/s] that sent counts command."""
+    """Return the left and right wheel speeds [mm/s] for counts."""
     left, right = counts[::-1] if drivetrain.swap else counts
     return drivetrain.left.speed(left), drivetrain.right.speed(right)
 
 
 class LaggingTurns:
-    """The headings to which N robots turn whose wheels follow commands with a first-order lag T.
+    """Predicts the headings of N robots whose wheels follow commands with a first-order lag T.
 
-    A robot with heading theta and turning rate w at time s, to which turning rates c were sent that
-    act until time t and 0 after that, comes to rest at the heading
+    A robot has heading theta and turning rate w at time s. If the turning rates c sent to it act
+    until time t, and 0 after t, it comes to rest at the heading
 
         theta + T w(s) + integral of c from s to t.
 
@@ -144,19 +141,18 @@ class LaggingTurns:
 
     def __init__(self, lag_s: float, count: int) -> None:
         self._lag_s = lag_s
-        # from when on turning rates (N,) [rad/s] act [ns], oldest first
+        # times from which turning rates act [ns], and the rates (N,) [rad/s], oldest first
         self._sent: deque[tuple[int, Floats]] = deque([(0, np.zeros(count))])
-        self._turning = np.zeros(count)  # true rates when the oldest of these begins to act
+        self._turning = np.zeros(count)  # true rates when the oldest command begins to act
 
     def sent(self, acts_ns: int, turning: Floats) -> None:
         """Add turning rates (N,) that act from a time on [ns]."""
         self._sent.append((acts_ns, turning))
 
     def ahead(self, heading: Floats, since: int, until: int) -> Floats:
-        """Return the headings (N,) at which robots come to rest if they are stopped at `until`
-        [ns], from those at `since`.
+        """Return the headings (N,) [rad] in which robots come to rest if they stop at `until` [ns].
 
-        `since` must not fall from call to call.
+        `heading` (N,) are their headings at `since` [ns], which must not fall from call to call.
         """
         while len(self._sent) > 1 and self._sent[1][0] <= since:
             self._turning = self._turning_at(self._sent[1][0])
@@ -168,7 +164,7 @@ class LaggingTurns:
         return found
 
     def _turning_at(self, when: int) -> Floats:
-        """Return the turning rates at a time at which the oldest of the commands acts."""
+        """Return the true turning rates at a time [ns] at which the oldest command acts."""
         begin, wanted = self._sent[0]
         return wanted + (self._turning - wanted) * math.exp(
             min(begin - when, 0) / SECOND / self._lag_s
@@ -176,9 +172,7 @@ class LaggingTurns:
 
 
 def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
-    """Round wish + owed to a whole step within the span; return the step and the new rounding
-    error.
-    """
+    """Round wish + owed to a whole step within -span..span; return the step and the residue."""
     if wish == 0:
         return 0, owed
     total = wish + owed

@@ -1,6 +1,4 @@
-"""Simulates cells that swim on a helix under a field, between walls, by
-`tetractl.model.swimmers`.
-"""
+"""Simulates cells that swim on a helix under a field, between walls; see `model.swimmers`."""
 
 import math
 
@@ -17,9 +15,9 @@ STEP_S = 0.005  # largest step of the midpoint rule
 
 
 class CultureSection(Model):
-    """Makes the robots swimming cells with the spec's a and speed; other properties are drawn at
-    random, see docs/explanation/cells.md. Cells turn by (3), and their headings walk by
-    `heading_noise`.
+    """The robots are swimming cells with the spec's a and speed; their other properties are drawn
+    at random, see docs/explanation/cells.md. Cells turn by (3), with a random walk of the heading
+    by `heading_noise`.
     """
 
     dipole: NonNegative = DIPOLE_SD_RAD
@@ -34,11 +32,11 @@ class CellDrive:
     """Moves N cells; a pose is the middle of a body with the heading of its helix, as measured by
     the `cells` camera.
 
-    Cells wait until the first command. A stop holds them, so that a trial ends where they are when
-    it acts, whereas real cells swim on.
+    Cells do not swim before the first command, or after a stop, so that a trial ends at the poses
+    at the stop; real cells swim on.
     """
 
-    host = None  # a field needs none
+    host = None  # no host computes wheel speeds
     sampled = True  # the path is a sum over samples
     repeats_ns = NEVER  # a field holds until the next command
     rest_s = 0.0
@@ -91,9 +89,7 @@ class CellDrive:
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Advance the cells; return x, y and heading (M, N) after each of the times (M,) from now
-        [s].
-        """
+        """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now."""
         found, now = [], 0.0
         for until in seconds.tolist():
             steps = max(1, math.ceil((until - now) / STEP_S))
@@ -107,7 +103,7 @@ class CellDrive:
         return x, y, heading
 
     def apply(self, command: DelayedCommand) -> None:
-        """Let a command act on the cells that it reaches."""
+        """Apply a command to the cells that it reaches."""
         got: Bools = command.reached
         stops = command.direction is None and not command.field_off
         self.cells.resting = np.where(got, stops, self.cells.resting)

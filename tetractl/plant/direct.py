@@ -1,6 +1,4 @@
-"""Simulates robots that receive the direction itself and turn towards it, like cells in a field,
-(3).
-"""
+"""Simulates robots that receive the direction itself and turn towards it by (3), like cells."""
 
 import numpy as np
 
@@ -30,7 +28,7 @@ class DirectDrive:
         self._motion = motion
         self._held = Held(*(np.zeros(a.size) for _ in range(4)))
         self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
-        self._sine = np.zeros(a.size)  # sin(u - heading) when the command came
+        self._sine = np.zeros(a.size)  # sin(u - heading) when the command was received
         self.vary(a, speed)
 
     @property
@@ -45,21 +43,20 @@ class DirectDrive:
         self._held.turning = a * self._sine
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Advance the robots; return x, y and heading (M, N) after each of the times (M,) from now
-        [s].
+        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        `ticks` (which times are true samples) has no effect here.
+        `ticks`, which marks the times of true samples, has no effect here.
         """
         p, held = self.poses, self._held
         t = seconds[:, None] * self.moving
-        if self._free.any():  # a robot does not turn if u is its heading
+        if self._free.any():  # a robot without field does not turn: its u is its heading
             held.direction = np.where(self._free, p.heading, held.direction)
         x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
     def apply(self, command: DelayedCommand) -> None:
-        """Let a command act on the robots that received it.
+        """Apply a command to the robots that received it.
 
         For `arc`, wheel speeds are computed from the headings measured when the command was sent;
         for `euler`, the chords begin at the true headings.

@@ -52,8 +52,8 @@ class LabPlantSection(LabSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Open the lab, turn the field, and return the cells that respond; the field goes on
-        turning until the first direction.
+        """Open the lab, turn the field, and return the cells that the camera found; the field turns
+        further until the first direction.
         """
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
 
@@ -80,7 +80,7 @@ class LabPlant:
         self._supervision = supervision
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
-        self._read = 0  # number of the rig's accepted frames that have been read
+        self._read = 0  # number of accepted frames of the rig read so far
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
         self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
@@ -93,16 +93,18 @@ class LabPlant:
         self._recent: deque[Observation] = deque(maxlen=RECENT)
 
     def open(self) -> PlantInfo:
-        """Connect, check everything, and wait until the robots stand on their starts."""
+        """Connect, run the preflight check, and wait until the robots are on their starts."""
         rig = self.rig
         rig.__enter__()
         findings = wait_until_ready(rig, self._supervision)
         now = self.clock.now()
         self._news.extend(Note(now, "warning", warning) for warning in findings.all_warnings)
         rig.guard.ready()
-        self._read = rig.frames.count - 1  # the newest stays, since `observe` may return it
+        self._read = (
+            rig.frames.count - 1
+        )  # the newest frame is read again, as `observe` may return it
         if rig.frames.newest is None:
-            raise AbortError("no camera frame came")
+            raise AbortError("no camera frame arrived")
         rate_hz = findings.camera_rate_hz or 0.0
         facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
         return PlantInfo("lab", False, round(rate_hz, 3), facts)
@@ -165,10 +167,10 @@ class LabPlant:
         return Command(None, self.clock.now(), reached, *wheels)
 
     def settle(self) -> Verdict:
-        """Wait until the camera shows every robot, standing if it can, and check the path.
+        """Wait until every robot is tracked and, if robots can stand, at rest; check the path.
 
         After a fault since the last step, such as a stop that could not be sent, the robots count
-        as not standing.
+        as not at rest.
         """
         not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
         not_at_rest = not_shown(self.rig) if self.rig.frames.newest else ""
@@ -182,8 +184,8 @@ class LabPlant:
         return self._path_check.verdict(self._final(), not_at_rest)
 
     def _final(self) -> Poses:
-        """Return the final poses: at rest or, if the robots swim on, those in the frame exposed
-        nearest to the sending of the stop.
+        """Return the final poses: at rest or, if the robots swim on, the poses in the frame whose
+        exposure is nearest to the time of the stop.
         """
         if self._newest is None:
             return self.setup.starts
@@ -201,7 +203,7 @@ class LabPlant:
             raise AbortError(self.rig.guard.reason)
 
     def _take_frames(self) -> None:
-        """Keep the frames that the guard has accepted since the last call."""
+        """Store the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
         if films := getattr(self.rig.camera, "films", None):  # only a camera of cells has films
             self._films |= {film.sampled_ns: film for film in films()}
@@ -224,8 +226,8 @@ class LabPlant:
             self._lose_cells(now)
 
     def _lose_cells(self, now: int) -> None:
-        """Give up robots whose cell has divided, left or lost its identity; replace them by other
-        cells.
+        """Report robots as lost whose cell has divided, left or cannot be identified; replace them
+        by other cells if the spec says so.
         """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
         for i in getattr(self.rig.camera, "divided", ()):
@@ -261,7 +263,7 @@ class LabPlant:
         return Poses(x, y, heading)
 
     def _command(self, sent: Transmission) -> Command:
-        delivered = sent.moving  # as far as known, since broadcasts are not acknowledged
+        delivered = sent.moving  # assumed, since broadcasts are not acknowledged
         if sent.direction is None:
             delivered = (True,) * len(sent.moving)
         return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)

@@ -22,7 +22,7 @@ def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
 
 
 class MeasurementNoise(Model):
-    """Standard deviations of the camera's measurements, with errors drawn in every frame."""
+    """Standard deviations of the camera's errors, which are drawn in every frame."""
 
     position: NonNegative = 0.0
     """Standard deviation of x and of y [length unit]."""
@@ -68,7 +68,7 @@ class SimCamera:
         return due_ns(self._exposed, self.rate_hz, until)
 
     def expose(self, when: int, truth: Poses) -> None:
-        """Expose the next frame at `when` [ns] with the robots at their true poses."""
+        """Expose the next frame at `when` [ns] with the robots at the poses `truth`."""
         number = self._exposed
         self._exposed += 1
         measured = truth
@@ -83,7 +83,7 @@ class SimCamera:
         if self._measured:
             measured, valid = self._disturb(measured, when)
         received: int | None = when
-        # The robots stand before the trial in view of the camera, so the host has frame 0.
+        # the camera sees the standing robots before the trial, so frame 0 has no latency
         for disturbance in self._received if number else ():
             if received is not None:
                 received = disturbance.received(when, received)

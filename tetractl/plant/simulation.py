@@ -31,9 +31,9 @@ from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from
-# spawn key of their random numbers, separate from the plant's, which `verify` repeats
+# spawn key of these cells' random numbers; `verify` repeats the plant's random numbers without them
 FINDING = 1000
-SURVEYED = 0.03  # relative error of a and speed as known from a survey
+SURVEYED = 0.03  # relative error of a and speed measured by a survey
 # largest number of repetitions of a stop that a robot has not received: one minute
 STOPS_MAX = 3000
 POSES_MAX = 2_000_000  # largest number of poses in a control period, which are simulated together
@@ -50,31 +50,29 @@ class SimSection(PlantSection):
     type: Literal["sim"] = "sim"
     motion: Annotated[str, KindName(MOTIONS)] = "exact"
     """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
-    frame, between two commands; `euler` moves by (4)-(6) themselves, on straight chords. Robots on
-    `drive` ignore it."""
+    frame, between two commands; `euler` moves by (4)-(6), on straight chords. Ignored with
+    `drive`."""
     drive: WheelDriveSection | None = None
-    """Wheels between the direction and the robots; by default robots turn to the direction
-    directly. Needs `wheels`."""
+    """Wheels that carry out the direction; by default robots turn towards the direction without
+    wheels. Needs `wheels`."""
     cells: CultureSection | None = None
-    """Swimming cells in place of points that follow (1)-(3); they ignore `motion`."""
+    """Swimming cells in place of points that follow (1)-(3); `motion` is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
-    """Sampling rate of the true path that decides errors and obstacle violations [Hz]; at
+    """Sampling rate of the true path, by which errors and obstacle violations are computed [Hz]; at
     least the camera rate."""
     measurement_noise: MeasurementNoise = MeasurementNoise()
     """Standard deviations of the camera's noise."""
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Time from the exposure of the newest frame when a command is decided until the robots act on
-    the command [s], as `controller.dead_time`; a command that is sent later acts at once. The
-    same applies to a stop. Delays of `drive` and `disturbances` are added.
+    """Time from the exposure of the frame used for a command or stop until the robots act on it
+    [s], as `controller.dead_time`; a command that is sent later acts at once. Delays of `drive` and
+    `disturbances` are added.
     """
     lost_commands: Fraction = 0.0
-    """Probability that a command does not reach a robot, which then continues with the previous
-    one.
-    """
+    """Probability that a robot does not receive a command; it continues with the previous one."""
     a_error: Fraction = 0.0
     """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once per
     trial and robot."""
@@ -95,9 +93,7 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the problems of wheels that the experiment lacks, and of periods with too many
-        samples.
-        """
+        """Yield location and text of contradictions of wheels and of too many samples per period."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
@@ -123,7 +119,7 @@ class SimSection(PlantSection):
 
     @property
     def disturbed(self) -> bool:
-        """Whether any disturbance is on."""
+        """Whether the plant has any disturbance."""
         noise = self.measurement_noise
         sizes = (noise.position, noise.heading, self.heading_noise, self.dead_time)
         chances = (self.lost_commands, self.a_error, self.speed_error)
@@ -148,9 +144,7 @@ class SimSection(PlantSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return cells drawn at random, scattered in the arena, with a and speeds as measured by a
-        survey.
-        """
+        """Return random cells, scattered in the arena, with a and speed as measured by a survey."""
         own = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, FINDING))
         random, arena = np.random.default_rng(own), setup.arena
         count = max(CULTURE, choice.choose)
@@ -240,7 +234,7 @@ class SimPlant:
         return newest
 
     def steer(self, direction: float | None) -> Command:
-        """Send u to every robot, or switch the field off, after the planning time."""
+        """After the planning time, send u [rad] to every robot, or switch the field off."""
         answered = self.observe()
         now = self._plan()
         if self._drive.host is None:
@@ -257,12 +251,12 @@ class SimPlant:
         return self._camera.samples()
 
     def news(self) -> list[Command | Note]:
-        """Return, once, what was sent under a held direction since `steer` returned."""
+        """Return, once, the commands sent under a held direction since `steer` returned."""
         news, self._news = self._news, []
         return news
 
     def stop(self) -> Command:
-        """Stop every robot, after the planning time.
+        """After the planning time, stop every robot.
 
         The stop is repeated until every robot has received it.
         """
@@ -348,7 +342,8 @@ class SimPlant:
         return self.clock.now()
 
     def _due_ns(self, answered: Observation, now: int) -> int:
-        """Return when a command sent `now`, decided on a frame, acts by `dead_time` alone [ns]."""
+        """Return the time [ns] at which a command sent `now` in answer to a frame acts, by
+        `dead_time` alone."""
         return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
 
     def _heard(self) -> Bools:

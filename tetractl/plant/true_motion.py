@@ -1,4 +1,4 @@
-"""The true motion of simulated robots: commands on their way, disturbances, camera, path check."""
+"""The true motion of simulated robots: commands in transit, disturbances, camera, path check."""
 
 import math
 from bisect import insort
@@ -19,16 +19,16 @@ from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
-UNCHECKED = 200  # number of stretches of the path that are checked together
+UNCHECKED = 200  # number of blocks of the path that are checked together
 
 
 class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
 
     `a` and `speed` (N,) are the trial's values, before disturbances vary them. `heading_walk`
-    [rad/sqrt(s)] is the random walk of headings without wheels, drawn from `walking` at each frame;
-    the path is checked at `truth_rate` [Hz]. `repeat(now)` is called at each time [ns] at which the
-    drive repeats a transmission.
+    [rad/sqrt(s)] is the random walk of the headings of robots without wheels, drawn from `walking`
+    at each frame; the path is sampled at `truth_rate` [Hz]. `repeat(now)` is called at each time
+    [ns] at which the drive repeats a transmission.
     """
 
     def __init__(
@@ -55,10 +55,10 @@ class TrueMotion:
         self._by_frame = self._disturbs or heading_walk > 0
         self._truth_rate = truth_rate
         self._under_way: deque[DelayedCommand] = deque()  # commands in transit, ordered by `due_ns`
-        # when the last command sent acts on each robot
+        # times at which the last command sent acts on each robot [ns]
         self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)
         self._watchdog_s = setup.watchdog_s
-        self._stopping_ns = np.full(len(setup.names), NEVER)  # when each robot's watchdog stops it
+        self._stopping_ns = np.full(len(setup.names), NEVER)  # times of the watchdogs [ns]
         self._time = 0
         self._disturbed_ns = -1  # time up to which the disturbances have acted
         self._ticks = 0  # number of true samples taken so far
@@ -70,7 +70,7 @@ class TrueMotion:
         return int(self._acting_ns.max(initial=0))
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
-        """Schedule a command, and return it as it will be received."""
+        """Schedule a command, and return the command as the robots will receive it."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
         late = 0 if command.late_ns is None else command.late_ns
@@ -108,7 +108,7 @@ class TrueMotion:
                 return
 
     def _apply(self, command: DelayedCommand) -> None:
-        """Let a command act on the robots that it reaches."""
+        """Apply a command to the robots that it reaches."""
         self.drive.apply(command)
         if self._watchdog_s < math.inf:
             stops = command.direction is None and not command.field_off
@@ -116,7 +116,7 @@ class TrueMotion:
             self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
 
     def _silent(self, now: int) -> DelayedCommand:
-        """Return the stop of the robots whose watchdog ends now [ns]."""
+        """Return a stop command for the robots whose watchdog expires now [ns]."""
         silent = self._stopping_ns == now
         return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
 
@@ -127,9 +127,7 @@ class TrueMotion:
         drive.poses = Poses(p.x, p.y, p.heading + walk)
 
     def _disturb(self, now: int) -> None:
-        """Apply the disturbances to the true poses up to `now` [ns], and vary a and speed from then
-        on.
-        """
+        """Apply the disturbances to the true poses up to `now` [ns]; vary a and speed after it."""
         if now == self._disturbed_ns:
             return
         drive, time_s = self.drive, now / SECOND
@@ -146,11 +144,11 @@ class TrueMotion:
             drive.vary(a, speed)
 
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
-        """Advance to `end` under held commands, with the exposures and samples due until then.
+        """Advance to `end` under held commands; expose frames and take samples due until then.
 
-        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. Wheels,
-        whose path is a sum, stop at the last sample before `end` unless an event happens there, so
-        that the result does not depend on how often they are read.
+        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. A drive
+        whose path is a sum advances only to the last sample before `end`, unless there is an
+        `event` at `end`, so that the result does not depend on how often the plant is read.
         """
         nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
         if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots

@@ -1,12 +1,12 @@
 """Simulates two-wheeled robots whose wheels follow received commands, (21)-(23).
 
-Wheels follow with a first-order lag. Between two transmissions, wheel speeds, path length and
-heading are known in closed form. The position is the sum of the chords between true samples, each
-computed as of an arc: exact for settled wheels; otherwise the error falls with the square of the
-time between samples.
+Wheels follow commands with a first-order lag. Between two transmissions, wheel speeds, path length
+and heading are known in closed form. The position is the sum of the chords between true samples,
+each computed as the chord of an arc: exact for settled wheels; otherwise the error falls with the
+square of the time between samples.
 
-Their host computes and sends wheel speeds: (24)-(25) at the headings of the newest frame received,
-rounded to wheel counts, and sent again at the radio's rate or once per control step.
+The host computes wheel speeds by (24)-(25) at the headings of the newest frame received, rounds
+them to wheel counts, and sends them at the radio's rate or once per control step.
 """
 
 from typing import Annotated
@@ -34,31 +34,32 @@ from tetractl.plant.direct import NEVER
 
 
 class WheelDriveSection(Model):
-    """Wheels between the direction and the robots; the defaults are ideal wheels."""
+    """Wheels that carry out the direction; the defaults describe ideal wheels."""
 
     rate: Positive | None = None
     """Transmissions per second under a held direction [Hz]. Each new direction is sent at once; by
     default there are no further transmissions.
     """
     recompute: bool = True
-    """Whether each transmission computes the wheel speeds from the newest frame; otherwise it
-    repeats those of the control step.
+    """Whether the host computes the wheel speeds of each transmission from the newest frame;
+    otherwise it repeats the wheel speeds of the control step.
     """
     lead: NonNegative | None = None
-    """Time added to the frame's age over which the host predicts the headings [s], and with
-    `wheels.lag` on to where the robots would come to rest; by default it uses the measured ones.
+    """The host predicts the headings over the frame's age plus this time [s]; with `wheels.lag`, it
+    predicts the headings in which the robots would then come to rest. By default it uses the
+    measured headings.
     """
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest count that does not move a wheel, as known to the host; needs `count`."""
+    """Largest count that does not move a wheel, as the host assumes; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
     """Largest difference of a wheel's true dead zone from `dead_zone`; the difference is a whole
     number, uniform in both directions.
     """
     gain_error: Fraction = 0.0
-    """Each wheel's true speed is the one sent times 1 + e, e uniform in [-gain_error,
+    """Each wheel's true speed is the speed sent times 1 + e, with e uniform in [-gain_error,
     gain_error], drawn once per trial."""
     radius_error: Fraction = 0.0
     """Each robot's true distance from wheel to centre is the spec's times 1 + e, with e uniform in
@@ -69,11 +70,11 @@ class WheelDriveSection(Model):
 
 
 class WheelHost:
-    """Computes the wheel speeds sent to N robots, and the true ones that result.
+    """Computes the wheel speeds sent to N robots, and the resulting true wheel speeds.
 
-    `repeats_ns` is the time of the next transmission [ns], `direction` the held one [rad], None
-    while the field is off: both wheels then have equal speeds. Gains and dead zones are drawn from
-    `erring`, once per trial.
+    `repeats_ns` is the time of the next transmission [ns], `direction` the held direction [rad],
+    None while the field is off: both wheels then have equal speeds. Gains and dead zones are drawn
+    from `erring`, once per trial.
     """
 
     def __init__(
@@ -88,7 +89,7 @@ class WheelHost:
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
         more = section.dead_zone_error
         zones = section.dead_zone + erring.integers(-more, more + 1, (2, count))
-        # wheels as known to the host, and true wheels
+        # wheels as assumed by the host, and true wheels
         self._trains: list[tuple[Drivetrain, Drivetrain]] = []
         if section.count is not None:
             known = Wheel(section.count, section.dead_zone)
@@ -103,28 +104,28 @@ class WheelHost:
                 (Drivetrain(known, known), Drivetrain(left, right)) for left, right in true
             ]
         self._residues = [Residue()] * count
-        # the prediction of headings for wheels that are known to lag
+        # predicts headings if the host knows that wheels lag
         self._turns = LaggingTurns(setup.lag_s, count) if setup.lag_s > 0 else None
         self._last: tuple[Floats, Floats] | None = None
 
     def direct(self, direction: float | None) -> None:
         """Hold a direction u [rad] from now on, None for no field.
 
-        The caller sends wheel speeds for it at once.
+        The caller sends wheel speeds for this direction at once.
         """
         self.direction, self._last = direction, None
 
     def halt(self, now: int) -> None:
-        """End holding a direction: a stop is sent `now` [ns]."""
+        """Hold no direction any more: a stop is sent `now` [ns]."""
         self.repeats_ns = NEVER
         if self._turns is not None:
             self._turns.sent(self._acts_ns(now), np.zeros_like(self._a))
 
     def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
-        """Return the wheel speeds to send `now` [ns], and the true ones that result.
+        """Return the wheel speeds to send `now` [ns], and the resulting true wheel speeds.
 
-        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. The
-        next transmission is scheduled, as by the lab's inner loop.
+        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. Also
+        schedules the next transmission, as the lab's inner loop does.
         """
         rate = self._section.rate
         if rate is not None:
@@ -136,7 +137,7 @@ class WheelHost:
         return self._last
 
     def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
-        """Return the wheel speeds of (24)-(25) as sent, and the true ones that result."""
+        """Return the wheel speeds sent, by (24)-(25), and the true wheel speeds that result."""
         heading = seen.poses.heading
         u = heading if self.direction is None else np.array(self.direction)
         if self._turns is not None and self._section.lead is not None:
@@ -161,7 +162,7 @@ class WheelHost:
         return np.array(sent).T, np.array(made).T
 
     def _acts_ns(self, now: int) -> int:
-        """Return when what is sent `now` acts, as far as the host knows [ns]."""
+        """Return the time [ns] at which, as the host assumes, a command sent `now` acts."""
         return now + round((self._section.lead or 0.0) * SECOND)
 
 
@@ -172,11 +173,11 @@ SMALL = 0.3
 
 
 class WheelDrive:
-    """Moves N robots on wheels, including their host.
+    """Moves N robots on wheels, and holds their host.
 
-    `a`, `speed` (N,) are the true values: turning and speed are scaled by their ratio to the
-    setup's. `walk` [rad/sqrt(s)] is the random walk of the heading, at `truth_rate` [Hz], drawn
-    from `walking`; values fixed for the trial are drawn from `erring`.
+    `a`, `speed` (N,) are the true values: turning rates and speeds are scaled by the ratio of true
+    value to the setup's. `walk` [rad/sqrt(s)] is the random walk of the heading, at `truth_rate`
+    [Hz], drawn from `walking`; values fixed for the trial are drawn from `erring`.
     """
 
     sampled = True  # the path is a sum over samples
@@ -227,7 +228,7 @@ class WheelDrive:
         self._way_of = np.divide(speed, known.speed, out=nominal, where=known.speed > 0) / 2
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Move on, and return x, y and heading (M, N) after each of the times (M,) from now [s].
+        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
         The heading's random walk is applied at the times of true samples, where `ticks` (M,) is 1.
         """

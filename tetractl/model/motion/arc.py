@@ -1,4 +1,4 @@
-"""Wheel speeds (24)-(25) computed once per step and held: arcs of a circle.
+"""The motion under wheel speeds (24)-(25) computed once per step and held: arcs of a circle.
 
 The heading advances as in (6), by w = t a sin(u - heading); the chord of the arc has length
 t v sin(w/2) / (w/2) and direction heading + w/2.

@@ -4,7 +4,7 @@ With phi = u - heading, (3) reads d phi/dt = -a sin phi, so tan(phi/2) decays by
 c = cos(phi/2), s = sin(phi/2) and h = c^2 + s^2 E^2, the robot moves v (t + ln(h)/a) along u and
 v (phi - phi')/a to the right of it, where tan((phi - phi')/2) = s c (1 - E) / (c^2 + s^2 E).
 
-Seen from phi_m, the angle at t/2, the same displacement is odd in both components,
+With phi_m, the angle phi at t/2, both components of the same displacement are odd functions,
 
     along u:  2 v/a artanh(tanh(a t/2) cos phi_m)     right:  2 v/a arctan(sinh(a t/2) sin phi_m),
 
@@ -119,10 +119,10 @@ def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
     """Return x, y, cos and sin of the heading after a piece.
 
     With H the heading and U the direction as unit vectors, r = tanh(a t/2) and G = H + r U, the
-    heading after t is (1 - r^2) G/|G|^2 + r U; so is M, that after t/2, with tanh(a t/4). |G|
-    is taken from H as it is: rounding off the circle then grows no faster than a turn does.
-    The displacement is A(q) M - B(q) (M.U) U with polynomials of q = (M.U)^2, where A sin phi_m
-    is the displacement to the right and (A - B) cos phi_m that along u.
+    heading after t is (1 - r^2) G/|G|^2 + r U. The heading M after t/2 follows in the same way with
+    tanh(a t/4). |G| is computed from H without assuming |H| = 1: rounding errors of |H| then grow
+    no faster than those of a turn. The displacement is A(q) M - B(q) (M.U) U with polynomials of
+    q = (M.U)^2: A sin phi_m to the right of u and (A - B) cos phi_m along u.
     """
     middle, still, end, rest = k[0], k[1], k[2], k[3]
     near = c * cu + s * su
@@ -164,8 +164,8 @@ def differentiate_fast(
 def _derive(
     near: float, far: float, s: float, e: float, cu: float, su: float, a: float, v: float, t: float
 ) -> Derivatives:
-    """Return a step and its derivatives, from near = 1 + cos phi, far = (1 - cos phi) E, sin phi
-    and E."""
+    """Return a step and its derivatives from near = 1 + cos phi, far = (1 - cos phi) E, s = sin phi
+    and e = E."""
     d, across = near + far * e, near + far
     m, exponent = mantissa(0.5 * d)
     m1 = m + 1

@@ -1,7 +1,7 @@
-"""The parts of a motion: one definition for the planner, its compiled twin and the plant.
+"""The interfaces of a motion: one definition for the planner, its compiled twin and the plant.
 
-A motion is one file that ends in a `Motion`, named by one line in `tetractl.core.registries`. See
-docs/how-to/extend.md.
+A motion is one file that defines a `Motion`, and one line in `tetractl.core.registries` that names
+it. See docs/how-to/extend.md.
 """
 
 from collections.abc import Callable
@@ -28,8 +28,8 @@ class Held:
     """The commands that N robots hold, (N,) each; before the first they stand still."""
 
     direction: Floats  # u [rad]
-    turning: Floats  # a sin(u - heading) when the command came [rad/s], (3)
-    course: Floats  # heading when the command came [rad]
+    turning: Floats  # a sin(u - heading) when the command was received [rad/s], (3)
+    course: Floats  # heading when the command was received [rad]
     moving: Floats  # 1 if the robot moves, 0 if it stands
 
 
@@ -49,9 +49,7 @@ class StepFunction(Protocol):
 
 
 class TurnFunction(Protocol):
-    """Headings [rad] after a time t [s] under a held direction, the same as those of a
-    `StepFunction`.
-    """
+    """Headings [rad] after a time t [s] under a held direction, equal to a `StepFunction`'s."""
 
     def __call__(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
         """Return the headings after the step."""
@@ -83,12 +81,11 @@ class Hold(Protocol):
 class Lanes(Protocol):
     """Constants of N robots for steps of one duration, and the step of one robot in scalars.
 
-    A `NamedTuple` with the fields `rows` and `pieces`. Each class is a type of its own to the
-    compiler, which makes one kernel for each. The functions are compiled where a kernel calls them,
-    with the plain functions they call; they may use arithmetic, `math` and
-    `tetractl.model.motion.polynomials`. `advance` runs in a loop over particles and `differentiate`
-    in one over signals. So that these become vector code, use conditional values rather than
-    branches, and polynomials rather than calls to `math`.
+    A `NamedTuple` with the fields `rows` and `pieces`. The compiler makes one kernel per class. The
+    functions, and the plain functions that they call, are compiled together with the kernel; they
+    may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs in a loop
+    over particles, `differentiate` in a loop over signals. To make these loops vector code, use
+    conditional values rather than branches, and polynomials rather than calls to `math`.
 
     A class of one piece whose last signal cannot move the last position may add `finish(x, y, c, s,
     k)`, which returns x, y after the last step. A class may also add `turn(heading, u, a, t)`, a
@@ -128,11 +125,11 @@ class Lanes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion, defined by its NumPy step, the plant's and the compiled one.
+    """A motion, defined by its NumPy step, the plant's step and the compiled step.
 
-    `lanes(a, longest)` returns the class of constants for robots that turn at a (N,) [rad/s] in
-    steps of at most `longest` [s]: a motion may have a faster one for robots that turn slowly.
-    `turn` returns the headings of `step`, and `strides` its increments, both bit for bit;
+    `lanes(a, longest)` returns the class of constants for robots with turning rates a (N,) [rad/s]
+    in steps of at most `longest` [s]: a motion may have a faster class for robots that turn slowly.
+    `turn` returns the headings of `step`, and `strides` the increments, both bit for bit;
     prediction is slower without them.
     """
 
@@ -144,7 +141,7 @@ class Motion:
     strides: StridesFunction | None = None
 
     def headings(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-        """Return the headings of `step` after a time t [s] [rad]."""
+        """Return the headings [rad] of `step` after a time t [s]."""
         if self.turn is not None:
             return self.turn(heading, u, a, t)
         return self.step(_NOWHERE, _NOWHERE, heading, u, a, _NOWHERE, t)[2]

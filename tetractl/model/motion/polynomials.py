@@ -1,6 +1,6 @@
 """Elementary functions as polynomials, for compiled loops over the particles of a robot.
 
-They are plain functions of scalars, which kernels compile but which also work without a compiler.
+They are plain functions of scalars: kernels compile them, and they also work without a compiler.
 
 Coefficients are computed at import, by interpolation at Chebyshev points in the squared argument.
 The degree gives an error below 1e-13 on the named range, since the errors of steps add up and a
@@ -99,7 +99,7 @@ def log_from_ratio(f, k):
 
 
 def arctan(z):
-    """Return atan z, by its distance from 0, pi/4 or pi/2."""
+    """Return atan z, computed from the nearest of 0, pi/4 and pi/2."""
     size = abs(z)
     low, high = min(size, 1.0), max(size, 1.0)
     middle = 1.0 if low > TAN_EIGHTH * high else 0.0

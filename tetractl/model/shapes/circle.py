@@ -45,7 +45,7 @@ class PackedCircles(NamedTuple):
 
     @staticmethod
     def outward(x: float, y: float, p: Any) -> tuple[float, float]:
-        """Return the direction away from the centre, or east at the centre itself."""
+        """Return the direction away from the centre; at the centre itself, the +x direction."""
         dx, dy = x - p[0], y - p[1]
         away = math.sqrt(dx * dx + dy * dy)
         if away < 1e-300:
@@ -65,7 +65,7 @@ class Circle(ShapeSection):
     packed: ClassVar[Any] = PackedCircles
 
     def row(self) -> tuple[float, float, float]:
-        """Return centre x, y and radius, grown."""
+        """Return centre x, y and the radius with its margin."""
         return *self.center, self.radius + self.margin
 
     def contain(self, x: Floats, y: Floats) -> Bools:

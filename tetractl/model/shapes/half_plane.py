@@ -1,4 +1,4 @@
-"""Half-planes: the outside of an arena's walls. They are not a shape of the spec."""
+"""Half-planes, which describe the outside of an arena's walls; a spec cannot contain them."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
@@ -22,7 +22,7 @@ class PackedHalfPlanes(NamedTuple):
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the lesser gap of the segment's two ends."""
+        """Return the smaller of the gaps at the segment's two ends."""
         nx, ny, offset = p
         return min(nx * x0 + ny * y0, nx * x1 + ny * y1) - offset
 
@@ -66,7 +66,7 @@ class HalfPlane:
         return replace(self, offset=self.offset + margin)
 
     def outline(self) -> Floats:
-        """Return no corners: it is not drawn."""
+        """Return no corners (0, 2): a half-plane is not drawn."""
         return np.empty((0, 2))
 
     def row(self) -> tuple[float, float, float]:

@@ -1,7 +1,7 @@
-"""Simple polygons, also concave ones, such as walls and channels of micro-arenas.
+"""Simple polygons, which may be concave, such as walls and channels of micro-arenas.
 
-Growing a polygon subtracts the margin from its signed distance, which rounds its corners, as for a
-round body.
+Growing a polygon subtracts the margin from its signed distance, which rounds its corners: these are
+the positions in which a round robot touches it.
 """
 
 import math
@@ -60,7 +60,7 @@ def meet(
 
 
 def nearest_edge(x: float, y: float, p: Any) -> tuple[float, float, float, int]:
-    """Return (signed distance without margin, nearest point of the edge, number of its edge)."""
+    """Return signed distance without margin, x and y of the nearest edge point, edge's number."""
     count = int(p[1])
     inside, least, near_x, near_y, edge = False, math.inf, 0.0, 0.0, 0
     ax, ay = p[HEAD + 2 * count - 2], p[HEAD + 2 * count - 1]
@@ -120,7 +120,7 @@ class PackedPolygons(NamedTuple):
 
     @staticmethod
     def outward(x: float, y: float, p: Any) -> tuple[float, float]:
-        """Return the direction through the nearest point of the edge; on it, the edge's normal."""
+        """Return the direction along which the signed distance grows; on the edge, its normal."""
         signed, near_x, near_y, edge = nearest_edge(x, y, p)
         if abs(signed) > 1e-9 * (abs(near_x) + abs(near_y)):
             return (x - near_x) / signed, (y - near_y) / signed
@@ -136,8 +136,8 @@ class Polygon(ShapeSection):
 
     type: Literal["polygon"]
     vertices: tuple[Point, ...] = Field(min_length=3, max_length=200)
-    """Corners [x, y] in order round the polygon, in either sense [length unit]; the last is joined
-    to the first.
+    """Corners [x, y] in order round the polygon, in either sense [length unit]; an edge joins the
+    last to the first.
     """
 
     packed: ClassVar[Any] = PackedPolygons
@@ -234,7 +234,7 @@ def _passes_right(x: Floats, y: Floats, ax: float, ay: float, bx: float, by: flo
 
 
 def _to_segment(x: Any, y: Any, ax: Any, ay: Any, bx: Any, by: Any) -> Floats:
-    """Return the distance of points to segments from (ax, ay) to (bx, by), all broadcast."""
+    """Return the distance of points to segments from (ax, ay) to (bx, by); arguments broadcast."""
     ex, ey = bx - ax, by - ay
     length2 = ex * ex + ey * ey
     along = ((x - ax) * ex + (y - ay) * ey) / np.where(length2 > 0, length2, 1.0)

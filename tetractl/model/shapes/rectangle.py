@@ -17,13 +17,13 @@ class PackedRectangles(NamedTuple):
 
     @staticmethod
     def gap(x: float, y: float, p: Any) -> float:
-        """Return the largest distance beyond a side, along its normal."""
+        """Return the largest signed distance beyond a side, along the side's normal."""
         left, bottom, right, top = p
         return max(max(left - x, x - right), max(bottom - y, y - top))
 
     @staticmethod
     def gap_between(x0: float, y0: float, x1: float, y1: float, p: Any) -> float:
-        """Return the largest gap along an axis: the box's two and the segment's normal."""
+        """Return the largest gap along one of three axes: x, y and the segment's normal."""
         left, bottom, right, top = p
         hx, hy, dx, dy = (right - left) / 2.0, (top - bottom) / 2.0, x1 - x0, y1 - y0
         mx, my = x0 + dx / 2.0 - (left + right) / 2.0, y0 + dy / 2.0 - (bottom + top) / 2.0
@@ -46,7 +46,7 @@ class PackedRectangles(NamedTuple):
 
 
 class Rectangle(ShapeSection):
-    """An axis-aligned rectangle, given as the paper gives it: [left, bottom, width, height]."""
+    """An axis-aligned rectangle, defined as in the paper by left, bottom, width and height."""
 
     type: Literal["rectangle"]
     left: Finite
@@ -72,7 +72,7 @@ class Rectangle(ShapeSection):
         return (left <= x) & (x <= right) & (bottom <= y) & (y <= top)
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether neither the box's axes nor the segment's normal separate the two."""
+        """Return whether no axis (x, y or the segment's normal) separates segment and box."""
         left, bottom, right, top = self.row()
         dx, dy = x1 - x0, y1 - y0
         center_x, center_y = (left + right) / 2, (bottom + top) / 2

@@ -1,4 +1,4 @@
-"""The compiled side of a shape: its numbers packed in rows, and functions of scalars.
+"""The compiled part of a shape: obstacles' parameters packed in rows, and functions of scalars.
 
 A shape is one file with two classes: its section of a spec, with the readable geometry in NumPy,
 and a `NamedTuple` as described here, which the section names as `packed`. One line in
@@ -13,8 +13,8 @@ from tetractl.core.poses import Floats
 class PackedShapes(Protocol):
     """M obstacles of one shape; the argument `p` of a function is the row of one obstacle.
 
-    Each class is a type of its own to the compiler. The functions are compiled where a kernel calls
-    them, with the functions of the same file that they call; they may use arithmetic, `math` and
+    The compiler makes one kernel per set of classes. The functions, and functions of the same file
+    that they call, are compiled together with the kernel; they may use arithmetic, `math` and
     loops. A gap is 0 or negative if and only if the point touches or lies inside the obstacle.
     To compare two terms, compare their difference with 0: vector code is faster then.
     """
@@ -22,8 +22,8 @@ class PackedShapes(Protocol):
     rows: Floats
     """The numbers of the obstacles (M, K), each row from the section's `row`."""
     size: int | None
-    """K if it is the same for every obstacle, in which case `p` is a tuple. None if rows differ in
-    length; `p` is then an array, padded with zeros.
+    """K if all obstacles have the same K; `p` is then a tuple. None if rows differ in length; `p`
+    is then an array, padded with zeros.
     """
 
     @staticmethod

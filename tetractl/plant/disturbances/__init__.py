@@ -1,1 +1,1 @@
-"""Disturbances of the simulated plant, by what they disturb; see `core.registries`."""
+"""Disturbances of the simulated plant, named in `core.registries`."""

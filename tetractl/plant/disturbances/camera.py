@@ -1,4 +1,4 @@
-"""Disturbances from the robots to the host: frames that are late, lost or wrong."""
+"""Disturbances of the camera: frames that are late, lost or wrong."""
 
 from collections import deque
 from typing import Annotated, Literal
@@ -19,7 +19,7 @@ class TrackingLossSection(DisturbanceSection):
 
     type: Literal["tracking-loss"]
     every: Positive
-    """Mean time between two losses for which a robot is tracked [s], exponentially distributed."""
+    """Mean time for which a robot is tracked between two losses [s], exponentially distributed."""
     duration: Positive = 0.2
     """Mean time for which a robot stays lost [s], exponentially distributed."""
 
@@ -29,7 +29,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Makes each robot alternately tracked, at first, and lost."""
+    """Makes each robot alternately tracked and lost; at first it is tracked."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(
@@ -44,7 +44,7 @@ class TrackingLoss(Disturbance):
 
 
 class CameraLatencySection(DisturbanceSection):
-    """Every frame reaches the host after a latency that varies a little."""
+    """Every frame reaches the host after a random latency."""
 
     type: Literal["camera-latency"]
     mean: float = Field(ge=0, le=10, allow_inf_nan=False)
@@ -82,7 +82,7 @@ class FrameLossSection(DisturbanceSection):
 
     type: Literal["frame-loss"]
     share: Annotated[float, Field(ge=0, le=0.5, allow_inf_nan=False)]
-    """Share of all frames that are lost."""
+    """Fraction of all frames that are lost."""
     burst: Annotated[float, Field(ge=1, le=1000, allow_inf_nan=False)] = 1.0
     """Mean number of frames lost in a row."""
 
@@ -123,7 +123,7 @@ class FrozenCameraSection(SpellsSection):
 
     @property
     def loses_frames(self) -> bool:
-        """Whether frames stop coming."""
+        """Whether frames are lost in the intervals."""
         return not self.repeats
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "FrozenCamera":
@@ -132,7 +132,7 @@ class FrozenCameraSection(SpellsSection):
 
 
 class FrozenCamera(Disturbance):
-    """Repeats, or loses, the frames of an interval."""
+    """During an interval, repeats the last measurement before it, or loses the frames."""
 
     def __init__(self, repeats: bool, spells: Spells) -> None:
         self._repeats, self._spells = repeats, spells
@@ -151,11 +151,11 @@ class FrozenCamera(Disturbance):
 
 
 class MarkerOffSection(DisturbanceSection):
-    """Each robot's measured heading has an offset, to a side drawn once per trial."""
+    """Each robot's measured heading has an offset, whose sign is drawn once per trial."""
 
     type: Literal["marker-off"]
     heading: NonNegative
-    """Offset of the measured heading, in either direction [rad]."""
+    """Size of the offset of the measured heading [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "MarkerOff":
         """Return this disturbance for one trial."""
@@ -178,7 +178,7 @@ class StaleCameraSection(SpellsSection):
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses [s]; early in the trial, that of the oldest ones."""
+    """Age of the poses [s]; early in the trial, the oldest poses are shown."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
         """Return this disturbance for one trial."""
@@ -186,14 +186,14 @@ class StaleCameraSection(SpellsSection):
 
 
 class StaleCamera(Disturbance):
-    """Keeps the measurements, and shows them `age_s` later while an interval is on."""
+    """Stores the measurements; during an interval, shows the measurement `age_s` [s] before."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
         self._age_s, self._spells = age_s, spells
         self._kept: deque[tuple[float, Poses, Bools]] = deque()
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses; in an interval, the newest that are at least `age_s` old."""
+        """Return the poses; in an interval, the newest poses that are at least `age_s` old."""
         self._kept.append((time_s, poses, valid))
         while len(self._kept) > 1 and self._kept[1][0] <= time_s - self._age_s:
             self._kept.popleft()

@@ -1,4 +1,4 @@
-"""Disturbances of swimming cells: the flow that takes them along, the helix they swim on."""
+"""Disturbances of swimming cells: the flow that carries them, and their helical path."""
 
 from typing import Literal
 
@@ -27,13 +27,13 @@ class FlowSection(DisturbanceSection):
 
 
 class Flow(Disturbance):
-    """Carries each cell that swims at a velocity (2,) [length unit/s]."""
+    """Carries each swimming cell with a flow of velocity (2,) [length unit/s]."""
 
     def __init__(self, velocity: Floats) -> None:
         self._velocity = velocity
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses carried by `seconds` of the flow."""
+        """Return the poses after the flow has carried the cells for `seconds`."""
         along = moving * seconds
         x, y = self._velocity
         return Poses(poses.x + x * along, poses.y + y * along, poses.heading)
@@ -60,7 +60,7 @@ class Wobble(Disturbance):
     """Moves cells with speeds (N,) [length unit/s] across their headings, starting at phases (N,)
     [rad].
 
-    The true heading is that of the axis; the camera measures the body's.
+    The true heading is the axis's direction; the camera measures the body's direction.
     """
 
     def __init__(self, section: WobbleSection, speed: Floats, phase: Floats) -> None:

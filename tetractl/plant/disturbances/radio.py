@@ -1,4 +1,4 @@
-"""Disturbances from the host to the robots: the time of planning, delay and loss of the radio."""
+"""Disturbances of commands: the time that planning takes, delay and loss by the radio."""
 
 from dataclasses import replace
 from typing import Literal
@@ -20,10 +20,10 @@ class RadioSection(DisturbanceSection):
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from sending a transmission until the robots receive it [s]."""
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """A transmission takes up to this much longer, uniformly distributed [s]."""
+    """Largest additional time of a transmission, uniformly distributed [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Each robot acts up to this much later than the first could, uniformly distributed, drawn once
-    a trial [s]."""
+    """Largest additional delay of a robot, uniformly distributed, drawn for each robot once per
+    trial [s]."""
     loss: Fraction = 0.0
     """Probability that a robot does not receive a transmission."""
 
@@ -54,7 +54,7 @@ class Radio(Disturbance):
 
 
 class SilentRadioSection(SpellsSection):
-    """Intervals in which no robot receives anything; robots go on with the last command."""
+    """Intervals in which robots receive no command and continue with the last one."""
 
     type: Literal["silent-radio"]
 
@@ -64,7 +64,7 @@ class SilentRadioSection(SpellsSection):
 
 
 class SilentRadio(Disturbance):
-    """Loses everything that is sent in an interval."""
+    """Loses every command that is sent in an interval."""
 
     def __init__(self, spells: Spells) -> None:
         self._spells = spells
@@ -83,7 +83,7 @@ class PlanningTimeSection(DisturbanceSection):
     least: float = Field(ge=0, le=10, allow_inf_nan=False)
     """Shortest time of a control step [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """A control step takes up to this much longer, uniformly distributed [s]."""
+    """Largest additional time of a control step, uniformly distributed [s]."""
 
     @property
     def planning_max_s(self) -> float:

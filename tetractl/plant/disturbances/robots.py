@@ -1,4 +1,4 @@
-"""Disturbances of the robots themselves: where they start, how fast they move and turn."""
+"""Disturbances of the robots: errors of start pose, speed and turning rate."""
 
 from typing import Literal
 
@@ -20,7 +20,7 @@ class BatterySection(DisturbanceSection):
     a: Fraction = 0.0
     """Fraction of its a that each robot loses."""
     over: Positive = 30.0
-    """Time of the trial over which the fractions are lost [s]."""
+    """Time from the start of the trial over which these fractions are lost [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
         """Return this disturbance for one trial."""
@@ -40,7 +40,7 @@ class Battery(Disturbance):
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A turning rate is added to that of (3), as by uneven wheels or a bent cell."""
+    """A constant rate is added to the turning rate of (3), as by uneven wheels or a bent cell."""
 
     type: Literal["heading-drift"]
     rate: NonNegative
@@ -60,7 +60,7 @@ class HeadingDrift(Disturbance):
         self._rates = rates
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses turned by `seconds` of the drift."""
+        """Return the poses after the drift has turned the robots for `seconds`."""
         return Poses(poses.x, poses.y, poses.heading + self._rates * moving * seconds)
 
 
@@ -110,7 +110,7 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Draws the errors at each requested time, with statistics independent of the frame rate."""
+    """Draws the errors at each requested time; their statistics do not depend on the frame rate."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._size = np.array([[section.a], [section.speed]])

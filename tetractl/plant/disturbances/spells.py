@@ -1,4 +1,4 @@
-"""Random intervals, shared by disturbances that act only at times."""
+"""Random intervals, for disturbances that act only during intervals."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -52,7 +52,7 @@ class ByTurns:
         self._until_s = np.array([well_s() for _ in range(robots)])
 
     def well(self, time_s: float) -> Bools:
-        """Return which robots are well (N,); times must not fall."""
+        """Return whether each robot is well at a time (N,); times must not fall between calls."""
         for i in np.flatnonzero(self._until_s <= time_s):
             while self._until_s[i] <= time_s:
                 self._well[i] = not self._well[i]

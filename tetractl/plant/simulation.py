@@ -93,7 +93,7 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield location and text of contradictions of wheels and of too many samples per period."""
+        """Yield location and text of contradictions of wheels and sampling rates."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"

@@ -20,8 +20,8 @@ WARNINGS = [
     "warning: alike.yaml:4:3: robots: least total error of any plan: 50 mm; no controller can do "
     "better with these a, speeds, starts and targets",
     "warning: alike.yaml:5:59: robots.1.a: 6: is that of one, and so is the start heading: two can "
-    "only follow in parallel, and the least total error of the 2 is 50 mm; give them different a, "
-    "or targets placed relative to each other like the starts",
+    "only move in parallel, and the least total error of the 2 is 50 mm; give them different a, "
+    "or targets with the same relative positions as the starts",
 ]
 
 

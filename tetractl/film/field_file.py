@@ -17,8 +17,8 @@ TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 
 @dataclass(frozen=True, slots=True)
 class FieldRecord:
-    """The field over time: components `x`, `y` (T,), relative to the reference field, each from one
-    of `times` (T,) [s] to the next; no field before the first.
+    """The field over time: components `x`, `y` (T,), relative to the reference field; value i holds
+    from `times[i]` [s] to `times[i + 1]`. There is no field before `times[0]`.
     """
 
     times: Floats
@@ -26,7 +26,7 @@ class FieldRecord:
     y: Floats
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s]: seconds, x and y, each piece constant."""
+        """Return the field between two times [s] as constant pieces: duration [s], x and y."""
         first, last = np.searchsorted(self.times, (start, end), side="right")
         cuts = [start, *self.times[first:last].tolist(), end]
         found = []
@@ -38,7 +38,7 @@ class FieldRecord:
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:
-    """Return the interval between two times [s] as one piece without a field."""
+    """Return one piece from `start` to `end` [s] without a field."""
     return ((end - start, 0.0, 0.0),)
 
 
@@ -61,7 +61,7 @@ def read_field(path: Path, upside_down: bool = False) -> FieldRecord:
         if not all(map(math.isfinite, (time, direction, strength))):
             raise UsageError(f"{path}, line {line}: is not finite")
         if times and time < times[-1]:
-            raise UsageError(f"{path}, line {line}: time goes back")
+            raise UsageError(f"{path}, line {line}: the time is earlier than in the line before")
         times.append(time)
         x.append(strength * math.cos(direction))
         y.append(strength * math.sin(direction) * (-1 if upside_down else 1))

@@ -20,16 +20,16 @@ from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
 
 CROP_PX = 64
-PICTURES_S = 1.0  # interval of whole pictures in the log
+PICTURES_S = 1.0  # interval of whole pictures in the log [s]
 QUALITY = 85
-TRAIL = 45  # pictures
+TRAIL = 45  # length of a trail [pictures]
 UM_M = 1e-6
 
 
 def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
     """Write poses as transforms in metres, a crop of each cell, and a whole picture per second.
 
-    Crops are on /crops/cell N as JPEG, the pictures on /picture, the background is an attachment.
+    Crops are JPEG on /crops/cell N, whole pictures on /picture; the background is an attachment.
     """
     cells = _by_picture(followed)
     every = max(1, round(PICTURES_S * followed.rate_hz))
@@ -68,7 +68,7 @@ def write_overlay(path: Path, film: FilmPictures, followed: Followed) -> None:
     """Write the film as MP4 with each cell's number, outline, heading and trail."""
     cv2 = opencv()
     cells = _by_picture(followed)
-    width, height = (side - side % 2 for side in followed.size)  # the format needs even sides
+    width, height = (side - side % 2 for side in followed.size)  # MP4 needs even sides
     code = cv2.VideoWriter.fourcc(*"mp4v")
     writer = cv2.VideoWriter(str(path), code, followed.rate_hz, (width, height))
     if not writer.isOpened():
@@ -143,7 +143,7 @@ _COLORS = tuple(_colors())
 
 
 def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[int, int]]) -> None:
-    """Draw a cell: outline of its body (dashed to a point if it has none), heading, number."""
+    """Draw a cell: its trail, the outline of its body if it was found, heading and number."""
     cv2 = opencv()
     color = _COLORS[cell.identity % len(_COLORS)]
     column, row = _pixel(cell, um_px, picture.shape[0])

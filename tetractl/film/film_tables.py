@@ -49,19 +49,19 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     ]
     if followed.guessed_scale:
         found.append(
-            "warning: the scale is guessed from bodies of 52.3 um; lengths and speeds are as good "
-            "as that. Give it: --scale"
+            "warning: the scale is guessed from bodies of 52.3 um; lengths and speeds have the "
+            "same relative error. Give it by --scale"
         )
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")
     for pair, probability in followed.doubtful:
         names = ", ".join(map(str, pair))
         found.append(
-            f"warning: cells {names} met and are too alike to say which cell is which afterwards: "
-            f"{100 * probability:.0f} % for the answer taken"
+            f"warning: cells {names} met and are too similar to be distinguished afterwards: "
+            f"the assignment chosen has a probability of {100 * probability:.0f} %"
         )
     if any(cell.speed is None for cell in cells):
-        found.append("A cell seen for less than 2 s has no speed.")
+        found.append("Cells seen for less than 2 s have no speed.")
     return found
 
 

@@ -1,8 +1,7 @@
 """Speed, turning rate and bias of each cell of a film, with 95 % intervals.
 
 The filter of `lab.cameras.cells.helix` runs over the whole film again, with each cell's most likely
-noise: of its heading's walk, its speed and its blobs. At the end, its covariance gives the
-uncertainty of the constants a, bias and speed.
+noise of heading, speed and blobs. Its last covariance gives the uncertainty of a, bias and speed.
 """
 
 import math
@@ -27,17 +26,17 @@ from tetractl.lab.cameras.cells.helix import (
     S,
 )
 
-START = 5  # number of pictures that give the first heading
+START = 5  # number of pictures from which the first heading is computed
 NORMAL = 1.96  # standard deviations to either end of a 95 % interval
-SETTLED_S = 1.0  # time after which a cell's helix is known
-SHORTEST_S = 2.0  # shortest path that is fitted
-WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # rad/sqrt(s)
+SETTLED_S = 1.0  # time after which the filter has estimated a cell's helix [s]
+SHORTEST_S = 2.0  # duration of the shortest path that is fitted [s]
+WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # candidate walks of the heading [rad/sqrt(s)]
 EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # candidate noise of blobs, relative to the usual noise
 UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # candidate walks of the speed [um/s per sqrt(s)]
 STRAY = (0.5, 2.0, 6.0)  # candidate walks of position and helix [um per sqrt(s)]
 ROUNDS = 2
 CONSTANT = [RATE, A, BIAS]
-WIDE_A = 0.3  # prior deviation of a, relative and in rad/s, when the filter runs again
+WIDE_A = 0.3  # prior deviation of a (relative, and in rad/s) in the second run of the filter
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +92,16 @@ class TrackNoise:
 
     @classmethod
     def usual(cls, count: int) -> "TrackNoise":
-        """Return the noise with which the fit begins."""
+        """Return the noise from which the fit starts."""
         return cls(*(np.full(count, value) for value in (0.07, 0.7, 3.0, 2.0)))
 
     def repeated(self, times: int) -> "TrackNoise":
-        """Return the noise of the cells, repeated several times."""
+        """Return the noise of `times` copies of the cells."""
         return TrackNoise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
 
     @property
     def growth(self) -> Floats:
-        """The filter's `growth`, deviations per sqrt(s) (N, 9)."""
+        """The filter's `growth` (N, 9): deviations of the random walks per sqrt(s)."""
         none, rate = np.zeros(len(self.walk)), np.full(len(self.walk), 0.3)
         place = self.stray
         return np.column_stack(
@@ -134,11 +133,10 @@ def summarise(
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """Measurements of N cells in K pictures by their blobs: values and deviations (K, N, 3), NaN if
-    there is no blob.
+    """Measurements of N cells in K pictures: values and deviations (K, N, 3), NaN without a blob.
 
-    `starts` (N, 5) are first pictures and x, y, heading and speed there. `pieces` (K,) are the
-    field since the picture before.
+    `starts` (N, 5) are each cell's first picture and its x, y, heading and speed in it. `pieces`
+    (K,) are the field between the previous picture and each picture.
     """
 
     values: Floats
@@ -175,7 +173,7 @@ class _Measured:
         return cls(values, deviations, np.array(starts), [(), *between])
 
     def repeated(self, times: int) -> "_Measured":
-        """Return the measurements of the cells, repeated several times."""
+        """Return the measurements of `times` copies of the cells."""
         values, deviations = (np.tile(v, (1, times, 1)) for v in (self.values, self.deviations))
         return _Measured(values, deviations, np.tile(self.starts, (times, 1)), self.pieces)
 
@@ -184,8 +182,8 @@ class _Measured:
     ) -> tuple[Floats, Floats, Floats]:
         """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
 
-        The filter is linearised `about` means (N, 12) of the constants; without these it has to
-        estimate them first, with a slightly larger error.
+        The constants start at `about`, means (N, 12); without these the filter has to estimate them
+        first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth
@@ -246,7 +244,7 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
     axes = np.array([cell.axis - cell.heading for cell in path.seen])[settled]
     sway = math.sqrt(2) * float(np.std((axes + math.pi / 2) % math.pi)) if len(axes) else math.nan
     helix = np.hypot(means[settled, C], means[settled, S])
-    if len(means[settled]):  # the path of the axis, which the body circles
+    if len(means[settled]):  # path of the helix's axis
         way = float(np.nanmean(means[settled, SPEED]) * (path.times[-1] - path.times[0]))
     speed = a = bias = None
     if fit is not None and np.isfinite(fit[0]).all():
@@ -279,4 +277,4 @@ def headings(path: CellPath) -> Floats:
     return np.array([cell.heading for cell in path.seen])
 
 
-assert HEADING == 2  # the order of TrackNoise.growth is that of the filter's states
+assert HEADING == 2  # TrackNoise.growth has the order of the filter's states

@@ -1,4 +1,4 @@
-"""Tracks cells through a whole film; later pictures are also used to decide identities."""
+"""Tracks cells through a whole film; identities are also decided by later pictures."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,17 +15,17 @@ from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 
 BACKGROUND = 25  # number of pictures for the background
-BACKGROUND_S = 20.0  # they are from this first part of the film [s]
-USUAL_BODY_UM = 52.3  # the mean length of cells, for films without a scale
+BACKGROUND_S = 20.0  # length of the first part of the film from which they are taken [s]
+USUAL_BODY_UM = 52.3  # mean length of cells, for films without a scale [um]
 # a blob whose ratio of length to width lies between these may be a single cell
 SHAPE = (1.4, 3.0)
-SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # shortest path that is kept, by time and length
+SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 
 @dataclass(frozen=True, slots=True)
 class CellPath:
-    """One cell through a film: `times` (K,) [s], `frames` (K,), and its state in each."""
+    """One cell in a film: `times` (K,) [s], `frames` (K,), and the cell's state in each frame."""
 
     identity: int
     times: Floats
@@ -34,13 +34,13 @@ class CellPath:
 
     @property
     def places(self) -> Floats:
-        """Middle of the body in each picture (K, 2) [um]."""
+        """Centre of the body in each picture (K, 2) [um]."""
         return np.array([(cell.x, cell.y) for cell in self.seen])
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """The cells of a film. `pictures` were read and `damaged` could not be.
+    """The cells of a film; `pictures` and `damaged` are the numbers of readable and other pictures.
 
     `doubtful` are pairs of cells that could not be distinguished after they met, with the
     probability of the assignment chosen.
@@ -73,7 +73,7 @@ def follow(
 ) -> Followed:
     """Follow the cells of a film; TetractlError if no picture can be read.
 
-    Without `um_px`, the scale is guessed from the lengths of moving objects.
+    Without `um_px`, the scale is estimated from the lengths of moving objects.
     """
     sample = _sample(film)
     if not sample:
@@ -127,7 +127,7 @@ def follow(
 
 
 def _sample(film: FilmPictures) -> list[Grey]:
-    """Return pictures spread evenly over the film's first part."""
+    """Return about BACKGROUND pictures spread evenly over the film's first BACKGROUND_S."""
     count = 0
     for count, _ in enumerate(film, 1):
         if count >= BACKGROUND_S * film.rate_hz:
@@ -137,7 +137,7 @@ def _sample(film: FilmPictures) -> list[Grey]:
 
 
 def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
-    """Return the scale [um/px] at which moving objects have the median length of cells."""
+    """Return the scale [um/px] at which moving objects have the usual length of cells."""
     finder = BlobFinder(30.0, 0.02 * sample[0].size)
     finder.learn(sample)
     blobs: list[Blob] = [blob for picture in sample for blob in finder.find(picture)]
@@ -156,7 +156,7 @@ def _fill_back(
     rate_hz: float,
     born: Born,
 ) -> None:
-    """Add to a new cell's path the earlier pictures from which it was recognised."""
+    """Add the earlier pictures from which a new cell was recognised to its path."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():
@@ -186,7 +186,7 @@ def _fill_back(
 def _paths(
     shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], rate_hz: float
 ) -> Iterator[CellPath]:
-    """Yield the cells by number, without paths too short to be cells."""
+    """Yield the cells in the order of their numbers, except those whose path is too short."""
     by_cell: dict[int, list[tuple[int, SeenCell]]] = {}
     for frame, cells in zip(frames, shown, strict=True):
         for cell in cells.values():

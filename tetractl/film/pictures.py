@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from tetractl.core.poses import Grey
 
 PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
-SIDE_MAX = 8192  # px
+SIDE_MAX = 8192  # longest side of a picture [px]
 USUAL_HZ = 30.0
 _DIGITS = re.compile(r"(\d+)")
 
 
 @dataclass(slots=True)
 class FilmPictures:
-    """The pictures at a path; iterate as often as needed. `rate_hz` is the film's own or given.
+    """The pictures at a path, for repeated iteration. `rate_hz` is given or the film's own.
 
     `damaged` is the number of pictures in the last iteration that could not be read or had another
     size.
@@ -101,7 +101,7 @@ def _folder(folder: Path) -> Iterator["Grey | None"]:
     for path in _names(folder):
         try:
             yield _grey(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-        except cv2.error:  # a header that claims more than OpenCV takes
+        except cv2.error:  # the header states a size that OpenCV refuses
             yield None
 
 

@@ -15,14 +15,14 @@ from tetractl.run.task import Finished, OtherCodeError, Task
 
 
 class TrialStore(Protocol):
-    """Where trials leave logs and records: the `LogStore` of a batch, the `Store` of a study."""
+    """Stores logs and records of trials: the `LogStore` of a batch or the `Store` of a study."""
 
     def place(self, arm: str, trial: int) -> Path:
         """Set earlier logs of a trial aside; return the folder for its log."""
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Record how a trial finished, unless its log already does."""
+        """Store the record of a finished trial, unless its log is the record."""
         ...
 
 
@@ -30,8 +30,8 @@ class TrialStore(Protocol):
 class Ending:
     """How a trial ended, and the estimated time [s] of the remaining trials.
 
-    `result` is None if something kept the trial from an outcome; `failure` says in one line why
-    it was aborted or has no result. `every_arm` is whether the time of each arm's trials is known.
+    `result` is None if the trial has no outcome; `failure` is one line on why it was aborted or has
+    no result. `every_arm` is True if a trial of each arm with trials left has been timed.
     """
 
     task: Task
@@ -44,7 +44,7 @@ class Ending:
 class TimeLeft:
     """Estimates the time of the remaining trials: in each arm the mean time of its trials so far.
 
-    Arms may differ: some end after ten steps, others run to the last. Compilation does not count.
+    Arms may differ: some end after ten steps, others at the last step. Compiling is left out.
     """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
@@ -55,11 +55,11 @@ class TimeLeft:
 
     @property
     def known(self) -> bool:
-        """Whether every arm with trials left has a time."""
+        """Whether a trial of every arm with trials left has been timed."""
         return self._unknown == 0
 
     def count(self, arm: str, wall_s: float | None) -> None:
-        """Count a trial that has ended, None for one without a time."""
+        """Add a trial that has ended after `wall_s` [s], None if its time is unknown."""
         spent_s, n = self._spent.get(arm, (0.0, 0))
         if n:
             self._known_s -= spent_s / n * self._left[arm]
@@ -75,7 +75,7 @@ class TimeLeft:
             self._unknown += self._left[arm]
 
     def of(self, workers: int) -> float | None:
-        """Return the remaining time [s] for a number of parallel trials; None before the first
+        """Return the remaining time [s] with `workers` parallel trials; None before the first
         trial."""
         if not self._spent:
             return None
@@ -114,7 +114,7 @@ class Report:
 
     @property
     def aborted(self) -> dict[tuple[str, int], Result]:
-        """The results of trials that a fault ended."""
+        """The results of aborted trials."""
         return {key: r for key, r in self.results.items() if r.outcome is Outcome.ABORTED}
 
 
@@ -127,8 +127,8 @@ def run_batch(
 ) -> Report:
     """Run trials and store their logs and records.
 
-    With `fail_fast` the first trial that is aborted or has no outcome ends the run; otherwise the
-    others continue. Raises OtherCodeError of a worker.
+    With `fail_fast` the first trial that is aborted or has no outcome ends the run. Raises
+    OtherCodeError if a worker has other code.
     """
     report, time_left = Report(left=len(tasks)), TimeLeft(tasks)
 
@@ -160,6 +160,6 @@ def run_batch(
 
 
 def _one_line(error: Exception) -> str:
-    """Return an error in one line; unexpected errors with their class."""
+    """Return an error's message in one line, after the class of an unexpected error."""
     text = " ".join(str(error).split())
     return text if isinstance(error, TetractlError) else f"{type(error).__name__}: {text}"

@@ -22,16 +22,16 @@ TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 LOOK_S = 0.1  # interval between two checks for an interruption
 COUNT_S = 1.0  # interval between two counts of the workers, which may come and go
 AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
-FEWEST = 8  # number of Dask tasks while there is no worker yet
+FEWEST = 8  # least number of Dask tasks submitted at a time, also without a worker
 CHUNK_S = 2.0  # duration of a Dask task's trials: a scheduler manages some hundred tasks per second
-MOST = 200  # most trials in one Dask task, whose logs are returned together
+MOST = 200  # largest number of trials in a Dask task, whose logs are returned together
 
 
 class Cluster:
-    """Submits trials to the scheduler at `address`; a context manager. A Dask task has a few
+    """Submits trials to the scheduler at `address`; a context manager. A Dask task holds a few
     seconds of trials, estimated from previous trials. The scheduler gives the task of a lost worker
-    to another worker, at most three times; then its trials are submitted one by one. Logs come back
-    with the results, so that workers need no folder in common.
+    to another worker, at most three times; then its trials are submitted one by one. Logs are
+    returned with the results, so that workers need no shared folder.
 
     Raises UsageError if distributed is not installed or no scheduler answers.
     """
@@ -51,12 +51,12 @@ class Cluster:
                 "--cluster needs Dask's distributed, which is not installed",
                 "pip install 'tetractl[dask]'",
             ) from None
-        # it logs tracebacks when it ends
+        # distributed logs tracebacks when it ends
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
             # without a port, distributed would wait for the address
             get_address_host_port(self._address)
-            security = Security()  # errors in Dask's own configuration
+            security = Security()  # raises errors of Dask's configuration
             context = security.get_connection_args("client").get("ssl_context")
             if self._address.startswith("tls:") and context is None:
                 raise UsageError(
@@ -73,7 +73,7 @@ class Cluster:
         except (OSError, ValueError) as error:
             raise UsageError(
                 f"{self._address}: no Dask scheduler answers there: {error}",
-                "its address is like tcp://host:8786; `dask scheduler` prints it",
+                "give an address such as tcp://host:8786, as `dask scheduler` prints it",
             ) from None
         return self
 
@@ -85,7 +85,7 @@ class Cluster:
         """The number of trials that run at a time, at least 1; read occasionally."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
-            with suppress(OSError):  # the connection is lost: `run` reports this
+            with suppress(OSError):  # the connection is lost: `run` raises the error
                 threads: Any = self._client.nthreads()
                 self._workers = max(sum(threads.values()), 1)
             self._count_at_s = now + COUNT_S
@@ -93,7 +93,7 @@ class Cluster:
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
-        # tasks lost together with others, retried alone
+        # `alone` are tasks of lost Dask tasks, to be submitted one by one
         waiting, alone = deque(tasks), deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
@@ -138,18 +138,18 @@ class Cluster:
     def _gone(self) -> AbortError:
         return AbortError(
             f"{self._address}: the scheduler is gone; results so far are stored",
-            "start a scheduler again; the same command, with its address, goes on with it",
+            "start a scheduler, and continue by the same command with its address",
         )
 
     def _found(
         self, given: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
-        """Save the logs of a Dask task; return how its trials finished, or the error of each. None
-        if several trials were lost with each worker that had them."""
+        """Save the logs of a Dask task; return each trial's result or error. None if a task of
+        several trials was lost with every worker that ran it."""
         from distributed import KilledWorker
 
         found: list[tuple[Finished | Exception, bytes | None]] = []
-        try:  # Dask gives up all tasks when the connection to the scheduler is lost
+        try:  # Dask cancels all tasks when the connection to the scheduler is lost
             error = future.exception()
             if error is None:
                 found = future.result()
@@ -169,10 +169,10 @@ class Cluster:
 
 
 def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
-    """Return how many trials of `mean_s` on average make a Dask task.
+    """Return the number of trials for a Dask task, from their mean time [s].
 
-    Fewer when not many are `waiting`, so that all `window` places for tasks are filled to the end;
-    one while the time of a trial is unknown.
+    The number falls with the trials `waiting`, so that `window` tasks run until the end; it is 1
+    while the mean time is unknown.
     """
     if mean_s is None:
         return 1
@@ -180,8 +180,7 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
 
 
 def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:
-    """Run trials on a worker; return how each finished, or the error that prevented it, and its
-    log."""
+    """Run trials on a worker; return the result or error of each, and its log."""
     return [_run(task) for task in tasks]
 
 
@@ -189,7 +188,7 @@ def _run(task: Task) -> tuple[Finished | Exception, bytes | None]:
     with tempfile.TemporaryDirectory(prefix="tetractl-") as name:
         try:
             found = run_task(task, Path(name), Interrupt())
-        except Exception as error:  # with its log, if one was kept
+        except Exception as error:  # returned with the trial's log, if there is one
             found = error
         path = log_path(Path(name), task.trial)
         return found, path.read_bytes() if path.exists() else None

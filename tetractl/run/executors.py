@@ -22,7 +22,7 @@ from tetractl.run.task import Finished, Task, run_task
 
 SIGNAL_AGAIN_S = 1.0
 ORPHAN_S = 5.0  # time for a worker to close its log after its parent has ended
-KILLED = "a trial's process was killed twice, perhaps for want of memory"
+KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 
 Ended = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
@@ -43,7 +43,7 @@ class Executor(Protocol):
         ...
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield the tasks in the order in which they end; those not started are left out."""
+        """Yield tasks in the order in which they end; tasks not started are left out."""
         ...
 
     def end(self) -> None:
@@ -92,21 +92,21 @@ class Here:
 class Processes:
     """Runs `workers` trials at a time, each in a process.
 
-    The first request of `interrupt` ends the running trials after their control step; the second at
-    once. If a process is killed, the running trials are repeated one by one; a trial whose process
-    is killed again has failed.
+    The first request of `interrupt` ends the running trials after their control step, the second at
+    once. If a process is killed, the trials that were running are repeated one by one; a trial
+    whose process is killed again fails.
     """
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
         self.workers, self._interrupt = workers, interrupt
-        # a fork would copy threads in an undefined state
+        # not a fork, which would copy locks held by other threads
         self._context = multiprocessing.get_context("spawn")
         self._ending: Event | None = None
-        self._again = 0.0  # when SIGTERM may be sent to the workers again
+        self._again = 0.0  # time from which SIGTERM may be sent again [s]
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
-        with _signals_held_back():  # starts the process that tracks semaphores
+        with _signals_held_back():  # the block starts the process that tracks semaphores
             self._ending = self._context.Event()
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():
@@ -119,7 +119,7 @@ class Processes:
             for suspect in suspects:
                 for task, found in self._in_pool(deque([suspect]), 1, ready):
                     lost = isinstance(found, BrokenProcessPool)
-                    hint = "with fewer --jobs, go on by the same command"
+                    hint = "give the same command with fewer --jobs to continue"
                     yield task, AbortError(KILLED, hint) if lost else found
 
     def end(self) -> None:
@@ -128,8 +128,8 @@ class Processes:
         self._ending.set()
 
     def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
-        """Run the tasks that wait until a worker is killed: the tasks that run then end with
-        BrokenProcessPool, and the others go on waiting."""
+        """Run the waiting tasks until a worker is killed: running tasks then end with
+        BrokenProcessPool, and the others keep waiting."""
         assert self._ending is not None
         running, broken = dict[Future[Finished], Task](), False
         with ProcessPoolExecutor(workers, self._context, _start_worker, (self._ending,)) as pool:
@@ -156,13 +156,13 @@ class Processes:
             for process in multiprocessing.active_children():
                 if process.pid:
                     os.kill(process.pid, signal.SIGTERM)
-            # may be needed twice: an exception raised in a finaliser is lost
+            # sent again, since an exception raised in a finaliser is lost
             self._again = time.monotonic() + SIGNAL_AGAIN_S
 
 
 def _submitted(pool: ProcessPoolExecutor, task: Task, folder: Path) -> "Future[Finished]":
     try:
-        with _signals_held_back():  # a worker starts inside submit
+        with _signals_held_back():  # `submit` starts workers
             return pool.submit(_work, task, folder)
     except BrokenProcessPool as error:  # a worker was killed in the meantime
         lost: Future[Finished] = Future()
@@ -176,7 +176,7 @@ def _work(task: Task, folder: Path) -> Finished:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Block the signals in a process started inside the block, until `_start_worker`."""
+    """Block the signals of processes started inside the block, until `_start_worker`."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -185,7 +185,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 class _SharedInterrupt(Interrupt):
-    """An interrupt of a worker: an event is the first request, SIGTERM the second."""
+    """A worker's interrupt: setting an event is the first request, SIGTERM the second."""
 
     def __init__(self, ending: Event) -> None:
         super().__init__()
@@ -196,17 +196,17 @@ class _SharedInterrupt(Interrupt):
         return self.count > 0 or self.ending.is_set()
 
     def request(self) -> None:
-        """Count two requests: a worker gets SIGTERM only as the second."""
+        """Count SIGTERM as the second request."""
         self.count = 2
         self._break()
 
 
-_interrupt: Interrupt = Interrupt()  # of this process, if it is a worker
+_interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a worker
 
 
 def _start_worker(ending: Event) -> None:
-    """Prepare a worker: only the parent handles signals, and the worker ends when the parent does.
-    A terminal sends its signals to every process; a SIGTERM comes from the parent.
+    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent ends. A
+    terminal sends its signals to workers too, but only the parent reacts, by SIGTERM.
     """
     global _interrupt
     _interrupt = interrupt = _SharedInterrupt(ending)

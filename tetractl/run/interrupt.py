@@ -1,8 +1,8 @@
 """Signals: the first stops the robots after the control step, the second at once.
 
-Every signal whose default ends the process counts: Ctrl-C, SIGTERM, SIGHUP of a closed terminal,
-SIGQUIT, SIGUSR1, SIGALRM and the others that can be caught. Exceptions are the signals of a program
-fault, such as SIGSEGV, and SIGPIPE and SIGXFSZ, which Python turns into errors.
+This holds for every signal that can be caught and ends a process by default: Ctrl-C, SIGTERM,
+SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and others. Exceptions are the signals of a
+program fault, such as SIGSEGV, and SIGPIPE and SIGXFSZ, which Python turns into errors.
 """
 
 import os
@@ -18,7 +18,7 @@ _HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO"}
 _SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 _OTHERS = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
 SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _OTHERS}))
-"""The signals whose default ends a process."""
+"""The signals that end a process by default."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
@@ -34,7 +34,7 @@ class Interrupt:
 
     @property
     def requested(self) -> bool:
-        """Whether a stop after the present step was requested."""
+        """Whether a stop was requested."""
         return self.count > 0
 
     def request(self) -> None:
@@ -49,8 +49,8 @@ class Interrupt:
     def watch(self, robots: bool = False) -> Iterator[None]:
         """Count signals as requests inside the block; main thread only.
 
-        If `robots` move, Ctrl-Z is a request too, and a terminal used from the background does
-        not suspend the process: suspended, it could not stop them.
+        If `robots` move, Ctrl-Z is a request too, and using a terminal from the background does not
+        suspend the process, since a suspended process could not stop the robots.
         """
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
@@ -64,7 +64,7 @@ class Interrupt:
 
     @contextmanager
     def breakable(self) -> Iterator[None]:
-        """Mark the code inside the block, planning or sleeping, as breakable."""
+        """Let the second request raise KeyboardInterrupt inside the block."""
         self._breakable = True
         try:
             if self.count > 1:
@@ -74,8 +74,7 @@ class Interrupt:
             self._breakable = False
 
     def _break(self) -> None:
-        """Raise KeyboardInterrupt if the running code is breakable; its handlers are not
-        breakable."""
+        """Raise KeyboardInterrupt, once, if the running code is breakable."""
         if self._breakable:
             self._breakable, self.broke = False, True
             raise KeyboardInterrupt
@@ -106,8 +105,8 @@ class _OneInterrupt(Interrupt):
 def interrupted_once(robots: bool = False) -> Iterator[None]:
     """Raise KeyboardInterrupt in the block at the first signal; ignore later signals.
 
-    So nothing interrupts the `finally` clauses that stop robots or restore a terminal. `robots` is
-    as in `Interrupt.watch`; main thread only.
+    So no signal interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
+    is that of `Interrupt.watch`; main thread only.
     """
     with _OneInterrupt().watch(robots):
         yield
@@ -116,8 +115,8 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
 def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
     """End the process at the next signal, at once: call `say`, exit with `code`.
 
-    For when there is nothing to stop or to close. A KeyboardInterrupt during an import could be
-    printed as a traceback and then ignored.
+    For code that has nothing to stop or to close. Otherwise a KeyboardInterrupt during an import
+    could be printed as a traceback and then ignored.
     """
 
     def leave(number: int, frame: FrameType | None) -> None:
@@ -129,15 +128,15 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
 
 
 def ignore_signals() -> None:
-    """Ignore all signals while the interpreter ends, which removes every other handler."""
+    """Ignore all signals: used before the interpreter ends, which removes all other handlers."""
     _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:
-    """Set handlers of signals and return those before.
+    """Set handlers of signals and return the previous handlers.
 
-    `nohup` still means no SIGHUP. A program that uses tetractl keeps the handlers it has set, other
-    than those of Ctrl-C and SIGTERM.
+    SIGHUP stays ignored under `nohup`. Handlers set by a program that uses tetractl are kept,
+    except those of Ctrl-C and SIGTERM.
     """
     before: dict[int, Handler] = {}
     for number, handler in handlers.items():

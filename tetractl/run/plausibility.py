@@ -1,5 +1,5 @@
 """Warns of problems in a valid spec that may prevent a trial from working as intended. Each check
-is a function in `CHECKS` that yields a `SpecWarning` with a number for each problem.
+is a function in `CHECKS` that yields a `SpecWarning` for each problem, with numbers.
 docs/reference/warnings.md explains the warnings.
 """
 
@@ -22,18 +22,18 @@ from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 
 COARSE = 2.0
-"""Value of a T above which the headings of (6) overshoot more with every step."""
+"""Value of a T above which the headings of (6) overshoot further at every step."""
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by (6)."""
 TURN = 2 * math.pi
 ALIKE = 0.05
-"""Relative difference of a, and difference of start headings [rad], up to which robots count as
-alike."""
+"""Robots are alike if their a differ by at most this fraction, and their start headings by at most
+this angle [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SpecWarning:
-    """A warning of a check: field, message with its number, and hint."""
+    """A warning of a check: the field, a message and a hint."""
 
     loc: Loc
     message: str
@@ -42,9 +42,8 @@ class SpecWarning:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """An experiment, with the data of its controller for the checks. Controllers of other kinds may
-    lack some: `signals_max` is None if the length of plans has no limit, `motion` is "" if the
-    controller has none.
+    """An experiment, and data of its controller for the checks. `signals_max` is None if plans have
+    no largest length; `motion` is "" if the controller has no motion.
     """
 
     experiment: Experiment
@@ -102,7 +101,7 @@ def angles(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield every number of a section and its subsections whose description contains [rad]."""
+    """Yield location and value of each number in a section whose description contains [rad]."""
     for name, field in type(part).model_fields.items():
         value = getattr(part, name)
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
@@ -114,7 +113,7 @@ def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
 
 
 def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of plans that are longer than a trial."""
+    """Warn of plans that take longer than a trial."""
     if spec.signals_max is None:
         return
     seconds = spec.signals_max * spec.signal_s
@@ -129,22 +128,20 @@ def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of signals held so long that robots finish turning, or overshoot, before the next
-    one.
-    """
+    """Warn of signals held so long that robots finish turning, or overshoot."""
     turned = spec.setup.a * spec.signal_s
     quick = np.flatnonzero(turned > COARSE)
     if not quick.size:
         return
     i = int(turned.argmax())
     if spec.motion in OVERSHOOTING:
-        effect = "by (6) it overshoots a held direction further at every step"
+        effect = "by (6) its heading overshoots a held direction further at every step"
     elif len(quick) > 1:
         slowest = float(turned[quick].min())
         effect = (
-            f"{len(quick)} robots do {-100 * math.expm1(-slowest):.3g} % of a turn or more in T"
+            f"{len(quick)} robots do {-100 * math.expm1(-slowest):.3g} % or more of a turn in T"
         )
-    else:  # exact for any period, and one fast robot still differs from the others
+    else:  # the motion is exact for any period, and one fast robot differs from the others
         return
     yield SpecWarning(
         ("controller", "period"),
@@ -155,8 +152,8 @@ def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of a dead time that differs from the controller's by more than a control period, if it
-    is not identified.
+    """Warn of a plant whose dead time differs from the controller's by more than a control period,
+    unless the controller identifies it.
     """
     true = getattr(spec.experiment.plant, "dead_time", None)
     assumed = getattr(spec.experiment.controller, "dead_time", 0.0)
@@ -167,8 +164,8 @@ def unknown_dead_time(spec: CheckContext) -> Iterator[SpecWarning]:
     if true is not None and not identified and abs(true - assumed) > period:
         yield SpecWarning(
             ("plant", "dead_time"),
-            f"is {true:.4g} s and the controller counts on {assumed:.4g} s: every command acts "
-            f"{abs(true - assumed) / period:.2g} control periods from when it is meant to",
+            f"is {true:.4g} s, but the controller assumes {assumed:.4g} s: every command acts "
+            f"{abs(true - assumed) / period:.2g} control periods too early or late",
             f"set controller.dead_time to {true:.4g}",
         )
 
@@ -187,9 +184,7 @@ def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def beyond_the_plan(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of targets that no plan of the first step can reach, though a trial lasts long
-    enough.
-    """
+    """Warn of targets beyond the reach of the longest plan, though not of a trial."""
     if spec.signals_max is None:
         return
     seconds = spec.signals_max * spec.signal_s
@@ -225,30 +220,30 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
         turned = float(np.abs(wrap(some.starts.heading - some.starts.heading[0])).max())
         if spread == 0 and turned < 1e-9:
             message = (
-                f"is that of {first}, and so is the start heading: {_and(others)} can only follow "
+                f"is that of {first}, and so is the start heading: {_and(others)} only move "
                 f"in parallel, and the least total error of the {len(group)} is"
             )
         else:
             message = (
                 f"{_and(others)} and {first} differ by {100 * spread:.2g} % in a and "
-                f"{turned:.2g} rad in start heading, too little to separate them for certain: if "
+                f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
                 f"they did not differ, the least total error of the {len(group)} would be"
             )
         yield SpecWarning(
             ("robots", group[1], "a"),
             f"{message} {least:.4g} {spec.unit}",
-            "give them different a, or targets placed relative to each other like the starts",
+            "give them different a, or targets with the same relative positions as the starts",
         )
 
 
 def _and(names: Sequence[str]) -> str:
-    """Return names as a list in a sentence, shortened if there are very many."""
+    """Return names joined by commas and "and"; of more than three, two and a number."""
     shown = list(names) if len(names) < 4 else [*names[:2], f"{len(names) - 2} more"]
     return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
 
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots that hardly differ in a and start heading from the first of them."""
+    """Yield groups of robots whose a and start heading are like those of the first one."""
     left = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if not left[i]:
@@ -262,7 +257,7 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
 
 
 def error_left(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of a lower bound of the total error, from all robots together."""
+    """Warn if no plan can reach all targets: the lower bound of the total error is not 0."""
     least = spec.least_total_error
     count = len(spec.setup.a)
     if least > max(count * spec.tolerance, 1e-6 * _size(spec.setup)):
@@ -278,7 +273,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of targets without a path past the obstacles, or without one that keeps the margin."""
+    """Warn of targets that no path past the obstacles reaches, or none that keeps the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)
@@ -296,14 +291,14 @@ def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
         for i in np.flatnonzero((squeezed > 0) & (apart == 0) & (ends > spec.margin)):
             yield SpecWarning(
                 ("robots", int(i), "target"),
-                f"has no way to it that keeps {spec.margin:.4g} {spec.unit} from the obstacles: "
+                f"has no path to it that keeps {spec.margin:.4g} {spec.unit} from the obstacles: "
                 f"the robot comes within {squeezed[i]:.4g} {spec.unit}",
                 "lower controller.collision.margin or radius, or widen the gap",
             )
 
 
 def inside_margin(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of starts and targets nearer to an obstacle than the planner's margin."""
+    """Warn of starts and targets that are nearer to an obstacle than the planner's margin."""
     if spec.margin == 0 or spec.yields:
         return
     for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
@@ -360,7 +355,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning with its location in the spec's file."""
+    """A warning with its line in the spec's file."""
 
     hint: str = ""
 
@@ -368,7 +363,7 @@ class PlacedWarning(SpecProblem):
         return f"{SpecProblem.__str__(self)}; {self.hint}"
 
 
-@np.errstate(all="ignore")  # very large numbers may overflow
+@np.errstate(all="ignore")  # very large values may overflow
 def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedWarning, ...]:
     """Return the warnings of a spec that was loaded with `sets`, in the order of its lines."""
     if loaded.experiment.open:  # its robots are placeholders

@@ -40,10 +40,10 @@ class Trial:
     _solve_ns: list[int] = field(default_factory=list)
     _solving_ns: int = 0
     _misses: int = 0
-    _began_ns: int | None = None  # when the first direction was sent
+    _began_ns: int | None = None  # time at which the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
     _tour: TourMeasure = field(init=False)
-    # frames since the frame of the last step
+    # frames newer than the frame of the last step
     _between: list[Observation] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -53,9 +53,9 @@ class Trial:
     def run(self) -> Result:
         """Run the trial and return its result.
 
-        Whatever ends the loop, the robots are stopped first. A TetractlError or an interruption
-        becomes the outcome; any other exception is raised again after the observers were called
-        with the result.
+        In every case the robots are stopped first. A TetractlError or an interruption becomes the
+        outcome; any other exception is raised again after the observers were called with the
+        result.
         """
         bug: Exception | None = None
         try:
@@ -81,12 +81,12 @@ class Trial:
         return self._end(outcome, reason, bug, opened_ns)
 
     def _failed(self, why: str) -> tuple[Outcome, str]:
-        """Return how a trial ends after an error: interrupted or aborted. A KeyboardInterrupt
-        during an import or compilation may become another exception in numba."""
+        """Return outcome and reason after an error: interrupted or aborted. numba may turn a
+        KeyboardInterrupt during an import or compilation into another exception."""
         return (Outcome.INTERRUPTED, AT_ONCE) if self.interrupt.broke else (Outcome.ABORTED, why)
 
     def _steps(self, info: PlantInfo) -> tuple[Outcome, str]:
-        """Run the control loop of Algorithm 2 until something ends it."""
+        """Run the control loop of Algorithm 2; return the outcome and its reason."""
         period_s = self.start.setup.period_s
         period = round(period_s * SECOND)
         observation = self.plant.observe()
@@ -121,7 +121,7 @@ class Trial:
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
-            if late > period:  # an overrun is not compensated by a burst of steps
+            if late > period:  # after an overrun, the next steps keep the whole period
                 began += late
             began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
@@ -157,7 +157,7 @@ class Trial:
         return decision
 
     def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
-        """Compute the first plan while the robots stand; in the lab, record frames meanwhile."""
+        """Compute the first plan while the robots stand; in the lab, also record frames."""
         if info.simulated:
             return self._plan(observation)
         pool = ThreadPoolExecutor(1)
@@ -177,7 +177,7 @@ class Trial:
         pool = ThreadPoolExecutor(1)
         try:
             planning = pool.submit(self._timed_plan, observation)
-            if info.simulated:  # virtual time must not depend on how fast this host plans
+            if info.simulated:  # virtual time must not depend on this host's speed
                 with self.interrupt.breakable():
                     wait([planning])
             laps = 0
@@ -190,7 +190,7 @@ class Trial:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _drive_side(self, direction: float, end: int) -> None:
-        """Hold a direction until `end`, sent once per control period as in the control loop."""
+        """Send a direction [rad] once per control period until `end` [ns]."""
         period = round(self.start.setup.period_s * SECOND)
         while (now := self.clock.now()) < end:
             command = self._steer(direction)
@@ -202,7 +202,7 @@ class Trial:
                 raise KeyboardInterrupt
 
     def _pause(self, again: bool) -> Command:
-        """Stop the robots for a pause, and record it unless they stand already."""
+        """Stop the robots for a pause; note it unless they already pause (`again`)."""
         command = self.plant.pause()
         if not again:
             self._say(command, "all robots pause: a plan is made from standing, or the trial ends")
@@ -237,10 +237,8 @@ class Trial:
             _pass_news(observer, news)
 
     def _end(self, outcome: Outcome, reason: str, bug: Exception | None, opened_ns: int) -> Result:
-        """Stop the robots, wait for rest, and call every observer, also those that failed before.
-
-        If an observer raises an exception, the others are called all the same; bugs are raised
-        again at the end.
+        """Stop the robots, wait until they rest, and call every observer, even after it failed. If
+        an observer raises an exception, the others are still called; bugs are raised at the end.
         """
         stop = self.plant.stop()
         stopped = self.clock.now()

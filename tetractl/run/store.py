@@ -25,8 +25,8 @@ OWNER_BYTES = 300
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder, a flock(2) on its file `.tetractl-lock`, which names the owner.
 
-    The kernel releases the lock when its process ends for any reason, so a remaining file from this
-    host does not lock the folder. A file from another host does, because not every network file
+    The kernel releases the lock when its process ends for any reason, so a leftover file of this
+    host does not lock the folder. A file of another host locks it, because not every network file
     system shares locks between hosts.
 
     Raises UsageError if another run holds the lock, LogError if the file cannot be written.
@@ -50,7 +50,7 @@ def _acquire(path: Path) -> int:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not _is(path, file):  # its last owner removed the file in between
+            if not _is(path, file):  # the last owner has removed the file meanwhile
                 os.close(file)
                 continue
             left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
@@ -79,7 +79,7 @@ def _owner() -> str:
     """Return "host pid user since", the four words of the lock's file."""
     try:
         user = getpass.getuser()
-    except (KeyError, OSError):  # a user id without a name
+    except (KeyError, OSError):  # the user id has no name
         user = str(os.getuid())
     return f"{socket.gethostname()} {os.getpid()} {user} {datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
 
@@ -100,7 +100,7 @@ def default_folder(name: str, now: datetime) -> Path:
 
 
 def make_folder(folder: Path) -> None:
-    """Create the folder; LogError if the file system refuses."""
+    """Create the folder; LogError if that fails."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -116,7 +116,7 @@ def made_and_locked(folder: Path) -> Iterator[None]:
 
 
 class LogStore:
-    """The folder of a batch: the logs in it say which trials were run, and how they ended."""
+    """The folder of a batch; its logs are the only record of the trials that were run."""
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
         self.folder, self._experiment = folder, experiment
@@ -127,15 +127,15 @@ class LogStore:
 
         Raises the errors of `lacking` and `made_and_locked`.
         """
-        self.lacking(resume)  # a refused batch leaves no folder
+        self.lacking(resume)  # checked first, so that a refused batch creates no folder
         with made_and_locked(self.folder):
             yield self.lacking(resume)
 
     def lacking(self, resume: bool) -> list[int]:
-        """Return the trials to run: all of them or, to resume, those without a complete log.
+        """Return the trials to run: all or, with `resume`, those without a complete log.
 
-        Raises UsageError for a folder that holds logs already and, to resume, for logs of another
-        spec or seed; only the number of trials may differ.
+        Raises UsageError for a folder with logs or, with `resume`, with logs of another spec or
+        seed; only the number of trials may differ.
         """
         folder, count = self.folder, self._experiment.trials.count
         if folder.exists() and not folder.is_dir():
@@ -153,16 +153,16 @@ class LogStore:
             return False
         try:
             found = read_result(path)
-        except LogError:  # it is set aside and the trial is run again
+        except LogError:  # the unreadable log is set aside, and its trial run again
             return False
         experiment = self._experiment
         same = experiment.model_copy(update={"trials": found.experiment.trials})
-        if experiment.open:  # each trial found its own robots
+        if experiment.open:  # each trial chose its own robots
             own = {key: getattr(found.experiment, key) for key in ("robots", "chosen")}
             same = same.model_copy(update=own)
         if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
             raise UsageError(
-                f"{path}: was run with another spec or seed", "resume with the spec it was run with"
+                f"{path}: was run with another spec or seed", "resume with that spec and seed"
             )
         return found.outcome.complete and not found.recovered
 
@@ -172,13 +172,13 @@ class LogStore:
         return self.folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Do nothing, since the log is the record."""
+        """Do nothing: the log is the record."""
 
 
 def set_aside(folder: Path, trial: int) -> None:
     """Rename the logs of a trial that is to be run to trial-003.attempt-1.mcap and so on.
 
-    An attempt is never overwritten. A recovered log keeps the number of its source.
+    No attempt is overwritten. A recovered log has the attempt number of its source.
     """
     path = log_path(folder, trial)
     recovered = path.with_suffix(RECOVERED_SUFFIX)
@@ -188,11 +188,11 @@ def set_aside(folder: Path, trial: int) -> None:
             for log in (left, recovered):
                 if log.exists():
                     aside = log.with_name(attempt_name(log.name, number))
-                    aside.touch(exist_ok=False)  # no other process gets this name
+                    aside.touch(exist_ok=False)  # reserves the name
                     log.replace(aside)
 
 
 def _attempts(folder: Path, log: Path, number: int) -> list[Path]:
-    """Return the logs of one trial that were set aside under a number."""
+    """Return the files of a trial's attempt `number`."""
     stem = log.name.partition(SUFFIX)[0]
     return [p for p in folder.iterdir() if p.name.startswith(f"{stem}.attempt-{number}.")]

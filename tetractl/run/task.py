@@ -1,4 +1,4 @@
-"""One trial as an executor runs it, with its log, digest and result. A background thread calls the
+"""Runs one trial for an executor, with its log, digest and result. A background thread calls the
 observers, so that a slow screen never delays the loop.
 """
 
@@ -30,15 +30,15 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
-RELAY_SIZE = 2000  # most calls in the queue: over two minutes of a trial
-RELAY_PATIENCE_S = 30.0  # time for the last calls, after the robots were stopped
+RELAY_SIZE = 2000  # largest number of queued calls: over two minutes of a trial
+RELAY_PATIENCE_S = 30.0  # time for the last calls after the robots were stopped [s]
 
 
 class Relay:
     """Queues every call for `observer`, in order, until it is closed.
 
-    An exception of the observer, or a queue that is full, is raised by the next call; calls after
-    that are dropped.
+    After an exception of the observer, or with a full queue, the next call raises an exception and
+    later calls are dropped.
     """
 
     def __init__(self, observer: Observer) -> None:
@@ -52,7 +52,7 @@ class Relay:
         )
 
     def close(self) -> None:
-        """Make the calls in the queue, and end the thread."""
+        """Process the queued calls, and end the thread."""
         self._worker.close()
 
     def on_start(self, start: Start) -> None:
@@ -76,7 +76,7 @@ class Relay:
         self._worker.put(self._observer.on_note, note)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the call, and wait until all calls are done."""
+        """Queue the call, and wait until all queued calls are done."""
         self._worker.put(self._observer.on_stop, stop, result)
         self._worker.drain()
 
@@ -86,8 +86,8 @@ class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
     `spec` is the pickled LoadedSpec. The log is kept if `log`, or if the trial fails and
-    `log_if_failed`. With `digest`, the trial's digest is computed, with a log or without. `code` is
-    the required `code_of` of the process that runs the trial, "" for any.
+    `log_if_failed`. With `digest`, the trial digest is computed. `code` is the `code_of` that the
+    running process must have, "" for any.
     """
 
     trial: int
@@ -107,10 +107,10 @@ class Task:
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """A trial that was run to an outcome, in `wall_s` on the clock and `cpu_s` of the processor.
+    """The result of a trial, its wall time `wall_s` and processor time `cpu_s`.
 
-    A task with `digest` has the `digest`, the number of `warnings` and errors among the trial's
-    messages, and the type of the `processor` that ran it.
+    If the task requests a `digest`, this holds the digest, the number of `warnings` and errors
+    among the trial's messages, and the type of the `processor`.
     """
 
     result: Result
@@ -123,11 +123,11 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker has different code, so its trials would differ."""
+    """A worker has other code, with which trials could differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
-    """Return the tasks of a batch: trials of one spec that leave all their logs."""
+    """Return the tasks of a batch: trials of one spec, all with logs."""
     data, count = pickle.dumps(spec), spec.experiment.trials.count
     return [Task(trial, count, data) for trial in trials]
 
@@ -140,8 +140,8 @@ def code_of(spec: LoadedSpec) -> str:
 def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
     """Return the key of the controller's random numbers and the seed of the plant's disturbances.
 
-    Children of SeedSequence(root) by spawn key (trial, purpose): the random numbers of a trial
-    depend on neither the number nor the order of the trials.
+    They come from children of SeedSequence(root) with the spawn keys (trial, 0) and (trial, 1), so
+    they do not depend on the number or order of the trials.
     """
     controller = np.random.SeedSequence(root, spawn_key=(trial, 0))
     plant = np.random.SeedSequence(root, spawn_key=(trial, 1))
@@ -160,14 +160,14 @@ def run_task(
     observers: Sequence[Observer] = (),
     supervision: LabSupervision | None = None,
 ) -> Finished:
-    """Run a trial, its log in `folder` if one is kept.
+    """Run a trial; a log that is kept is written to `folder`.
 
     Raises OtherCodeError in a process with other code than the task's, and any error that leaves
-    the trial without an outcome, such as a camera that does not answer. For the log of a failed
-    trial the trial is run again, with the same result.
+    the trial without an outcome, such as a camera that does not answer. For `log_if_failed`, a
+    failed trial is run again, with the same result.
     """
     if task.log_if_failed and not task.log:
-        with suppress(Exception):  # the repeated trial raises it again
+        with suppress(Exception):  # the repeated trial raises the same error
             finished = run_task(replace(task, log_if_failed=False), folder, interrupt)
             if finished.result.outcome is not Outcome.ABORTED:
                 return finished
@@ -181,7 +181,7 @@ def run_task(
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     if digest is None:
         return Finished(result, task.log, wall_s, cpu_s)
-    if log and log.failure:  # an interrupted trial has another digest
+    if log and log.failure:  # a trial interrupted by the failure has another digest
         raise log.failure
     type_ = processor(host())
     return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings, type_)
@@ -189,17 +189,17 @@ def run_task(
 
 @lru_cache(maxsize=64)
 def _loaded(spec: bytes, code: str) -> LoadedSpec:
-    """Return a task's spec with its controller compiled; cached by the pickled bytes."""
+    """Return a task's spec after compiling its controller; cached by the pickled bytes."""
     loaded: LoadedSpec = pickle.loads(spec)
     if code and code_of(loaded) != code:
         raise OtherCodeError(
-            "the worker's code differs from that of the machine that runs the study",
+            "the worker's code differs from the code of the machine that runs the study",
             "install the same tetractl, numpy, numba, llvmlite, scipy and plug-ins on it",
         )
-    with suppress(TetractlError):  # the trial raises it again
+    with suppress(TetractlError):  # the trial raises the same error
         warm_up(loaded.experiment, lambda text: None)
     gc.collect()
-    gc.freeze()  # keeps the garbage collection of loaded objects out of control steps
+    gc.freeze()  # exempts loaded objects from garbage collection, which would delay control steps
     return loaded
 
 
@@ -227,9 +227,10 @@ def run_with(
     interrupt: Interrupt,
     supervision: LabSupervision | None = None,
 ) -> Result:
-    """Run one trial with the given writers in place of a log's.
+    """Run one trial; `writers` are observers that are called in the control loop's thread.
 
-    In real time a background thread calls the observers, so that none of them delays the loop.
+    In real time, a background thread calls the other `observers`, so that they do not delay the
+    loop.
     """
     section, real_time = spec.experiment.plant, not spec.experiment.plant.simulated
     clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
@@ -252,7 +253,7 @@ def run_with(
 def _built(
     spec: LoadedSpec, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
 ) -> tuple[LoadedSpec, Plant]:
-    """Return the plant of one trial, and the spec with the robots that it has."""
+    """Return the spec with the robots that a plant has found or chosen, and the plant."""
     experiment = spec.experiment
     if experiment.chosen is None or experiment.chosen.found:
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)
@@ -268,7 +269,7 @@ def _built(
 
 
 def _unix_ns() -> int:
-    """Return the time [ns since 1970]; logs cannot hold an earlier one."""
+    """Return the Unix time [ns]; TetractlError before 1970, which logs cannot hold."""
     if (now := time.time_ns()) < 0:
         raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
     return now

@@ -1,9 +1,9 @@
 """The limits of an experiment, the checks before it is run, and the square of IV-B.1.
 
 On the square all robots get the same four directions, a quarter turn apart, each for the same time.
-A robot that starts a quarter turn behind the first direction repeats the same curve on every side,
-turned by a quarter: the four displacements add up to zero, and it closes the square to within about
-exp(-a side) of a side.
+A robot whose heading starts a quarter turn behind the first direction follows the same curve on
+every side, rotated by a quarter turn: the four displacements add up to zero, except for about
+exp(-a side) of a side's length.
 """
 
 import math
@@ -18,11 +18,11 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
 
-SAMPLES = 64  # of a side, when a square is checked against the arena
+SAMPLES = 64  # positions per side, when a square is checked against arena and obstacles
 
 
 def limits(experiment: Experiment) -> dict[str, str]:
-    """Return the limits of a trial by name, as Operator messages."""
+    """Return the limits of a trial by name, as text."""
     control, unit = experiment.controller, experiment.units.length
     steps = control.steps_max + 1
     longest = steps * control.period
@@ -40,7 +40,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 
 def check(experiment: Experiment) -> None:
-    """Raise SpecError for a spec that cannot work, if only the computed motion shows it."""
+    """Raise SpecError for a first plan that the robots cannot drive, by the computed motion."""
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)
@@ -54,13 +54,13 @@ def directions(headings: Floats) -> Iterator[float]:
 
 
 def check_square(experiment: Experiment, square: Square) -> None:
-    """Raise SpecError unless every robot can drive the square inside the arena, past obstacles."""
+    """Raise SpecError if a robot would leave the arena or enter an obstacle on the square."""
     robots = experiment.robots
     headings = np.array([robot.heading for robot in robots])
     if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
         raise SpecError(
-            "controller.first_plan: a square needs all robots to start with one heading",
-            "give all robots one heading, or use {type: stand}",
+            "controller.first_plan: a square needs all robots to start with the same heading",
+            "give all robots the same heading, or use {type: stand}",
         )
     obstacles = Obstacles.of(experiment.obstacles)
     x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))

@@ -1,4 +1,4 @@
-"""The tables of a study: one row per trial over all arms, and the total error by arm and field."""
+"""The tables of a study: one row per trial of every arm, and the total error by arm or field."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
@@ -22,8 +22,8 @@ from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
-"""Columns of `export` that differ between two runs of a trial; `times.csv` has them."""
-MOST = 100  # largest number of arms that are printed
+"""Columns of `export` that differ between two runs of a trial, and are in `times.csv` only."""
+MOST = 100  # largest number of arms in the printed table
 
 
 def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]:
@@ -44,8 +44,8 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
     Its columns are `log` (a path from the study's folder, empty if no log was kept), `trial`,
-    `arm`, `controller`, the swept fields by their paths, those of `tetractl export`, `trial_digest`
-    and `code`. `times.csv` has what differs from run to run.
+    `arm`, `controller`, the swept fields by their paths, the columns of `tetractl export`,
+    `trial_digest` and `code`. `times.csv` has the columns that differ from run to run.
     """
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
     trials: list[dict[str, Any]] = []
@@ -67,7 +67,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def _exported(arm: Arm, row: Row) -> dict[str, Any]:
-    """Return the columns of `tetractl export` for a trial, without the first ones of its table."""
+    """Return a trial's values by the columns of `tetractl export`, except `path` and `trial`."""
     table = trials_table(Batch.of([row.summary(arm.spec.experiment)]))
     return {one.key: one.known[0] for one in table.columns if one.name not in ("path", "trial")}
 
@@ -84,7 +84,7 @@ def _times(row: Row) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class FieldValue:
-    """The arms with one value of a field, and their total error over the seeds."""
+    """The arms with the same value of a swept field, and their total error over the seeds."""
 
     value: Any
     arms: int
@@ -92,10 +92,10 @@ class FieldValue:
 
 
 def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribution:
-    """Describe the total error over the trials of which all `arms` have a result.
+    """Describe the total error over the trials that have a result in all `arms`.
 
-    Trials of one number have the same seed in every arm and count once, with their mean over the
-    arms: counting them as independent observations would make the interval too short.
+    Trials with the same number have the same seed in every arm; their mean over the arms is one
+    observation. Independent observations per arm would make the interval too short.
     """
     errors = [
         {
@@ -114,7 +114,7 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
 def field_values(
     loaded: LoadedStudy, store: Store, path: str, arms: Iterable[Arm]
 ) -> list[FieldValue]:
-    """Return the arms that set a field, grouped by its value, numbers in rising order."""
+    """Return the arms that set field `path`, grouped by its value, numbers in rising order."""
     found: dict[str, list[Arm]] = {}
     for arm in arms:
         if path in arm.values:
@@ -144,7 +144,7 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
         notes.append("disturbances are assumed in the spec, not measured")
     if len(loaded.arms) > MOST:
         more = len(loaded.arms) - MOST
-        notes.append(f"and {more} arms more, which the table of trials has")
+        notes.append(f"and {more} more arms, listed in the table of trials")
     first, n, mean, std, *_, interval = errors.columns
     label = f"above {'error_bound' if named[0][1].tail.stated else '10 medians'}"
     columns = (

@@ -16,10 +16,10 @@ from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
 
-DECADES = 1.5  # least span of positive values for a logarithmic axis
+DECADES = 1.5  # least span of positive values for a logarithmic axis [decades]
 TICKS = 8  # largest number of values that each have a tick
 ASIDE_IN = 0.06  # offset between two controllers at the same value
-LABEL = 24  # longest text of a value that is not a number
+LABEL = 24  # largest length of a value's text
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
@@ -37,7 +37,7 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field; None without any error.
 
-    If several arms share a value, each trial counts with its mean over these arms.
+    If several arms share a value, each trial is represented by its mean over these arms.
     """
     names = dict.fromkeys(arm.controller for arm in loaded.arms)
     curves = {
@@ -61,7 +61,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
-            # the offset keeps all curves visible
+            # offset, so that no curve hides another
             aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
@@ -117,7 +117,7 @@ def _draw(
         alpha=0.45,
         **look,
     )
-    for place, group in zip(x, found, strict=True):  # shifted points do not set the limits
+    for place, group in zip(x, found, strict=True):  # shifted points do not determine the limits
         ends = group.error.ci95.ends or [group.error.mean]
         axes.update_datalim([(place, end) for end in ends])
     axes.autoscale_view()

@@ -1,6 +1,6 @@
 """Loads a study's file and its arms, and reports all problems at once.
 
-An arm is one point of the sweep with one controller.
+An arm is the combination of one point of the sweep with one controller.
 """
 
 import json
@@ -30,30 +30,30 @@ from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
 DIGITS = 6  # significant digits of a number in a name or a figure
-NAME_LENGTH = 100  # longest name of a folder, far below the limit of file systems
+NAME_LENGTH = 100  # largest length of a folder's name, far below the limit of file systems
 
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One arm: the spec that its trials are run with, and how it differs from the base.
+    """One arm: the spec of its trials, and its differences from the base.
 
-    `values` are those of the swept fields by path. `hash` is the SHA-256 of the experiment without
-    the number of trials, which does not change a trial.
+    `values` has the values of the swept fields by path. `hash` is the SHA-256 of the experiment
+    without the number of trials.
     """
 
-    name: str  # of its folder
+    name: str  # name of the arm's folder
     controller: str  # "" if the study names none
     values: Mapping[str, Any]
-    sets: tuple[str, ...]  # in the form of `--set`, applied after the base
+    sets: tuple[str, ...]  # changes of the base, in the form of `--set`
     spec: LoadedSpec
     hash: str
     code: str  # hash of the code that runs its trials
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
-    """Return a name for an arm that fits a file system: `ours-dead_time=0.07`.
+    """Return an arm's name, also that of its folder, such as `ours-dead_time=0.07`.
 
-    Fields are called by the last step of their path if no two share it.
+    Fields have the last part of their path as name if that is unique.
     """
     ends = [path.rpartition(".")[2] for path in values]
     paths = ends if len(set(ends)) == len(ends) else list(values)
@@ -64,42 +64,42 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value for display: numbers to six digits, of a list of mappings its length."""
+    """Return a value as text: numbers with six digits, a list of mappings as its length."""
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}"
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
-        return f"{len(value)}"  # for example the robots
+        return f"{len(value)}"  # a list such as `robots`
     return value if isinstance(value, str) else as_yaml(value)
 
 
 def as_cell(value: Any) -> Any:
-    """Return a value as a cell: numbers, truth values and text as they are, others as YAML."""
+    """Return a value for a table: numbers, truth values and text unchanged, others as YAML."""
     return value if isinstance(value, int | float | str) or value is None else as_yaml(value)
 
 
 def as_yaml(value: Any) -> str:
-    """Return a value in one line as `--set` takes it."""
+    """Return a value as YAML in one line, as in `--set`."""
     return json.dumps(value, ensure_ascii=False)  # JSON is YAML
 
 
 class Study(Model):
-    """One study, as read from a YAML file. Each point of the sweep is run with each controller;
-    every such arm has the same seeds, so that trials of one number are pairs."""
+    """One study, as read from a YAML file. Each point of the sweep is run with each controller; all
+    arms have the same seeds, so that trials with the same number are pairs."""
 
     name: str = Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
-    """Name of the study, which its folder is called after: letters without accents
-    (a to z, A to Z), digits, dots, underscores and hyphens, starting with a letter or digit."""
+    """Name of the study and of its folder: letters without accents (a to z, A to Z), digits, dots,
+    underscores and hyphens, starting with a letter or digit."""
     description: str = ""
     """Description in one or two sentences."""
     base: str = Field(min_length=1, max_length=1000)
-    """File of the spec that every arm starts from, by its path from the study's file."""
+    """Path of the spec that every arm changes, relative to the study's file."""
     sweep: Annotated[Sweep, KindSection(SWEEPS)] | None = None
-    """The swept fields with their values; without a sweep the base's values are kept."""
+    """The swept fields with their values; without a sweep, the base's values are used."""
     controllers: dict[Name, dict[FieldPath, Any]] = Field(default={}, max_length=1000)
-    """By name, the alternatives to compare: each a mapping of paths to values, set before those of
-    the sweep."""
+    """The controllers to compare, by name: each a mapping of paths to values, set before the
+    sweep's values."""
     trials: Trials = Trials()
-    """Number and seed of the trials of each arm, in place of the base's."""
+    """Number and seed of the trials of each arm; those of the base are ignored."""
 
 
 MAX_ARMS = 100_000
@@ -127,8 +127,8 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line per problem. The line is in the study if one of its values
-    does not fit the spec, and in the base if the base itself is invalid.
+    Raises InvalidSpecError, one line per problem. It locates a problem in the study if a value of
+    the study causes it, in the base if the base itself is invalid.
     """
     document = parse_document(read_text(path), str(path))
     study = _study(document)
@@ -171,7 +171,7 @@ def _study(document: Document) -> Study:
     return validated(Study, document)
 
 
-_Placed = list[tuple[str, Loc]]  # settings, and the place of each in the study
+_Placed = list[tuple[str, Loc]]  # settings, each with its location in the study
 
 
 def _arms(study: Study, document: Document) -> Iterable[tuple[str, dict[str, Any], _Placed]]:
@@ -207,7 +207,7 @@ def _arm(
     """Return one arm; InvalidSpecError with locations in the study if its settings are invalid."""
     for setting, loc in settings:
         if setting.partition("=")[0].split(".")[0] == "trials":
-            text = "is the study's own; give count and seed in its 'trials:'"
+            text = "cannot be swept; give count and seed in the study's 'trials:'"
             raise InvalidSpecError([document.place(loc).problem(loc, text)])
     sets = tuple(setting for setting, _ in settings)
     trials = (f"trials.count={study.trials.count}", f"trials.seed={study.trials.seed}")
@@ -218,7 +218,7 @@ def _arm(
         raise InvalidSpecError([_placed(p, found, document) for p in error.problems]) from None
     if not spec.experiment.plant.simulated:
         loc: Loc = ("base",)
-        text = "drives a lab; a study simulates: name a spec whose plant has 'type: sim'"
+        text = "drives a lab, but studies only simulate: name a spec whose plant has 'type: sim'"
         raise InvalidSpecError([document.place(loc).problem(loc, text, study.base)])
     try:
         check(spec.experiment)
@@ -230,7 +230,7 @@ def _arm(
 
 
 def _placed(problem: SpecProblem, settings: Mapping[str, Loc], document: Document) -> SpecProblem:
-    """Return a problem of a spec, located in the study if one of its settings causes it."""
+    """Return a problem of a spec, located in the study if a setting of the study causes it."""
     loc = settings.get(problem.origin)
     if loc is None:
         return problem
@@ -245,7 +245,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
     """Yield the problems that concern several arms."""
     units = dict.fromkeys(arm.spec.experiment.units.length for arm in arms)
     if len(units) > 1:
-        text = f"has arms in {' and '.join(units)}; one table has one length unit"
+        text = f"has arms in {' and '.join(units)}, but a table has one length unit"
         yield document.place(("sweep",)).problem(("sweep",), text)
     seen: dict[tuple[str, str], Arm] = {}
     for arm in arms:
@@ -256,7 +256,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms, with part of the hash appended to names that several arms share."""
+    """Yield the arms; names shared by several arms get part of their hash."""
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1
@@ -264,7 +264,7 @@ def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
 
 
 def spec_of(arm: Arm, count: int) -> LoadedSpec:
-    """Return an arm's spec with another number of trials, which is in the log of each."""
+    """Return an arm's spec with `count` trials, as stated in the log of each."""
     trials = arm.spec.experiment.trials.model_copy(update={"count": count})
     experiment = arm.spec.experiment.model_copy(update={"trials": trials})
     return replace(arm.spec, experiment=experiment)

@@ -1,7 +1,6 @@
 """Which trials of a study are run and which logs they leave.
 
-Also the Slurm job script that runs its shares, and the check of one trial, run again, against its
-row.
+Also writes the Slurm job script of a study's shares, and checks a repeated trial against its row.
 """
 
 import pickle
@@ -28,7 +27,7 @@ from tetractl.study.row_store import Store
 
 @dataclass(frozen=True, slots=True)
 class Logs:
-    """The trials whose logs are kept: the first `each` of every arm, and those that fail."""
+    """Which logs are kept: those of the first `each` trials of every arm, and of failed trials."""
 
     each: float
     failed: bool
@@ -47,7 +46,7 @@ class Logs:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """One of `of` shares of the trials, of about equal size; `index` counts from 1."""
+    """Share `index`, from 1, of `of` shares of the trials with about equal size."""
 
     index: int = 1
     of: int = 1
@@ -61,17 +60,17 @@ class Shard:
         return cls(int(found[1]), int(found[2]))
 
     def has(self, number: int) -> bool:
-        """Whether the trial of a number, counted over all arms from 0, is in this share."""
+        """Whether trial `number`, counted over all arms from 0, is in this share."""
         return number % self.of == self.index - 1
 
 
 def lacking(
     loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Return the trials without a row, and how many rows of outdated code are kept, by arm.
+    """Return the tasks of trials without a row, and by arm the number of outdated rows kept.
 
-    With `rerun_outdated` the trials of outdated code are returned too. They are ordered by trial
-    number over all arms, so that after an early end all arms have equally many.
+    With `rerun_outdated` trials of outdated code are returned too. Tasks are ordered by trial
+    number, so that after an early end all arms have equally many trials.
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []
@@ -120,7 +119,7 @@ wait $!
 
 
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
-    """Return a job array with the given number of shares of a study, each in a folder next to
+    """Return the script of a job array for the shares of a study, each in a folder next to
     `folder`."""
     part = shlex.quote(f"{folder}-shard")
     file, out = shlex.quote(str(study)), shlex.quote(str(folder))
@@ -136,7 +135,7 @@ def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> 
 
 
 def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
-    """Run the trial `ARM/N` again and keep its log; return a line that confirms the equal digests.
+    """Run the trial `ARM/N` again and keep its log; return a line with the digest if it is equal.
 
     Raises UsageError if the study lacks the trial or its row, or already has its log. Raises
     LogError if the digests differ; the log is then set aside as an attempt.
@@ -156,19 +155,19 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         set_aside(folder, row.trial)
         hint, here = None, processor(host())
         if row.processor != here:
-            hint = f"the row is of another type of processor: {row.processor}, this one is {here}"
+            hint = f"the row is from another type of processor: {row.processor}, not {here}"
         if row.code != arm.code:
-            hint = "the row is of outdated code"
+            hint = "the row is from outdated code"
         raise LogError(
             f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
             hint,
         )
     store.add_row(arm, replace(row, logged=True))
-    return f"{path}: {result.summary}, digest as in its row: {digest}"
+    return f"{path}: {result.summary}, with the digest of its row: {digest}"
 
 
 def _difference(log: Path, row: Row) -> str:
-    """Return the first difference between the results of log and row; "" if these agree."""
+    """Return the first difference between the results in the log and the row, or ""."""
     now = read_result(log)
     unit = now.experiment.units.length
     ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))

@@ -1,4 +1,4 @@
-"""The folder of a study: a folder for each arm, with the rows of its trials and the logs kept."""
+"""The folder of a study: for each arm a folder with the rows of its trials and the kept logs."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,25 +17,25 @@ from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
 
 DECIDING = ("code", "processor", "count")
-"""Fields of a row that, if equal in two rows of a trial, require equal digests."""
+"""Two rows of a trial that agree in these fields must have the same digest."""
 
 
 class Store:
     """The rows of a study by arm and trial, written to disk at once.
 
     A row is one line; an incomplete line, left by a killed process, is dropped when the folder is
-    opened. Of two lines of a trial the later counts.
+    opened. Of two lines of a trial, the later is used.
     """
 
     def __init__(self, folder: Path, arms: Sequence[Arm]) -> None:
         self.folder = folder
         self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
         self._arms = {arm.name: arm for arm in arms}
-        self._placed: set[str] = set()  # arms whose spec is already in their folder
+        self._placed: set[str] = set()  # arms whose folder has their spec
 
     @contextmanager
     def opened(self) -> Iterator[None]:
-        """Make the folder, lock it, and read what is in it.
+        """Create and lock the folder, and read its rows.
 
         Raises UsageError if another run has the lock, or rows are of another study.
         """
@@ -47,7 +47,7 @@ class Store:
             yield
 
     def arm_folder(self, arm: Arm) -> Path:
-        """Return the folder of an arm, created if necessary, with the spec of its rows."""
+        """Return the folder of an arm; if it is missing, create it with the arm's spec."""
         folder = self.folder / arm.name
         if arm.name not in self._placed:
             make_folder(folder)
@@ -62,7 +62,7 @@ class Store:
         return folder
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Add the row of a trial; an interrupted one leaves neither row nor log."""
+        """Add the row of a finished trial; for an interrupted trial, delete its log instead."""
         arm, result = self._arms[task.arm], finished.result
         path = log_path(self.folder / arm.name, task.trial)
         if result.outcome is Outcome.INTERRUPTED:
@@ -95,10 +95,10 @@ class Store:
             raise LogError(f"{path}: cannot be written: {error.strerror}") from error
 
     def merge(self, folders: Sequence[Path]) -> int:
-        """Add the rows and logs of other folders of the same study; return how many were added.
+        """Add rows and logs of other folders of the same study; return the number of rows added.
 
-        If both have a trial, the row here is kept, unless only the other one has a log with the
-        same digest. Logs are linked if the file system can, else copied. Raises UsageError for a
+        Of two rows of a trial, this folder's row is kept, unless only the other one has a log and
+        the same digest. Logs are hard-linked if possible, else copied. Raises UsageError for a
         folder without a row of the study, and for two rows of a trial by the same code that differ.
         """
         added = 0
@@ -130,7 +130,7 @@ class Store:
 
 
 def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
-    """Return the rows of an arm by trial; the trials of damaged rows are run again.
+    """Return the rows of an arm by trial, without damaged rows, whose trials are run again.
 
     With `mend` the file is cut after its last whole line. Raises UsageError for rows of another
     spec, LogError if the file cannot be read.
@@ -145,7 +145,7 @@ def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
         if row is not None and row.arm_hash != arm.hash:
             raise UsageError(
                 f"{row.place}: was run with another spec or seed",
-                "name another folder with --out, or the study it was run with",
+                "name another folder with --out, or the study that wrote the row",
             )
     return {trial: row for trial, row in found.items() if row is not None}
 
@@ -162,7 +162,7 @@ def _cut_to_lines(path: Path) -> None:
 
 
 def keep_log(path: Path, source: Path) -> None:
-    """Give a log a second name, or copy it; LogError if neither is possible."""
+    """Hard-link a log to a second path, or copy it; LogError if neither is possible."""
     try:
         path.hardlink_to(source)
     except OSError:

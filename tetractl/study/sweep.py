@@ -1,7 +1,7 @@
-"""The sweeps: which values some fields of a spec take, point by point.
+"""The sweeps: the points of a study, each with values of some fields of a spec.
 
-`sweep: {type: grid}` takes every combination of some values, `list` points written one by one,
-`random` and `sobol` points drawn from ranges.
+`type: grid` gives every combination of listed values, `list` listed points, `random` and `sobol`
+points drawn from ranges.
 """
 
 import itertools
@@ -19,12 +19,12 @@ from tetractl.experiment.base import Finite, Model, inconsistent
 from tetractl.experiment.yaml.problems import Loc
 
 FieldPath = Annotated[str, Field(min_length=1, max_length=200)]
-"""A field of a spec as `--set` takes it, such as `controller.optimizer.rounds`."""
+"""The path of a field of a spec, as in `--set`, such as `controller.optimizer.rounds`."""
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A value of a field, and its place in the sweep's section."""
+    """A value of a field, and its location in the sweep's section."""
 
     value: Any
     loc: Loc
@@ -35,8 +35,8 @@ class Sweep(Model):
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points, each the settings of fields by their paths. All random draws use
-        `rng`, which is seeded with the root seed of the study.
+        """Return the points, each a mapping of paths to settings. Random draws use `rng`, which is
+        seeded with the study's root seed.
         """
 
 
@@ -44,7 +44,7 @@ Values = Annotated[tuple[Any, ...], Field(min_length=1, max_length=1000)]
 
 
 class Grid(Sweep):
-    """Every combination of the values listed, the last field changing fastest."""
+    """Every combination of the listed values; the last field changes fastest."""
 
     type: Literal["grid"]
     fields: dict[FieldPath, Values] = Field(min_length=1)
@@ -63,7 +63,7 @@ Point = Annotated[dict[FieldPath, Any], Field(min_length=1)]
 
 
 class Points(Sweep):
-    """The listed points; fields missing in a point have the value of the base."""
+    """The listed points; a field that a point lacks has the base's value."""
 
     type: Literal["list"]
     points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
@@ -100,22 +100,22 @@ class Range(Model):
         return self
 
     def at(self, share: float) -> float:
-        """Return the value at a share of the range, which is at least 0 and less than 1."""
+        """Return the value at a share, from 0 to below 1, of the range."""
         low, high = self.low, self.high + self.whole
         if self.scale == "log":
             value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
         else:
             value = low + share * (high - low)
-        # rounding may exceed the range
+        # limited, since rounding may exceed the range
         value = min(max(value, self.low), self.high + self.whole / 2)
         return math.floor(value) if self.whole else value
 
 
 class SampledSweep(Sweep):
-    """Points drawn from the ranges of some fields, from the root seed of the study."""
+    """Points drawn at random from the ranges of some fields, with the study's root seed."""
 
     count: int = Field(ge=1, le=100_000)
-    """Number of points. More of them later leave those drawn before as they are."""
+    """Number of points. A larger number keeps the points drawn before and adds new ones."""
     fields: dict[FieldPath, Range] = Field(min_length=1, max_length=1000)
     """Range of each swept field, by path, such as `plant.dead_time`."""
 

@@ -62,7 +62,7 @@ CROSSED = [robot.model_dump() | {"heading": i} for i, robot in enumerate(experim
     [
         (heading(math.pi, arena=NARROW, obstacles=[]), "robot green would leave the arena"),
         (heading(0.0, arena=WIDE, obstacles=[DISC]), "robot blue would enter an obstacle"),
-        (experiment(robots=CROSSED, controller={"first_plan": SQUARE}), "start with one heading"),
+        (experiment(robots=CROSSED, controller={"first_plan": SQUARE}), "the same heading"),
     ],
 )
 def test_a_square_that_cannot_be_driven_is_refused(spec, message):

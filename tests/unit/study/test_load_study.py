@@ -56,7 +56,7 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
 @pytest.mark.parametrize(
     ("study", "told"),
     [
-        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: file of the spec that every arm starts from, by its path from the study's file"]),
+        ("name: quick\n", ["study.yaml:1:1: base: is missing; add it: path of the spec that every arm changes, relative to the study's file"]),
         ("name: quick\nbase: other.yaml\n", ["study.yaml:2:7: base: other.yaml: there is no such file: {}/other.yaml"]),
         (HEAD + "swep: {}\n", ["study.yaml:3:1: swep: unknown key; did you mean 'sweep'?"]),
         (HEAD + "sweep: {type: gird, fields: {}}\n", ["study.yaml:3:15: sweep.type: gird: must be one of grid, list, random, sobol; did you mean 'grid'?"]),
@@ -65,9 +65,9 @@ def test_a_study_of_the_base_alone_has_one_arm(tmp_path):
         (HEAD + "sweep:\n  type: grid\n  fields:\n    plant.dead_tim: [0]\n    plant.a_error:\n      - 0\n      - -1\n", ["study.yaml:6:22: sweep.fields.plant.dead_tim.0: unknown key; did you mean 'dead_time'?", "study.yaml:9:9: sweep.fields.plant.a_error.1: -1: must be at least 0"]),
         (HEAD + "sweep: {type: list, points: [{robots.s.a: 1}]}\n", ["study.yaml:3:43: sweep.points.0.robots.s.a: robots: has no entry 's'; its entries are 0 to 0 or r"]),
         (HEAD + "controllers: {a: {controller.horizon_max: many}}\n", ["study.yaml:3:43: controllers.a.controller.horizon_max: \"many\": must be a whole number"]),
-        (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: is the study's own; give count and seed in its 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: is the study's own; give count and seed in its 'trials:'"]),
+        (HEAD + "sweep: {type: grid, fields: {trials.seed: [1, 2]}}\n", ["study.yaml:3:44: sweep.fields.trials.seed.0: is the same for all arms; give count and seed in 'trials:'", "study.yaml:3:47: sweep.fields.trials.seed.1: is the same for all arms; give count and seed in 'trials:'"]),
         (HEAD + "sweep: {type: grid, fields: {plant.dead_time: [0, 0.0]}}\n", ["study.yaml:3:8: sweep: gives the arm dead_time=0 twice, once as dead_time=0; keep one"]),
-        (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um; one table has one length unit"]),
+        (HEAD + "sweep: {type: grid, fields: {units.length: [mm, um]}}\n", ["study.yaml:3:8: sweep: has arms in mm and um, but a table has one length unit"]),
         (HEAD + "trials: {count: 0}\n", ["study.yaml:3:17: trials.count: 0: must be at least 1"]),
     ],
 )  # fmt: skip
@@ -89,7 +89,7 @@ def test_a_lab_is_refused(tmp_path):
     text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
     text = text.replace("plant: {type: sim, dead_time: 0.06}", "")
     found, _ = problems(tmp_path, HEAD, text.replace("\nlab:\n", "\nplant:\n  type: lab\n"))
-    told = "drives a lab; a study simulates: name a spec whose plant has 'type: sim'"
+    told = "drives a lab, but studies only simulate: name a spec whose plant has 'type: sim'"
     assert found == [f"study.yaml:2:7: base: spec.yaml: {told}"]
 
 

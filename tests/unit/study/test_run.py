@@ -202,14 +202,17 @@ def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(done):
     more = run(done, SMALL.replace("count: 3", "count: 4"))
     with more.store.opened():
         for trial in (1, 3):
-            assert "digest as in its row" in repeat(more.loaded, more.store, f"{ARM}/{trial}")
+            assert "with the digest of its row" in repeat(more.loaded, more.store, f"{ARM}/{trial}")
 
 
 @pytest.mark.parametrize(
     ("changed", "hint"),
     [
-        ({"code": "older"}, "the row is of outdated code"),
-        ({"processor": "other-123456"}, "the row is of another type of processor: other-123456, "),
+        ({"code": "older"}, "the row is from outdated code"),
+        (
+            {"processor": "other-123456"},
+            "the row is from another type of processor: other-123456, ",
+        ),
     ],
 )
 def test_a_repeated_trial_that_differs_is_set_aside(done, changed, hint):

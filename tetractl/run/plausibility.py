@@ -220,7 +220,7 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
         turned = float(np.abs(wrap(some.starts.heading - some.starts.heading[0])).max())
         if spread == 0 and turned < 1e-9:
             message = (
-                f"is that of {first}, and so is the start heading: {_and(others)} only move "
+                f"is that of {first}, and so is the start heading: {_and(others)} can only move "
                 f"in parallel, and the least total error of the {len(group)} is"
             )
         else:

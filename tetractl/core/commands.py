@@ -64,8 +64,8 @@ class Verdict:
     obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` names the robots
     that did not stand still after the stop, and what they did, "" for none. `edge` (N,) is the
     least distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to
-    another robot, inf for a single robot; both are empty in older logs. All distances are those of
-    the robots' centres.
+    another robot, inf for a single robot; both are empty in older logs. All distances are
+    measured from the robots' centres.
     """
 
     final: Poses

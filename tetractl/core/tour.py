@@ -46,7 +46,7 @@ class Losses:
         self._seen_ns: Integers | None = None
 
     def see(self, frame: Observation) -> list[int]:
-        """Take the next frame; return the indices of robots that are replaced by others in it."""
+        """Take the next frame; return the indices of robots that another robot replaces in it."""
         if self._rule is None:
             return []
         if self._seen_ns is None:

@@ -70,7 +70,7 @@ class Body(Protocol):
 
     @property
     def standing(self) -> bool:
-        """Whether the robot is at rest, within what a camera could see."""
+        """Whether the robot is at rest, or slower than a camera could detect."""
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:

@@ -112,7 +112,7 @@ def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
         if np.abs(want - there[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
-                f"the cell with a = {a:.2f} rad/s and {speed:.0f} a second cannot be found again",
+                f"the cell with a = {a:.2f} rad/s, v = {speed:.0f} per second cannot be found",
                 "survey the dish again",
             )
     return [cells[i] for i in found]

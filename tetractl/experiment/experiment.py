@@ -227,7 +227,7 @@ class Experiment(Model):
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:
             listed = " and ".join(map(str, sorted(counts)))
-            message = f"have {listed} way-points in via; all pass theirs together, so give as many"
+            message = f"have {listed} way-points in via; all robots need the same number"
             raise inconsistent("robots", message)
         return self
 

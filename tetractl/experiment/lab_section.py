@@ -211,8 +211,8 @@ class LabSection(PlantSection):
     limits: LabLimits = LabLimits()
     """Limits that stop robots or end a run, and its waiting times."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
-    """A file written by `tetractl lab calibrate`, relative to the spec; its values replace those in
-    `camera` and `actuator`."""
+    """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
+    in `camera` and `actuator`."""
 
     def require_devices(self) -> None:
         """Raise AbortError if the actuator's port does not exist."""

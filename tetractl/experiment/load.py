@@ -250,7 +250,7 @@ def _experiment(
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
-    """Return the arena, robots and obstacles that are valid by themselves."""
+    """Return the valid arena, robots and obstacles, whatever other sections contain."""
 
     def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
         adapter = TypeAdapter(kind)

@@ -30,9 +30,9 @@ class Calibration(Model):
     measured: str = Field(max_length=100)
     """Date and time of the measurement."""
     camera: dict[str, Any] = Field(default={})
-    """Values that replace those in `lab.camera`."""
+    """Values that replace values in `lab.camera`."""
     actuator: dict[str, Any] = Field(default={})
-    """Values that replace those in `lab.actuator`."""
+    """Values that replace values in `lab.actuator`."""
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:

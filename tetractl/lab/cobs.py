@@ -84,7 +84,7 @@ def pack_fields(layout: struct.Struct, *fields: int) -> bytes:
 def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, ...]:
     """Return the fields after the type byte of a frame, given without the closing byte 00.
 
-    WireError if the type is not `kind` or the size is not that of `layout`.
+    WireError if the type is not `kind` or the size differs from `layout`.
     """
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:

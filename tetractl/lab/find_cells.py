@@ -46,7 +46,7 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
-    The field goes on turning. `on_look` is called regularly. AbortError if no pictures arrive.
+    The field turns further. `on_look` is called regularly. AbortError if no pictures arrive.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
@@ -69,7 +69,7 @@ def turn_field(
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
         raise AbortError(
             f"{rate:.1f} pictures a second were searched; to follow cells that swim "
-            f"{choice.speed:g} {rig.setup.unit}/s it takes {least:.0f}",
+            f"{choice.speed:g} {rig.setup.unit}/s, {least:.0f} are needed",
             "do other programs keep this computer busy? smaller pictures take less time",
         )
     return cells

@@ -188,7 +188,7 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        Returns None for a frame not exposed after the earlier ones, which is dropped and counted.
+        Returns None for a frame not exposed after all earlier frames; it is dropped and counted.
         """
         if frame.fault:
             self.abort(frame.fault)

@@ -147,4 +147,4 @@ def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
     if around and opposite[2]:
         return WRONG_WAY
     kind = "along its heading" if along else "sideways" if across else "around"
-    return f"moves {kind} as no command does: is what the camera sees another body, or its number?"
+    return f"moves {kind} as no command does: does the camera track another body as this robot?"

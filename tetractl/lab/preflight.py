@@ -103,7 +103,7 @@ def inspect(rig: Rig) -> Preflight:
         problems.append(rig.guard.no_frame(rig.silent_ns()))
     latency_ms = _latency_ms(seen)
     if latency_ms is not None and latency_ms[0] > 1000 * rig.limits.latency:
-        problems.append(f"frames are {latency_ms[0]:.0f} ms old when they come")
+        problems.append(f"frames are {latency_ms[0]:.0f} ms old on arrival")
     if newest is not None and rig.actuator.halts:  # a dish always shows other cells
         problems += _strangers(rig, newest.frame)
     robots = tuple(_robot(rig, i, newest, status) for i, status in enumerate(statuses))

@@ -77,7 +77,7 @@ class SerialPort:
         self._thread.start()
 
     def write(self, data: bytes) -> int:
-        """Send bytes; return the time when the system took them [ns].
+        """Send bytes; return the time when the system accepted them [ns].
 
         AbortError if the port is stuck, gone or not open.
         """
@@ -231,7 +231,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
                 name, "is not a tetractl process that can be ended" if pid else "is unknown"
             )
         if holder(port) != pid:
-            say(f"it let go of the port after {time.monotonic() - began:.1f} s")
+            say(f"it released the port after {time.monotonic() - began:.1f} s")
             return
         if time.monotonic() - began > DEAD_S:
             raise _left(name, f"does not end even by SIGKILL; {failure}")

@@ -81,7 +81,7 @@ class CellDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for cells that swim, 0 for those that are held, (N,)."""
+        """1 for cells that swim, 0 for cells that are held, (N,)."""
         return (~self.cells.resting).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:

@@ -33,7 +33,7 @@ class DirectDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for robots that move, 0 for those that stand, (N,)."""
+        """1 for robots that move, 0 for robots that stand, (N,)."""
         return self._held.moving * self._able
 
     def vary(self, a: Floats, speed: Floats) -> None:

@@ -215,7 +215,7 @@ class WheelDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for robots commanded to move, 0 for those commanded to stand, (N,)."""
+        """1 for robots commanded to move, 0 for robots commanded to stand, (N,)."""
         able = (self._turn_of > 0) | (self._way_of > 0)
         return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
 

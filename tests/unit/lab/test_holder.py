@@ -82,7 +82,7 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
     assert f"{port}: process {process.pid} (" in said
     assert "asked it to stop its robots and end" in said
     assert "sent stops, past it" in said
-    assert "it let go of the port" in said
+    assert "it released the port" in said
 
 
 def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):

@@ -77,7 +77,7 @@ class EmulatedMicroscope(StreamedCamera):
         *STREAM_FAULTS,
         fault(
             "light",
-            "The lamp gives a fraction of its light, and flickers by a fraction at 100 Hz.",
+            "The lamp's light falls to a fraction, and flickers by a fraction at 100 Hz.",
             _changes(
                 light=lambda f, look: look.light * f.share,
                 contrast=lambda f, look: look.contrast * f.share,

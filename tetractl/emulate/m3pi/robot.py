@@ -189,7 +189,7 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, within what a camera could see."""
+        """Whether both wheels are at rest, or slower than a camera could detect."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property

@@ -66,7 +66,7 @@ class Streaming:
     latency: float = 0.0054
     jitter: float = 0.00025
     client_timeout: float = 5.0
-    frames_from: str | None = None  # a separate address, like that of a second network card
+    frames_from: str | None = None  # a separate address, such as a second network card's
     keeps_version: bool = False
     answers_models: bool = True
     models_changed: bool = False

@@ -1,4 +1,4 @@
-"""The JSON schema of a spec, and queries of it by path."""
+"""The JSON schema of a spec, and its parts by the path of a field."""
 
 import json
 from collections.abc import Iterator

@@ -53,7 +53,7 @@ def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
 
 
 def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return the displacement along u and to the right of it in x and in y, and phi - phi'."""
+    """Return x and y of the displacements along u and to the right of u, and phi - phi'."""
     half = (u - heading) / 2
     c, s = np.cos(half), np.sin(half)
     decay = np.exp(-a * t)

@@ -130,7 +130,7 @@ class FieldActuator:
         return inspect(reply, self.section)
 
     def _room(self, passed_ns: int) -> float:
-        """Return how far a current may change in a given time [A]."""
+        """Return the largest change of a current [A] in a time [ns]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:

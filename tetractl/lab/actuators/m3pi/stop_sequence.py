@@ -11,7 +11,7 @@ from tetractl.lab.actuators.xbee.link import Link
 
 
 def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Send stops to every robot in radio range, ten times over 200 ms; return a text that says so.
+    """Send stops to every robot in radio range, ten times over 200 ms; return a text about them.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
     stops on its own bytes, sent to each address and to all. The module is not checked, because

@@ -229,7 +229,7 @@ class Decoder:
     def _unescaped(self) -> tuple[bytearray, int, bool]:
         """Return the unescaped bytes after the delimiter, the number of raw bytes read, and `cut`.
 
-        Reads no further than the length field says. `cut` is True if another frame starts inside.
+        Reads at most the number of bytes in the length field. `cut`: another frame starts inside.
         """
         raw = bytearray()
         wanted = 2

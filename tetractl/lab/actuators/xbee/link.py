@@ -71,7 +71,7 @@ class Link:
             self.questions = hardware.check_module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
-        """Send to one module or to all; return the time when the port took the bytes [ns]."""
+        """Send to one module or to all; return the time of writing to the port [ns]."""
         if not self._api:
             return self._port.write(data)
         acknowledged = address != BROADCAST_16

@@ -105,7 +105,7 @@ NOTHING = 1e-9
 
 
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
-    """Return corners (T, 4, 2) [px], refined from rough ones, and the blur of each tag (T,) [px].
+    """Return refined corners (T, 4, 2) [px] of rough corners, and each tag's blur (T,) [px].
 
     Corners run clockwise round a dark square of the given number of modules per side. The blur is
     the standard deviation of the Gaussian that blurs a step to the width of the sides. If the sides

@@ -1,8 +1,8 @@
 """Calibrates the camera by the floor tags, and converts pixels to positions at a height above it.
 
 The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. After removing distortion,
-a pixel is a ray, and a tag at height h is where the ray meets the plane z = h. On the floor this is
-the homography; above the floor it corrects the parallax.
+a pixel defines a ray; a tag at height h is at the point where its ray meets the plane z = h. On the
+floor, this mapping is the homography; above the floor it corrects the parallax.
 
 A lens in the spec is used unchanged. Without one, the principal point is the picture's middle, and
 the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values
@@ -194,7 +194,7 @@ def _flat(spots: Floats) -> Floats:
 
 MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
 AVERAGED = 32  # pictures
-MISFIT_MM = 10.0  # floor tags with a larger error are not where the spec says
+MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in the spec is wrong
 
 
 class Floor:

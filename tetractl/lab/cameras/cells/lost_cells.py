@@ -1,6 +1,6 @@
 """Cells that are no longer followed, and the probability that a cell that appears is one of them.
 
-A lost cell has swum on as the signal predicts, rests where it was last seen, or has turned by
+A lost cell has swum further as the signal predicts, rests at its last position, or has turned by
 itself. Cells come from outside at the edge of the picture and out of blobs, rarely anywhere else.
 """
 

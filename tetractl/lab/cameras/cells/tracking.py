@@ -30,9 +30,9 @@ from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks, stra
 
 LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
 CELLS = 64  # largest number of cells that are followed
-LOST_S = 0.7  # time without a blob after which a cell is given up
+LOST_S = 0.7  # time without a blob after which a cell is lost
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
-GONE_S = 0.1  # time after which a cell is given up near the edge of the picture
+GONE_S = 0.1  # time without a blob after which a cell near the picture's edge has left
 OUTSIDE = 0.4  # distance to the edge that counts as near, in lengths of the cell
 STARTED_UM, STARTED_S = 60.0, 1.0  # a track that has not swum this far in this time is not a cell
 POSITION_PX, POSITION_UM, AXIS = 0.2, 0.4, 0.02  # standard deviations of a blob's measurement
@@ -41,7 +41,7 @@ MERGED = (7.0, 7.0, 10.0)  # deviations for a cell in a shared blob
 HIDDEN = (30.0, 30.0, 10.0)  # deviations if the shared blob is only as large as one of its cells
 ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance from which a blob is far
-ASTRAY_UM = 35.0  # distance of a cell from its own blob at which the filter has lost track of it
+ASTRAY_UM = 35.0  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED_UM = 120.0  # a new cell nearer than this to the picture's edge has swum into the picture
 EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
 DOUBT = 0.75  # probability of a cell's identity while another cell may have been in its blob

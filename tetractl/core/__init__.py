@@ -1,1 +1,1 @@
-"""The vocabulary of all packages: poses, commands, plans, trials, protocols, clock, errors."""
+"""Types that all packages share: poses, commands, plans, trials, protocols, clock, errors."""

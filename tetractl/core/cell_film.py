@@ -12,7 +12,7 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class CellFilm:
-    """One picture of a camera that follows cells, as a log keeps it.
+    """One picture of a camera that follows cells, as stored in a log.
 
     `crops` (K, T, T) are cut out of the picture minus its background, the input of the search for
     contours, so that the search can be repeated; the upper left pixel of each is at `corners` (K,

@@ -1,4 +1,4 @@
-"""Kinds by name: what a `type` in a spec stands for, built in or installed with other packages."""
+"""Registries of kinds: the objects that a spec's `type` names, built in or of other packages."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress

@@ -92,7 +92,7 @@ def fault(
 ) -> type[Fault]:
     """Return a kind of fault: a row of a device's table.
 
-    `keys` are its fields in a script, in addition to those of `Fault`: a type, or a pair of type
+    `keys` are the kind's fields in a script, in addition to those of `Fault`: a type, or a pair of type
     and default.
     """
     fields: dict[str, Any] = {"fault": (Literal[name], ...)}

@@ -59,7 +59,7 @@ class MotionCheck:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all motion, as when robots start from rest."""
+        """Forget all motion; called when robots start from rest."""
         n = len(self._slack)
         self._seen = np.zeros((n, 3))  # motion since the start, by consistent poses
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start

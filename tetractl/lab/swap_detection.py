@@ -58,7 +58,7 @@ class SwapDetector:
         self.restart()
 
     def restart(self) -> None:
-        """Forget all turning, as when robots start from rest."""
+        """Forget all turning; called when robots start from rest."""
         n = len(self._names)
         self._all, self._stretch = _TurnIntegrals(n), _TurnIntegrals(n)
         # whether robot i followed j in its last stretch

@@ -14,7 +14,7 @@ from tetractl.model.motion.polynomials import sincos, wrap
 
 
 def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Advance the headings alone; see `step`."""
+    """Return the headings after `step`, without positions."""
     return heading + 2 * (0.5 * t * a * np.sin(u - heading))
 
 

@@ -14,7 +14,7 @@ from tetractl.model.motion.polynomials import sincos, sincos_quarter, wrap
 
 
 def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Advance the headings alone, (6)."""
+    """Return the headings after `step`, (6), without positions."""
     return heading + t * a * np.sin(u - heading)
 
 

@@ -46,7 +46,7 @@ def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
 
 
 def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Advance the headings alone; see `step`."""
+    """Return the headings after `step`, without positions."""
     half, exponent = (u - heading) / 2, -a * t
     c, s = np.cos(half), np.sin(half)
     return heading + 2 * np.arctan2(-np.expm1(exponent) * s * c, c * c + s * s * np.exp(exponent))

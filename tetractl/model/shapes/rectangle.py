@@ -32,7 +32,7 @@ class PackedRectangles(NamedTuple):
 
     @staticmethod
     def depth(x: float, y: float, p: Any) -> float:
-        """Return the distance inside to the nearest side."""
+        """Return the distance to the nearest side, positive inside."""
         left, bottom, right, top = p
         return -max(max(left - x, x - right), max(bottom - y, y - top))
 

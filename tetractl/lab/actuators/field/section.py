@@ -1,7 +1,7 @@
 """The section of the spec for a field of two coil pairs: `actuator: {type: field, ...}`.
 
-Along its own axis a coil pair adds gain * current to the ambient field, `offset`: with the x pair's
-axis turned by `rotation` from the spec's x axis and c the field in the axes of the coils,
+Along a coil pair's axis, the field is the ambient field, `offset`, plus gain * current. With c the
+field in the coils' axes, and the x pair's axis turned by `rotation` from the spec's x axis,
 
     c = offset + gain * current,    field = R(rotation) c.
 """

@@ -225,7 +225,7 @@ class CellTracker:
         cell.row, cell.odd = row, 0
 
     def _begin(self, speck: Speck) -> None:
-        """Follow a speck that swims as a cell from now on."""
+        """Start to follow a speck as a cell, since it swims."""
         path = np.array(speck.path)
         last = path[-BORN:]
         (vx, vy), fitted = straight(last)

@@ -33,7 +33,7 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A read position in a payload of little-endian fields; it moves forward and stays inside."""
+    """A read position in a payload of little-endian fields; it only moves forward, to the end."""
 
     __slots__ = ("at", "data", "end")
 

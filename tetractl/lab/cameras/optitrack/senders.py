@@ -15,7 +15,7 @@ KINDS_KEPT = 64  # largest number of senders whose refused datagrams are counted
 
 @dataclass(frozen=True, slots=True)
 class Sender:
-    """The origin of datagrams: address and port, and whether they were frames or answers."""
+    """The origin of datagrams: address, port, and their kind (frames or answers)."""
 
     host: str
     port: int

@@ -83,7 +83,7 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
 
 
 def datagram(kind: MessageKind, payload: bytes) -> bytes:
-    """Put the header before a payload."""
+    """Return the datagram of a kind with a payload."""
     if len(payload) + HEADER > DATAGRAM_MAX:
         raise WireError(f"{len(payload)} bytes do not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload

@@ -1,4 +1,4 @@
-"""Makes the controller that a spec asks for, and compiles what it runs."""
+"""Builds the controller of a spec, and compiles the functions that it runs."""
 
 import time
 from collections.abc import Callable
@@ -7,7 +7,7 @@ from threading import Timer
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
-ANNOUNCE_AFTER_S = 1.0  # loading from the cache is not announced
+ANNOUNCE_AFTER_S = 1.0  # longer than loading from the cache takes [s]
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
@@ -16,11 +16,10 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
-    """Compile, or load from the cache, what the controller runs; `announce` is called if compiling
-    takes long.
+    """Compile the functions that the controller runs, or load them from the cache; `announce` is
+    called if that takes long.
 
-    What is compiled depends on the kinds that the spec names, and is kept on disk for the next run
-    of any spec that names the same.
+    Compiled code is kept on disk for all specs that name the same kinds.
     """
     began_s, said = time.monotonic(), list[str]()
 
@@ -40,9 +39,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
 
 
 def compiled_for(experiment: Experiment) -> str:
-    """Return the kinds of a spec that decide what is compiled, such as "mpc, multistart, exact,
-    circle".
-    """
+    """Return the kinds of a spec for which code is compiled: "mpc, multistart, exact, circle"."""
     control = experiment.controller
     optimizer = getattr(getattr(control, "optimizer", None), "type", None)
     shapes = sorted({obstacle.type for obstacle in experiment.obstacles})

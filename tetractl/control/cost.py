@@ -6,11 +6,11 @@
     s_i(k+j|k) = [x_i(k+j|k), y_i(k+j|k)],   tar_i = [x_tar,i, y_tar,i]                   (10), (11)
     -pi <= u <= pi                                                                             (12)
 
-A sequence is counted here, as in Algorithm 2, by its length L in signals: u(k), ..., u(k+L-1). The
+The length L of a sequence is, as in Algorithm 2, its number of signals: u(k), ..., u(k+L-1). The
 paper's horizon in (7)-(12) is h = L - 1. The prediction s(k+j|k) comes from (4)-(6) or from one of
-the other motions in `tetractl.model.motion`. If robots are to keep a separation, beyond the
-paper, P also counts each pair of robots at each predicted position where they are nearer. If
-robots are to stay `within` R of their targets, also beyond the paper,
+the other motions in `tetractl.model.motion`. In two extensions of the paper, P also counts each
+pair of robots that is nearer than the `separation` at a predicted position, and if robots have to
+stay `within` R of their targets,
 
     f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d > 1) = 1 + STRAY (d - 1),
 
@@ -28,7 +28,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost per hold radius of distance outside, relative to a cost of 1 for being outside."""
+"""Cost of a distance of one hold radius outside, relative to a cost of 1 for being outside."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ class Costs:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """Where one sequence of L signals leads: poses (L + 1, N, 3), the start first, f and P."""
+    """Prediction for a sequence of L signals: poses (L + 1, N, 3), the start first; f and P."""
 
     path: Floats
     target: float
@@ -50,7 +50,7 @@ class Foreseen:
 
 
 def foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return where a sequence (L,) leads; raises as `evaluate`."""
+    """Return the prediction for a sequence (L,); raises the error of `evaluate`."""
     path = predict(problem, signals)
     costs = costs_along(problem, path[:, None])
     return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
@@ -63,7 +63,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
     path[0] = problem.poses.array()
     x, y = path[..., 0], path[..., 1]
-    every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same for every robot
+    every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same signals for every robot
     if problem.bias is not None:
         every = every + problem.bias
     _follow(problem, motion, every, path)
@@ -76,7 +76,7 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> None:
-    """Fill in the rest of a path from its first poses, under directions (L, ..., 1 or N)."""
+    """Fill a path (L + 1, ..., N, 3) after its first poses, under directions (L, ..., 1 or N)."""
     x, y, heading = path[..., 0], path[..., 1], path[..., 2]
     shape = path.shape[1:-1]
     if motion.turn is None or motion.strides is None:
@@ -96,14 +96,14 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
         sums[0] = along[0]
         for i, term in enumerate(terms):
             sums[1 + i :: len(terms)] = term
-        # the same order of additions as step by step
+        # adds in the same order as step by step
         along[:] = np.add.accumulate(sums)[:: len(terms)]
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Evaluate (7)-(9) for B sequences, shape (B, L).
 
-    Raises ControlError if a cost is not finite: no comparison of costs could be trusted.
+    Raises ControlError if a cost is not finite, since costs could not be compared.
     """
     return costs_along(problem, predict(problem, signals))
 

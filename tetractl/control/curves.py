@@ -8,7 +8,7 @@ from tetractl.core.poses import Floats
 
 
 def bearing(problem: Problem) -> float:
-    """Return the direction from all robots towards all targets, that of their mean gap [rad]."""
+    """Return the direction of the mean vector from the robots to their targets [rad]."""
     gaps = problem.targets - problem.poses.xy
     return float(np.arctan2(gaps[:, 1].sum(), gaps[:, 0].sum()))
 
@@ -16,7 +16,7 @@ def bearing(problem: Problem) -> float:
 def interpolate(knots: Floats, length: int) -> Floats:
     """Return sequences (length, P) that are linear between evenly spread knots (K, P).
 
-    The first signal is the first knot and the last one the last; K is at most `length`.
+    The first and last signals are the first and last knots; K is at most `length`.
     """
     below, part = places(len(knots), length)
     share, after = part[:, None], np.minimum(below + 1, len(knots) - 1)
@@ -24,8 +24,8 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
 
 def places(count: int, length: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return, for each signal, the knot before it and the fraction of the way to the next,
-    (length,) each.
+    """Return the index of the knot before each signal, and the fraction of the way to the next
+    knot, (length,) each.
     """
     at = np.linspace(0, count - 1, length)
     below = np.minimum(at.astype(np.int64), max(count - 2, 0))

@@ -1,4 +1,4 @@
-"""Where the robots will be when a command acts: the state predicted over the dead time."""
+"""Predicts the robots' poses over the dead time, to the moment when a command acts."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -11,8 +11,8 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.registries import MOTIONS
 
 Held = tuple[int, int, Floats]
-"""Directions u (N,) [rad], NaN for a robot that stands, and the times from and until which they act
-[ns]."""
+"""The times [ns] from and until which directions act, and the directions u (N,) [rad], NaN for a
+robot that stands still."""
 
 
 @dataclass(slots=True)
@@ -29,9 +29,9 @@ class Sent:
 class Predictor:
     """The directions sent so far, each of which acts `dead_time_s` after it was sent.
 
-    Before the first one acts the robots stand still. A robot that did not receive a direction
-    follows the one before. `before` (N,) [rad] are the directions held before the recent ones, NaN
-    for a robot that stands.
+    Before the first direction acts the robots stand still. A robot that did not receive a direction
+    follows the previous one. `before` (N,) [rad] are the directions held before the `recent` ones,
+    NaN for a robot that stands still.
     """
 
     def __init__(self, dead_time_s: float, count: int) -> None:
@@ -71,7 +71,7 @@ class Predictor:
 
 
 def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
-    """Return the poses after the directions held, by the problem's motion, bias and flow."""
+    """Return the poses after the directions `held`, by the problem's motion, bias and flow."""
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, u in held:
         seconds = (until - since) / SECOND
@@ -82,9 +82,9 @@ def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
 def driven(
     problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and heading (..., N) after times (..., 1) or one time [s] from `start`.
+    """Return x, y and heading (..., N) after times `seconds` (..., 1), or one, from `start`.
 
-    Robots follow `direction` (N,) [rad], NaN for a robot that stands.
+    Robots follow `direction` (N,) [rad], NaN for a robot that stands still.
     """
     stands = np.isnan(direction)
     moving = np.where(stands, 0.0, seconds)

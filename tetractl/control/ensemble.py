@@ -1,13 +1,13 @@
-"""Feedback Ensemble Control: a rotating field and straight motion by turns; section I of the paper.
+"""Feedback Ensemble Control (section I of the paper): the field rotates or is off, by turns.
 
-It has two modes. While the field rotates, the robots turn after it, each with a lag that depends on
-its a, until they have headings for which the control Lyapunov function
+It has two modes. While the field rotates, the robots follow it, each with a lag that depends on its
+a, until for their headings the control Lyapunov function
 
     V = sum_i || s_i - tar_i ||
 
 would fall without a field. The field is then switched off, and the robots drive straight until V
-would rise. The paper describes its authors' earlier algorithm in these words, without numbers; the
-parameters are this module's choice. Obstacles are ignored.
+would rise. The paper describes this earlier algorithm of its authors without parameters; those here
+are chosen by this module. Obstacles are ignored.
 """
 
 import time
@@ -42,17 +42,17 @@ class EnsembleSection(ControllerSection):
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
-    """Angular velocity of the rotating field, in units of the robots' least a: up to 1 every robot
-    follows with a constant lag; above 1 the slowest cannot.
+    """Angular velocity of the rotating field, in units of the robots' least a. Up to 1 every robot
+    follows with a constant lag; above 1 the robot with the least a cannot follow.
     """
     fall: Fraction = 0.3
     """The field is switched off if, over the coming control period, the sum of distances would fall
-    by more than this fraction of the robots' summed path lengths, the fall if every robot heads for
-    its target.
+    by more than this fraction of the robots' summed path lengths, which is the largest possible
+    fall.
     """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """Turns of the field without such a moment, after which the trial ends at the least sum of
-    distances during a turn.
+    """Turns of the field for which it is not switched off, after which the trial ends at the least
+    sum of distances during a turn.
     """
 
     def problem(self, setup: Setup) -> Problem:
@@ -71,17 +71,17 @@ class EnsembleSection(ControllerSection):
 
 
 class Ensemble:
-    """The controller of one trial; its steps' keys come from `key`, though nothing is drawn."""
+    """The controller of one trial; `key` is the root of the logged keys of its steps."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
         self._problem = section.problem(setup)
         self._delay_ns = round(section.dead_time * SECOND)
-        # time of effect [ns]; u, or None for no field
+        # directions u [rad], None without a field, and when they act [ns]
         self._acting: deque[tuple[int, float | None]] = deque()
         # direction of the rotating field [rad], None while it is off
         self._phase: float | None = None
-        self._turned = 0.0  # angle since the field was switched on [rad]
+        self._turned = 0.0  # angle by which the field has turned since it was switched on [rad]
         self._k = 0
 
     def plan(
@@ -100,7 +100,7 @@ class Ensemble:
             return Outcome.STEPS_MAX
         straight = _ahead(problem, problem.poses, None, section.period)
         fall = float(gaps.sum()) - _sum(problem, straight.array())
-        driving = self._phase is None and self._k > 0  # off until V would rise
+        driving = self._phase is None and self._k > 0  # the field stays off until V would rise
         least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
         if fall > least:
             self._phase, self._turned = None, 0.0
@@ -126,7 +126,7 @@ class Ensemble:
         self._turned += step
 
     def _decide(self, problem: Problem, signals: Floats, end: Poses) -> Plan:
-        """Return the plan of one control period, with the given poses at its end."""
+        """Return the plan of one control period, which ends at the poses `end`."""
         path = np.stack([problem.poses.array(), end.array()])
         costs = costs_along(problem, path[:, None])
         cost = float(costs.total[0])
@@ -143,7 +143,7 @@ class Ensemble:
         )
 
     def _when_acting(self, observation: Observation) -> Poses:
-        """Return the poses at which a decision acts: one dead time after the frame was exposed."""
+        """Return the poses one dead time after the frame's exposure, when the decision acts."""
         now, poses = observation.sampled_ns, observation.poses
         until = now + self._delay_ns
         while len(self._acting) > 1 and self._acting[1][0] <= now:

@@ -1,8 +1,8 @@
-"""Estimates the robots' state at a control step from frames and commands alone.
+"""Estimates the robots' state at a control step from frames and commands.
 
-Given every frame and every command of a trial, in order, it returns where the robots will be when
-the direction decided now acts, and how they move: with the spec's values, from the newest frame, or
-with values that a bank of filters identifies while the robots drive.
+From all frames and commands of a trial, in order, it predicts the robots' poses when the direction
+decided now acts: from the newest frame with the spec's values, or with values that a bank of
+filters identifies while the robots drive.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,15 +19,15 @@ from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Bools, Floats, Observation
 from tetractl.core.tour import Losses, LossRule
 
-REMEMBERED = SECOND  # ns for which commands are remembered after they stopped acting
+REMEMBERED = SECOND  # time for which commands are kept after they stopped acting [ns]
 
 
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
     `problem` has a and speed of the spec. With a `prior` both are identified; if the robots
-    `drive_first`, in a square, only from the moment when they follow the first direction. Robots
-    that are lost by the `loss` rule, `losses.lost`, are left out of every result.
+    `drive_first` in a square, identification starts when the first direction acts. Robots that are
+    lost by the `loss` rule, `losses.lost`, are left out of every result.
     """
 
     def __init__(
@@ -50,13 +50,13 @@ class StateEstimator:
 
     @property
     def dead_time_s(self) -> float:
-        """The dead time, given or identified [s]."""
+        """The identified dead time, or else that of the controller's section [s]."""
         known = None if self.estimate is None else self.estimate.dead_time
         return self.predictor.dead_time_s if known is None else known
 
     @property
     def left(self) -> Bools:
-        """Which robots are not lost, (N,)."""
+        """True for each robot that is not lost, (N,)."""
         return ~self.losses.lost
 
     @property
@@ -70,8 +70,8 @@ class StateEstimator:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Problem:
-        """Add the previous step's command and the frames since; return the problem with the robots
-        where they will be when the next direction acts.
+        """Add the previous step's command and the frames since; return the problem with the poses
+        at which the next direction acts.
         """
         if last_command is not None:
             self.sent(last_command)
@@ -117,17 +117,17 @@ class StateEstimator:
         return self.predictor.held(self._newest_ns, until)
 
     def held_at_action(self, observation: Observation) -> Floats:
-        """Return the directions [rad] that the robots left hold when a direction decided on a frame
-        will act, NaN for a robot that stands.
+        """Return the direction [rad] that each robot not lost follows when the next one acts, NaN
+        for a robot that stands still.
         """
         return self.held(self.acts(observation) + 1)[-1][2][self.left]
 
     def acts(self, observation: Observation) -> int:
-        """Return when a direction decided on a frame will act [ns].
+        """Return the time at which a direction decided on a frame acts [ns].
 
-        A given dead time counts from the exposure of the frame. An identified one counts from the
-        sending, which is a control period after the previous one or as soon as the frame was
-        received; it does not include the time for planning or for a late frame.
+        A given dead time counts from the exposure of the frame. An identified dead time counts from
+        the sending: a control period after the previous sending, or when the frame is received;
+        times for planning or for a late frame are left out.
         """
         if self.filter is None:
             return observation.sampled_ns + self.predictor.delay_ns

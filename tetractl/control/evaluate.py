@@ -49,7 +49,7 @@ def compiled_path(problem: Problem, signals: Floats) -> Floats:
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return where a sequence (L,) leads and what it costs: the twin of `cost.foresee`."""
+    """Return the prediction for a sequence (L,): the twin of `cost.foresee`."""
     from tetractl.control.kernels.rollout import costs, lay_out
 
     rollout, total = lay_out(problem, 1), np.empty(1)

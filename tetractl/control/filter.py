@@ -1,4 +1,4 @@
-"""Where the robots are and how they move, from the camera's frames and every direction sent.
+"""Estimates the robots' poses and motion from the camera's frames and all directions sent.
 
 Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
 the heading theta of its course, its turning rate a and speed v, a turn bias beta, the marker bias m
@@ -12,21 +12,21 @@ and a camera measures, each with its noise,
 
     x - p sin theta,  y + p cos theta,  theta + m + w q / v.
 
-a and v are followed by their logarithms, and all parameters drift as random walks: so the filter
-forgets what it learnt long ago.
+The state has the logarithms of a and v, and all parameters drift as random walks, so that old
+measurements lose their weight.
 
-A robot is not sure to do what it was sent. Its hypotheses, each with a filter and a weight of its
-own, are that it follows the latest direction, or one of the two before because later ones got lost,
-and that it is stuck and stands still. A pose that fits no hypothesis is an outlier; after a while
-without a fit, the camera's pose is taken as it is.
+A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
+that it follows the latest direction, that it follows one of the two before because later ones were
+lost, and that it is stuck and stands still. A pose that fits no hypothesis is an outlier; after
+some time without a fit, the filter restarts from the camera's pose.
 
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
-robots. A bank of filters has one tau each, of a grid; their likelihoods decide between them, and
-around the likely ones the grid becomes finer. The filter uses frames about 30 ms apart, and each
-control step's newest frame: wheels whose lag is not given respond over tens of milliseconds, and
-with frames closer together the start of the response would give too short a dead time and too small
-an a. If the lag T is given, turning rate and speed approach those of a direction with it, and the
-direction turns the heading theta + T dtheta/dt, in which the robot would come to rest.
+robots. Each filter of a bank has one tau of a grid; their likelihoods weight them, and the grid
+becomes finer around the likely ones. The filter uses frames about 30 ms apart, and each control
+step's newest frame: wheels whose lag is not given respond over tens of milliseconds, and at shorter
+intervals the start of the response would bias dead time and a to smaller values. If the lag T is
+given, turning rate and speed approach those of a direction with the time constant T, and the
+direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
 """
 
 import math
@@ -42,17 +42,17 @@ from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
 GRID_STEP_S = 0.02  # spacing of the dead times at first
-FINEST_S = 0.005  # and after refinement
-REACH = 3.0  # deviations of the prior that the grid covers
+FINEST_S = 0.005  # least spacing after refinement
+REACH = 3.0  # half width of the grid, in standard deviations of the prior
 UNLIKELY = 25.0  # difference of the ln of a likelihood by which a dead time is dropped
-KEPT = 64  # number of commands remembered after they acted
-POSITION_NOISE_S = 0.005  # noise of a measured position, in seconds of travel, if not given [s]
-HEADING_NOISE = 0.01  # of a measured heading, if not given [rad]
+KEPT = 64  # number of commands kept after they acted
+POSITION_NOISE_S = 0.005  # noise of a measured position as time of travel, if not given [s]
+HEADING_NOISE = 0.01  # noise of a measured heading, if not given [rad]
 SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] ...
-WALK = 0.1  # ... and of the heading [rad/sqrt(s)], at first
+WALK = 0.1  # ... and initially of the heading [rad/sqrt(s)]
 DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
-SPACING_S = 0.03  # least time between two frames that are followed [s]
-FLOW_DRIFT = 0.05  # of each component of the flow, as a fraction of its prior deviation
+SPACING_S = 0.03  # least time between two frames used [s]
+FLOW_DRIFT = 0.05  # random walk of the flow, as a fraction of its prior deviation
 
 
 class Prior(NamedTuple):
@@ -81,7 +81,7 @@ class Prior(NamedTuple):
     lag: float = 0.0
 
     def estimate(self) -> Estimate:
-        """Return the prior as an estimate from no data."""
+        """Return the prior as an estimate."""
         std = math.hypot(self.heading_bias_std, self.marker_bias_std)
         return Estimate(
             a=self.a,
@@ -128,9 +128,9 @@ class FilterBank:
         helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
         self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix, prior.lag)
         self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
-        self._last: Observation | None = None  # the frame followed last
+        self._last: Observation | None = None  # the last frame used
         self._from_ns: int | None = None if drive_first else 0  # the filters start here
-        self._noisy = False  # whether robots that stand were measured at different poses
+        self._noisy = False  # whether standing robots were measured at different poses
         low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
         high = prior.dead_time + REACH * prior.dead_time_std
         tau = np.arange(low, high + 1e-9, GRID_STEP_S)
@@ -183,7 +183,7 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Update the filters to a frame, through earlier frames at intervals of SPACING_S."""
+        """Update the filters by a frame and by earlier frames at intervals of SPACING_S."""
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
@@ -196,9 +196,7 @@ class FilterBank:
         self._select()
 
     def restart(self, robots: Iterable[int]) -> None:
-        """Reset the filters of robots that were replaced by others, at their poses in the last
-        frame.
-        """
+        """Reset the filters of replaced robots to the new robots' poses in the last frame."""
         for i in robots:
             assert self._last is not None, "only a robot of an earlier frame can be another one"
             first = self._first_bank(self._bank.tau)
@@ -210,7 +208,7 @@ class FilterBank:
                 _kernel().place(self._bank, b, i, self._model, self._last.poses.array()[i])
 
     def _place(self, frame: Observation) -> None:
-        """Take the poses from a frame; robots then follow the last command that acts by its
+        """Set the poses to those of a frame; robots then follow the last command that acts by its
         exposure.
         """
         now, bank = frame.sampled_ns / SECOND, self._bank
@@ -230,8 +228,8 @@ class FilterBank:
         same = (last == now).all(axis=1)
         if not len(self._when) and frame.valid.any() and not same.all():
             self._noisy = True
-        frozen = len(same) > 1 and same.all()  # all robots never stop between two frames
-        # with noise, no two poses are the same
+        frozen = len(same) > 1 and same.all()  # not driving robots: a repeated frame
+        # measurement noise makes two poses differ
         seen = frame.valid & ~(same & (self._noisy | frozen))
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
@@ -262,7 +260,7 @@ class FilterBank:
         self._bank = self._around(best, tau)
 
     def _around(self, best: int, tau: Floats):
-        """Return a bank with these dead times [s], each filter a copy of the nearest present
+        """Return a bank with the dead times `tau` [s], each filter a copy of the nearest present
         one.
         """
         bank = self._bank
@@ -280,8 +278,8 @@ class FilterBank:
         return mean, math.sqrt(float(weight @ (bank.tau - mean) ** 2) + (self._step / 4) ** 2)
 
     def _likely(self) -> tuple[int, Floats, Floats, Floats]:
-        """Return the likeliest filter, and each robot's likeliest hypothesis: state (N, SIZE),
-        covariance and direction (N,).
+        """Return the index of the likeliest filter, and of each robot's likeliest hypothesis the
+        state (N, SIZE), covariance and direction (N,).
         """
         bank = self._bank
         best = int(np.argmax(bank.score))
@@ -319,7 +317,7 @@ class FilterBank:
         return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
 
     def rests(self, until: int) -> Poses:
-        """Return where the robots would come to rest if they were stopped at a time [ns]."""
+        """Return the poses in which robots stopped at `until` [ns] would come to rest."""
         _, z, _, _ = self._likely()
         held = self.held(until)
         seconds = np.array([end - begin for begin, end, _ in held]) / SECOND
@@ -343,7 +341,7 @@ class FilterBank:
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:
-    """Compile, or load from the cache, what a filter bank runs."""
+    """Compile the functions of a filter bank, or load them from the cache."""
     bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
     for k, now in enumerate((0, round(SPACING_S * SECOND))):
         bank.seen(Observation(k, now, now, starts, valid))

@@ -1,5 +1,5 @@
-"""Shared by controllers: the problem that defines the logged cost if there is no search, the search
-record of given signals, and the assembly of a plan.
+"""Shared by controllers: the problem of the logged cost without a search, search records of given
+signals, and making plans.
 """
 
 from collections.abc import Callable

@@ -1,7 +1,7 @@
-"""The search for directions that keep robots which cannot stand still near their targets.
+"""Searches directions that keep robots which cannot stand still near their targets.
 
 A field that rotates at W, below the least a, keeps each robot on a circle of radius v / W; a field
-that turns back makes robots drive back. The search minimises the time outside `Problem.within`: it
+turned by pi makes robots drive back. The search minimises the time outside `Problem.within`: it
 tries rotations first, then random normal steps about the best sequence so far, half of them
 independent and half cumulative, which shrink from round to round.
 """
@@ -23,8 +23,8 @@ PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first direction of a 
 # rates of rotations, in units of the least a
 RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
 SAMPLES, ROUNDS = 128, 6
-SPREAD, SHRINK = 0.6, 0.8  # deviation of a step at first [rad], and its ratio from round to round
-ADDING = 0.4  # ratio of the spread of cumulative steps to that of independent ones
+SPREAD, SHRINK = 0.6, 0.8  # initial deviation of a step [rad], and its ratio from round to round
+ADDING = 0.4  # spread of cumulative steps relative to independent ones
 
 
 class CircleSearch(OptimizerSection):
@@ -40,13 +40,13 @@ class CircleSearch(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Evaluations of the rotations, the previous plan and one round."""
+        """Number of evaluations of the rotations, the previous plan and one round."""
         return len(PHASES) * len(RATES) + 1 + SAMPLES
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; `warm` is extended at its last rate of turning."""
+        """Search sequences of `length` signals; `warm` is extended with its last rate of change."""
         progress, times = Progress(length, limits), problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)
@@ -67,7 +67,5 @@ class CircleSearch(OptimizerSection):
 
 
 def signals_ahead(period: float) -> int:
-    """Return how many signals, each held for the given number of seconds, a plan of the hold
-    has.
-    """
+    """Return the number of signals of a plan, each held for `period` [s]."""
     return max(2, math.ceil(AHEAD_S / period))

@@ -1,6 +1,6 @@
-"""The searches of one control step: which lengths are tried, within which limits, and the choice.
+"""The searches of one control step: the lengths to try, their limits, and the choice of a plan.
 
-Lines 2-5 and 10-23 of Algorithm 2, and, beyond it, longer sequences (`tetractl.control.detour`).
+Lines 2-5 and 10-23 of Algorithm 2, and as an extension longer sequences (`control.detour`).
 """
 
 import math
@@ -15,13 +15,13 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""Under a limit, each horizon of step 0 may use this many times the least evaluations of a
-search.
+"""With a limit of evaluations, each horizon of step 0 gets this multiple of the least evaluations
+of a search.
 """
-GROWTH = 1.2  # ratio of a length to the one before: after step 0 ...
+GROWTH = 1.2  # ratio of successive lengths after step 0 ...
 SPREAD = 1.3  # ... and at step 0
-FINE = 0.05  # fraction of a length to which the shortest one is determined
-SIGNALS = 6  # least signals per robot for several robots: each robot has two coordinates
+FINE = 0.05  # precision of the shortest good length, as a fraction of it
+SIGNALS = 6  # least number of signals per robot for several robots
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
 """Number of lengths searched thoroughly at step 0 if no other length is good enough, and the ratio
 of each length to the one before.
@@ -31,7 +31,7 @@ SEARCH_S = 0.005
 such a search, to leave time for the rest of the step.
 """
 Candidate = tuple[int, Floats | None]
-"""A length to try, and the u_gb^0 that its search starts from."""
+"""A length to try, and the u_gb^0 of its search."""
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
@@ -49,7 +49,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Reduce the candidates to what the limit allows: evenly spread at step 0, later only H."""
+    """Reduce the candidates to `searches`: evenly spread at step 0, later those nearest to H."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -59,7 +59,7 @@ def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> li
 
 
 def choose(searches: Sequence[Search], good_enough: float | None, count: int) -> int:
-    """Return the index of the search with the least cost, lines 5 and 23.
+    """Return the index of the search to use, lines 5 and 23: that of the least cost.
 
     Among costs that the optimiser counts as equally good, the length nearest to the present plan's,
     `count` (H), is chosen; at step 0, where `count` is 0, the shortest.
@@ -72,8 +72,8 @@ def choose(searches: Sequence[Search], good_enough: float | None, count: int) ->
 
 
 def least_length(problem: Problem) -> int:
-    """Return the fewest signals to try: enough for every robot to drive straight to its target,
-    and at least SIGNALS per robot.
+    """Return the least length to try: enough signals for each robot to drive straight to its
+    target, and at least SIGNALS per robot.
     """
     gaps = problem.poses.distances(problem.targets)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -85,7 +85,7 @@ def least_length(problem: Problem) -> int:
 
 
 def always(_: Floats) -> bool:
-    """Return True: the default test accepts any signals."""
+    """Return True; the default of `safe`."""
     return True
 
 
@@ -93,7 +93,7 @@ class Searcher:
     """Runs the searches of one control step within its limits, and collects their results.
 
     `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
-    true, only the first search is done. A plan is only good if `safe` accepts its signals.
+    true, only the first search is done. A plan is good only if `safe` returns True for its signals.
     """
 
     def __init__(
@@ -110,14 +110,14 @@ class Searcher:
         self._problem, self._key = problem, step_key
         self._left, self._expired, self._safe = evaluations, expired, safe
         self.found: list[Search] = []
-        self._known = dict[int, bool]()  # whether signals are safe, by the id of their search
+        self._known = dict[int, bool]()  # result of `safe`, by the id of a search
 
     def search(
         self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
     ) -> Search | None:
         """Search one length; return None if the limits do not allow it.
 
-        The evaluations left are shared equally `among` this search and the following ones.
+        The evaluations left are shared equally by this and the next searches, `among` in total.
         """
         share = None if self._left is None else self._left // among
         if self.found and (self._expired() or (share is not None and share < self._least)):
@@ -130,7 +130,7 @@ class Searcher:
         return found
 
     def good(self, found: Search, good_enough: float) -> bool:
-        """Return whether a plan was found that is safe and costs at most `good_enough`."""
+        """Return whether the sequence found is safe and costs at most `good_enough`."""
         if found.cost > good_enough:
             return False
         if id(found) not in self._known:
@@ -140,9 +140,8 @@ class Searcher:
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
-        If the optimiser counts costs up to `good_enough` as equally good, lengths are searched in
-        the order in which `choose` prefers them by `count`, until one is good enough: the others
-        could not be chosen any more.
+        With `good_enough`, lengths nearest to `count` are searched first, as `choose` prefers them,
+        until one is good enough: the others could not be chosen.
         """
         if good_enough is not None:
             wanted = sorted(wanted, key=lambda one: abs(one[0] - count))
@@ -152,8 +151,8 @@ class Searcher:
                 break
 
     def search_longer(self, lengths: list[int], period_s: float, good_enough: float) -> int:
-        """Search the lengths from scratch until a cost is good enough; if the control period ends
-        before, return the length to continue with, otherwise 0.
+        """Search the lengths from scratch until a cost is good enough; return 0 or, if the control
+        period is over, the length to continue with.
         """
         for i, length in enumerate(lengths):
             in_time = (i + 1) * SEARCH_S < period_s or i == 0
@@ -168,7 +167,7 @@ class Searcher:
         """Search growing lengths from `least` on until a cost is good enough, then refine the
         length.
 
-        The length is refined by bisection between the last two, down to a fraction FINE of it.
+        Bisection between the last two lengths refines the length to a fraction FINE of it.
         """
         length, failed = min(least, most), 0
         while True:
@@ -193,8 +192,7 @@ class Searcher:
     def search_thoroughly(self, problem: Problem, most: int, good_enough: float) -> Problem:
         """Search THOROUGH lengths thoroughly until a cost is good enough.
 
-        The searches use `problem`, of the same robots; returns the problem with the least cost
-        found.
+        The searches use `problem`, of the same robots. Returns the problem of the least cost found.
         """
         robots, posed, before = len(problem.a), self._problem, len(self.found)
         least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)

@@ -6,14 +6,14 @@ the spec's margin and, if the margin is adaptive, the greatest deviation of the 
     LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
 
 with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
-identified values: a lost command costs a period, and uncertain values act for a dead time. Two
-robots keep their separation and twice that deviation.
+identified values: the terms are a lost command, which acts for a period, and uncertain values,
+which act for a dead time. Two robots keep their separation and twice that deviation.
 
 If a robot or a target is already nearer to an obstacle, the margin is its present distance, because
 no plan could start or end inside a margin and keep it.
 
-Robots that receive nothing for a while keep to the direction held. For each signal of a plan it is
-tested whether they then stay clear.
+Robots that receive no command for a while keep their direction. For each signal of a plan it is
+tested whether they would stay clear.
 """
 
 import math
@@ -28,15 +28,15 @@ from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds, Shape
 from tetractl.model.obstacles import Obstacles
 
-LOST = 0.75  # fraction of a period's path by which a lost command takes a robot off its course
+LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
 SIGMAS = 2.0
 ROOM = 0.98  # fraction of the available distance that a margin takes
 BISECTIONS = 12
-SAMPLE_S = 0.15  # time step of the paths of robots that receive nothing [s]
+SAMPLE_S = 0.15  # time step of paths under a held direction [s]
 
 
 def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estimate | None) -> float:
-    """Return the greatest deviation of a robot from its course within a control period [length
+    """Return the greatest deviation of any robot from its plan in a control period [length
     unit].
     """
     found = LOST * speed * period_s
@@ -48,27 +48,25 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 
 class Margins:
-    """The margins of a trial, around `shapes` and, if given, the walls of an arena, for N
-    targets.
-    """
+    """The margins of a trial: around `shapes`, the walls of an arena if given, and N targets."""
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
         self._targets = targets
-        # indices of the two robots of each pair of robots
+        # indices of the robots of each pair
         self._one, self._other = np.triu_indices(len(targets), 1)
         self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, or by the robots' distances if these are
-        smaller."""
+        """Return the obstacles grown by the margin, or less so that they contain no robot or
+        target."""
         x = np.concatenate([poses.x, self._targets[:, 0]])
         y = np.concatenate([poses.y, self._targets[:, 1]])
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
 
     def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether a robot that is outside every shape touches one, without any margin, on
-        its straight path to (x, y) (N,).
+        """Return whether a robot outside of all shapes touches one, without margin, on its straight
+        path to x, y (N,).
         """
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
@@ -82,12 +80,12 @@ class Margins:
         margin: float,
         apart: float,
     ) -> bool:
-        """Return whether robots keep clear if any one signal is held for a given time [s].
+        """Return whether robots keep clear if any one signal is held for `seconds`.
 
         path (L, N, 3) are the poses before each of the signals (L,).
 
-        Clear robots keep the margin, or their distance at the start, and between each other the
-        distance `apart`, or the problem's separation.
+        Clear robots keep the margin (or their start's distance) from obstacles, and the distance
+        `apart` (or the problem's separation) from each other.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
@@ -111,8 +109,8 @@ class Margins:
         return bool((self._gaps(x, y) >= min(apart, problem.separation)).all())
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
-        """Return the least clearance (...) of robots at (..., N): the distance to a shape, negative
-        inside, or that of two robots minus `apart`.
+        """Return the least clearance (...) of robots at x, y (..., N): the distance to a shape,
+        negative inside, or the distance of two robots minus `apart`.
         """
         between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
         return np.minimum(self._bare.distance(x, y).min(axis=-1), between)
@@ -123,8 +121,8 @@ class Margins:
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: the given one, or the robots' present least distance if
-        that is smaller.
+        """Return the separation to keep: `wanted`, or less if two robots or targets are nearer
+        now.
         """
         if not self._one.size or wanted <= 0:
             return 0.0

@@ -53,13 +53,13 @@ from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import OptimizerSection, Square, same
 
-RESTED_S = 2.0  # least time between a pause and the next one for lack of a safe plan
-NEXT = 2  # next signals of the present plan that must be safe if robots receive nothing
-UNSURE = 2  # last signals of a plan that need not be safe
-KEPT = 0.2  # clearance kept while robots receive nothing, as a fraction of their radius
-LATE = 2.0  # dead times after which a stop acts at the latest: it may be lost once
+RESTED_S = 2.0  # least time between two pauses for lack of a safe plan [s]
+NEXT = 2  # number of next signals of the present plan that must be safe
+UNSURE = 2  # number of last signals of a plan that need not be safe
+KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
+LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""Outcomes of a leg after which the next leg begins."""
+"""Outcomes of a leg after which the next leg starts."""
 
 
 class Mpc:
@@ -91,17 +91,17 @@ class Mpc:
             setup.loss,
         )
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
-        self.held: tuple[int, Outcome] | None = None  # when holding robots arrived [ns], and how
+        self.held: tuple[int, Outcome] | None = None  # start of the hold [ns], and its outcome
         self._begin_leg()
         self.optimizer, self.circler = optimizer, circler
         self.key, self.timer = key, timer
         self.k, self.moving = 0, False
-        self.leaving = False  # whether the present plan leads, or led, robots out of a corner
+        self.leaving = False  # whether the plan leads robots out of a corner
         self.blocked = False  # whether the last plan touches an obstacle or its margin
-        self.left_over = 0.0  # total error that the last plan leaves
-        self.began = 0  # step k at which a plan was made for standing robots
+        self.left_over = 0.0  # predicted total error at the end of the last plan
+        self.began = 0  # step k of the last plan for standing robots
         self.stuck = False  # whether no standing robot could move safely
-        self.resume = 0  # length to continue with if the time for longer sequences was up
+        self.resume = 0  # length with which the search for longer sequences continues, or 0
 
     def plan(
         self,
@@ -109,7 +109,7 @@ class Mpc:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Do one control step: decide u_(opt), or end the trial."""
+        """Decide u_(opt) of one control step, or end the trial."""
         if self.warm is not None and self._phase == 0:
             self.warm = self.warm[1:]  # lines 6, 24
         first_period = (self.section.hold - self._phase) * self.section.period
@@ -134,12 +134,12 @@ class Mpc:
 
     @property
     def _phase(self) -> int:
-        """Control periods since the signal under way began."""
+        """Number of control periods since the present signal of the plan's grid began."""
         return 0 if self.warm is None else (self.k - self.began) % self.section.hold
 
     @property
     def last_leg(self) -> int:
-        """Number of the leg that ends the trial: the one to the targets, or the hold."""
+        """Number of the leg that ends the trial: that to the targets, or the hold."""
         return len(self.legs) - (self.hold is None)
 
     @property
@@ -148,7 +148,7 @@ class Mpc:
         return self.accepted * late(self.k / self.section.steps_max)
 
     def _begin_leg(self) -> None:
-        """Start planning for the next way-points or targets of the robots that are left."""
+        """Start planning to the next way-points or targets, for the robots that are not lost."""
         self.left = self.estimator.left  # robots, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
@@ -157,7 +157,7 @@ class Mpc:
         self.warm: Floats | None = None  # u_(warm), None before the first plan
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide how robots stay within the radius of the hold, until its time is over."""
+        """Decide how robots keep within the hold's radius, until its time is over."""
         assert self.hold is not None
         assert self.held is not None
         since, outcome = self.held
@@ -174,7 +174,7 @@ class Mpc:
         return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
 
     def _circle(self, problem: Problem) -> Plan:
-        """Return the directions that keep robots near their targets if they cannot stand still."""
+        """Return a plan that keeps robots which cannot stand still near their targets."""
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
@@ -200,7 +200,7 @@ class Mpc:
         stops = self.section.collision.stop_before_collision
         if self.warm is not None:
             if stops and self.blocked and self._enters(problem, observation, self.warm):
-                self.leaving = False  # the way out ended too early
+                self.leaving = False  # the way out was too short
                 return self._pause(problem)
             if self.leaving:
                 return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
@@ -233,8 +233,8 @@ class Mpc:
         return plan
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan that stops all robots, so that the next plan is for standing robots;
-        `found` holds the searches without a better plan."""
+        """Return the plan that stops all robots, so that the next plan is for standing robots; it
+        logs the searches in `found`."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -243,7 +243,7 @@ class Mpc:
         return replace(found, estimate=self.estimator.estimate, pauses=True)
 
     def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
-        """Return a plan of the given signals, after searches `before` that found no safe plan."""
+        """Return a plan of given signals (L,), after searches `before` without a safe plan."""
         searches = [*before, given_search(problem, signals)]
         plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
         self.warm, self.blocked = signals, True
@@ -251,8 +251,8 @@ class Mpc:
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Grow obstacles and separation; if the margin is adaptive, also by the deviation that the
-        uncertainty of `estimate` allows. None: the motion is known."""
+        """Return the problem with grown obstacles and separation; an adaptive margin includes the
+        deviation by the uncertainty of the estimate `known`, None if the motion is known."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -268,19 +268,19 @@ class Mpc:
     def _ended(
         self, problem: Problem, observation: Observation, gaps: Floats
     ) -> Outcome | End | None:
-        """Return how the trial ends now, None if it goes on: its sequence is completed, or stopping
-        is as good or safer.
+        """Return how the trial ends now, because the sequence is completed or stopping is as good
+        or safer; None if it goes on.
 
-        `gaps` (N,) are the distances to the targets. This needs no search, so the log holds
-        everything that the end depends on."""
+        `gaps` (N,) are the distances to the targets. No search is used, so the log has all data
+        behind this decision."""
         if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
             return None
-        between = self.section.stop_between and self.leg == self.last_leg  # stops on no other
+        between = self.section.stop_between and self.leg == self.last_leg  # on the last leg only
         period = self.section.period if between else 0.0
-        in_time = len(self.warm) + 2 <= self._signals_left()  # to go round
+        in_time = len(self.warm) + 2 <= self._signals_left()  # enough for a detour
         accept = self.accept if in_time else max(self.accept, self.left_over)
         if 0 < accept < float((gaps - problem.speed * period).sum()):
-            return None  # even at full speed no stop would be near enough
+            return None  # no stop could be near enough, even at full speed
         stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
         outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
         cost = evaluate(problem, self.warm[None]).total[0] if len(self.warm) else np.inf
@@ -322,12 +322,12 @@ class Mpc:
         if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
             searcher.search_spread(least_length(problem), horizon, good_enough)
             if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
-                later = self._with_margins(problem, None)  # the motion is identified while driving
+                later = self._with_margins(problem, None)  # the motion will be identified by then
                 problem = searcher.search_thoroughly(later, horizon, good_enough)
         else:
             enough = good_enough
             if enough is not None and self.accept > 0:
-                enough = min(enough, self.accept)  # robots go round if a cost is not accepted
+                enough = min(enough, self.accept)  # a cost above it leads to a detour
             searcher.search_all(wanted, enough, count)
         accepted = max(self.accept, good_enough or 0.0)
         good = [search for search in searcher.found if searcher.good(search, accepted)]
@@ -349,21 +349,21 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences, as far as horizon, remaining steps and control period allow; the
-        next step continues the search."""
+        """Search longer sequences within the horizon, the remaining steps and the control period;
+        the next step continues the search."""
         assert self.warm is not None
         lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
         self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
 
     def _signals_left(self) -> int:
-        """Return the most signals of a plan that ends within the steps."""
+        """Return the largest number of signals of a plan that ends before `steps_max`."""
         return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether robots keep clear if, from any one signal on, they receive nothing for
+        """Return whether robots keep clear if after any one signal they receive no command for
         `silence`, or until their watchdog stops them.
 
-        The last UNSURE signals are not tested; of the present plan, only the next ones are."""
+        The last UNSURE signals are not tested; of the present plan, only the NEXT signals are."""
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:

@@ -34,8 +34,8 @@ class Collision(Model):
     meet. It is tested at the predicted positions."""
     adaptive: bool = False
     """Whether the margin grows by a robot's greatest deviation from its course before the next
-    command acts, given the uncertainty of its motion; around a robot or target that is within
-    the margin, the margin shrinks to the present distance.
+    command acts, given the uncertainty of its motion. If a robot or target is within the margin,
+    the margin shrinks to its distance.
     """
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
@@ -44,13 +44,13 @@ class Collision(Model):
     at the end too, and go on if they then stand further from their targets. For robots that can
     stand still."""
     silence: NonNegative = 0.0
-    """Time for which robots may receive nothing and keep to the direction held [s]: plans are
-    preferred that keep clear during such a time, at whichever signal it begins.
+    """Time for which robots may receive no command and keep their direction [s]: plans are
+    preferred that keep clear even if such a time begins after any of their signals.
     """
 
 
 class PriorSection(Model):
-    """Prior standard deviations of the spec's values of the robots' motion."""
+    """Prior standard deviations of the motion's values in the spec."""
 
     a: Positive = 0.2
     """Relative standard deviation of each a."""
@@ -75,7 +75,7 @@ class PriorSection(Model):
     """Radius of the helix on which cells swim [length unit]; 0 for no helix."""
 
     def of(self, problem: Problem, dead_time: float, lag_s: float = 0.0) -> Prior:
-        """Return the prior of the robots of a problem, whose wheels follow with a lag."""
+        """Return the prior of a problem's robots; `lag_s` is the lag of their wheels [s]."""
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -99,8 +99,8 @@ class MpcFields(ControllerSection):
 
     type: Literal["mpc"] = "mpc"
     hold: PositiveInt = 1
-    """Control periods for which each signal of a sequence is meant to be held: the plan's grid is
-    `hold` times coarser than the control's, and a signal under way can still be changed."""
+    """Number of control periods for which a plan holds each signal. The plan's time grid is `hold`
+    times coarser than the control's, and a signal can still be changed at each control step."""
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
     """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
     `exact` is the closed form of (1)-(3) under a held direction."""
@@ -113,9 +113,10 @@ class MpcFields(ControllerSection):
     accept_error: NonNegative = 0.0
     """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within this error,
     longer sequences are searched, and the trial ends if stopping leaves at most this error and is
-    as good as any plan. A smaller value makes trials longer. Each time the robots go round, a tenth
-    more is accepted; with no steps left to go round, whatever the plan leaves. 0 is Algorithm 2,
-    which ends only with its sequence."""
+    as good as any plan. A smaller value makes trials longer. A detour near the end of a plan raises
+    the accepted error by a tenth, from half of the steps on it grows up to fourfold, and without
+    steps for a detour any error is accepted. 0 is Algorithm 2, which ends only with its
+    sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -144,7 +145,7 @@ class MpcFields(ControllerSection):
     def _a_limit_pays_for_a_search(self) -> Self:
         least = self.optimizer.evaluations_min
         if self.evaluations_max is not None and self.evaluations_max < least:
-            message = f"must be at least {least}, the least of a search by this optimiser"
+            message = f"must be at least {least}, which one search by this optimiser needs"
             raise inconsistent("evaluations_max", message)
         return self
 
@@ -161,13 +162,13 @@ class MpcFields(ControllerSection):
         return found
 
     def signals_within(self, steps: int) -> int:
-        """Return the most signals of a plan with so many control steps left; Algorithm 2, which
-        accepts no error, begins plans that it cannot complete."""
+        """Return the largest number of signals of a plan with `steps` control steps left; Algorithm
+        2, without `accept_error`, begins plans that it cannot complete."""
         return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return how many numbers the longest search stores: positions, velocities, bests and poses
-        of its particles, and the Jacobian of a polish with a row per residual.
+        """Return the number of floats that the longest search stores: positions, velocities, bests
+        and poses of particles, and the Jacobian of a polish.
         """
         robots, length = len(setup.names), self.horizon_max
         swarm = 4 * self.optimizer.evaluations_min * (length + robots)

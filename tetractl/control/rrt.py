@@ -1,10 +1,11 @@
 """A rapidly-exploring random tree with feedback, for one robot: a path, and steering along it.
 
-The paper names this method (section I, after Kim et al., 2011) as the earlier way to steer one cell
-round obstacles: a tree finds a path, and feedback points the field at its next corner. The tree
-grows in the plane: a random point of the arena is drawn, or the target at times, and the nearest
-node grows an edge towards it unless that would touch an obstacle. Edges and the distance from which
-a corner counts as passed are in turning radii v/a, the tightest bend a robot drives.
+The paper names this method (section I, after Kim et al., 2011) as an earlier way to steer one cell
+round obstacles: a tree finds a path, and feedback points the field at the path's next corner. The
+tree grows in the plane: a random point of the arena, or sometimes the target, is drawn, and the
+nearest node grows an edge towards it unless the edge would touch an obstacle. Edges and the
+distance from which a corner counts as passed are in turning radii v/a, the tightest bend a robot
+drives.
 
 Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
 """
@@ -31,8 +32,8 @@ from tetractl.experiment.controller import ControllerSection, OptimizerSection, 
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
-SHARES = 3  # random numbers per draw: whether to take the target, and a point of the arena
-HEADING_FOR = 0.7  # least cosine of the angle to the target at which a robot is about to pass it
+SHARES = 3  # random numbers per draw: the choice of the target, and a point of the arena
+HEADING_FOR = 0.7  # least cosine of the angle to a target that a robot is about to pass
 
 
 class RrtSection(ControllerSection):
@@ -46,10 +47,10 @@ class RrtSection(ControllerSection):
     """Distance from which a corner of the path counts as passed [v/a of the robot]; at least what
     the robot drives in a control period."""
     goal_bias: Fraction = 0.1
-    """Share of the draws that take the target in place of a random point."""
+    """Share of the draws that are the target instead of a random point."""
     draws_max: int = Field(default=5000, ge=1, le=100_000)
-    """Largest number of draws for one tree; if there is no path then, the robot drives straight to
-    its target.
+    """Largest number of draws for one tree. If they give no path, the robot drives straight to its
+    target.
     """
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
@@ -61,10 +62,10 @@ class RrtSection(ControllerSection):
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Report several robots, and a robot that cannot move."""
         if len(setup.names) > 1:
-            message = f"steers one robot, and there are {len(setup.names)}; take mpc for several"
+            message = f"steers one robot, but there are {len(setup.names)}; use mpc for several"
             yield ("type",), message
         if not setup.speed.all():
-            yield ("type",), "steers a robot that moves, and this one's speed is 0"
+            yield ("type",), "needs a robot that moves, but its speed is 0"
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for the robot at its start."""
@@ -118,11 +119,11 @@ class Rrt:
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
-        """Return the direction of the next corner [rad], on a new path if the way there is blocked.
+        """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
 
-        No path can begin inside an obstacle grown by the margin: there the robot keeps its present
-        path. A robot too near to its target to turn towards it would circle it for ever: it drives
-        straight until it is far enough to come back.
+        Inside an obstacle grown by the margin no path can begin: the robot keeps its path. A robot
+        too near to its target to turn towards it would circle it for ever: it drives straight until
+        it is far enough away.
         """
         here, region = problem.poses.xy[0], problem.obstacles
         while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
@@ -141,8 +142,8 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the stop for the moment when the robot passes its target, None if it does not do
-        so in this step.
+        """Return the stop at the moment when the robot passes its target, None if it does not pass
+        it in this step.
         """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:

@@ -7,7 +7,7 @@ from tetractl.core.poses import Floats
 
 
 class Progress:
-    """The best of the sequences of `length` signals evaluated so far.
+    """The best sequence of `length` signals so far, and the evaluations spent.
 
     `history` has one entry per iteration, (z + 1,); `ended` is why the search is over, None while
     it goes on.
@@ -22,7 +22,7 @@ class Progress:
         self.ended: StopReason | None = None
 
     def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow so many more evaluations; if not, end the search."""
+        """Return whether the limits allow `evaluations` more; if not, end the search."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
         if self.ended is None and self.limits.expired():
@@ -30,7 +30,7 @@ class Progress:
         return self.ended is None
 
     def add(self, signals: Floats, costs: Floats) -> None:
-        """Take the costs (P,) of sequences (length, P) and add an entry to the history."""
+        """Add the costs (P,) of sequences (length, P), with one entry of the history."""
         self.evaluations += costs.size
         leader = int(np.argmin(costs))
         self.keep(signals[:, leader], float(costs[leader]))
@@ -42,9 +42,7 @@ class Progress:
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return the search's record; without another reason, it ended by its number of
-        iterations.
-        """
+        """Return the search's record; the default reason of its end is the number of iterations."""
         return Search(
             length=self.length,
             signals=self.best,

@@ -21,7 +21,7 @@ from tetractl.experiment.base import Finite, NonNegative
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.model.obstacles import Obstacles
 
-AHEAD = 50  # number of signals whose path each step predicts
+AHEAD = 50  # number of signals for which each step predicts the path
 
 
 class SequenceSection(ControllerSection):
@@ -29,7 +29,7 @@ class SequenceSection(ControllerSection):
 
     type: Literal["sequence"] = "sequence"
     directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
-    """The direction of each control step [rad]; after the last the robots are stopped."""
+    """The direction of each control step [rad]; the robots are stopped after the last one."""
     remainder: NonNegative = 0.0
     """Time for which the last direction is held beyond one control period [s]."""
 
@@ -57,7 +57,7 @@ class SequenceSection(ControllerSection):
 
 
 class SequenceController:
-    """The controller of one trial; its steps' keys come from `key`, though nothing is drawn."""
+    """The controller of one trial; `key` is the root of the logged keys of its steps."""
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
@@ -72,8 +72,8 @@ class SequenceController:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Return the plan of the next direction, with the path predicted for it and the following
-        ones.
+        """Return the plan of the next direction, with the path predicted for up to AHEAD
+        directions.
         """
         problem, section = self._estimator.seen(observation, last_command), self.section
         gaps = problem.poses.distances(problem.targets)

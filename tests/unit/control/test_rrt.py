@@ -89,7 +89,7 @@ def test_arrival_ends_it_earlier():
 
 def test_several_robots_and_one_that_stands_are_refused():
     text = experiment().model_dump_json()
-    with pytest.raises(InvalidSpecError, match="steers one robot, and there are 3"):
+    with pytest.raises(InvalidSpecError, match="steers one robot, but there are 3"):
         parse_spec(text, "s.yaml", ["controller={type: rrt}"])
     still = dict(THREE_M3PI["robots"][0], speed=0)
     text = experiment(robots=[still]).model_dump_json()

@@ -1,17 +1,17 @@
-"""The cross-entropy method: fit a normal distribution to the best of its own samples.
+"""The cross-entropy method: repeatedly fits a normal distribution to its best samples.
 
 Source: de Boer, Kroese, Mannor and Rubinstein, "A tutorial on the cross-entropy method", Annals of
 Operations Research 134 (2005), section 3 (continuous optimisation, with smoothed updates).
 
 A sequence is u = base + W x: K knots x, joined by straight lines (W), added to the warm start, or
-to the bearing of the targets if there is none. The knots are independent, x_k ~ N(m_k, s_k^2).
-Each iteration draws P samples, takes the E of them with the least J, the elite, and moves the
-distribution towards it:
+to the bearing of the targets if there is none. The knots are independent, x_k ~ N(m_k, s_k^2). Each
+iteration draws P samples, selects the E samples with the least J, the elite, and moves the
+distribution towards them:
 
     m <- (1 - alpha) m + alpha mean(elite),     s <- (1 - alpha) s + alpha std(elite)
 
-From m = 0 and s = spread the distribution contracts around a minimum of J. The best sample of all
-is the result; a warm start is evaluated first, so that the result is never worse.
+From m = 0 and s = spread the distribution contracts around a minimum of J. The result is the best
+of all samples; a warm start is evaluated first, so that the result is never worse than it.
 """
 
 from typing import Literal
@@ -57,12 +57,12 @@ class CrossEntropy(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Evaluations of one iteration and a warm start."""
+        """Number of evaluations of one iteration and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Evaluations of all samples of all iterations, and a warm start."""
+        """Number of evaluations of all iterations and a warm start."""
         return self.particles * self.iterations + 1
 
     @property

@@ -13,8 +13,8 @@ from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 
 NO_LIMIT = 2**62
-BETWEEN_LOOKS = 130_000  # robot-steps between two checks of the deadline, about 0.1 ms
-BETWEEN_SIGNALS = 2_000_000  # robot-steps between two returns to Python, which then handles Ctrl-C
+BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, about 0.1 ms
+BETWEEN_SIGNALS = 2_000_000  # robot steps between two returns to Python, which handles Ctrl-C
 REASONS = {
     kernel.CRITERION: StopReason.CRITERION,
     kernel.ITERATIONS: StopReason.ITERATIONS,
@@ -32,7 +32,7 @@ def pso(
     key: int,
     limits: Limits,
 ) -> Search:
-    """Algorithm 1 with the same draws as the reference; results differ only by rounding."""
+    """Search by Algorithm 1 with the same draws as `pso.pso`; results differ only by rounding."""
     rollout = lay_out(problem, section.particles)
     swarm, evaluations = scatter(section, problem, rollout, length, warm, key)
     rules = make_rules(section, key, evaluations, limits)
@@ -56,7 +56,7 @@ def scatter(
     warm: Floats | None,
     key: int,
 ) -> tuple[kernel.SwarmArrays, int]:
-    """Algorithm 1, lines 1-6: return the swarm and the evaluations spent."""
+    """Run lines 1-6 of Algorithm 1; return the swarm and the number of evaluations spent."""
     drawn = Swarm.scatter(section, length, key)
     u, v, best = (aligned((length, section.particles)) for _ in range(3))
     u[:], v[:], best[:] = drawn.u.T, drawn.v.T, drawn.best.T
@@ -77,7 +77,7 @@ def scatter(
 
 
 def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
-    """Return the parameters of (14)-(20) as the kernel reads them; `spent` counts evaluations."""
+    """Return the parameters of (14)-(20) for the kernel, after `spent` evaluations."""
     stop, window, decrease, target = _stop(section.stop)
     return kernel.SwarmRules(
         key=np.uint64(mix(key, 1)),

@@ -10,9 +10,9 @@ by the mean of the perturbations under the weights of a Boltzmann distribution o
     w_p = exp(-(J(u + e_p) - min J) / lambda) / sum_q exp(-(J(u + e_q) - min J) / lambda)
     u  <- u + sum_p w_p e_p
 
-The temperature lambda is `temperature` times the standard deviation of the iteration's costs, so
-that it needs no unit; s falls by the factor `cooling` from iteration to iteration. The nominal
-sequence is the first sample of each iteration, with e_1 = 0; the best sample of all is the result.
+The temperature lambda is `temperature`, which has no unit, times the standard deviation of the
+iteration's costs; s falls by the factor `cooling` from iteration to iteration. The nominal sequence
+is the first sample of each iteration, with e_1 = 0; the result is the best of all samples.
 """
 
 from typing import Literal
@@ -58,12 +58,12 @@ class Mppi(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Evaluations of one iteration."""
+        """Number of evaluations of one iteration."""
         return self.particles
 
     @property
     def evaluations_max(self) -> int:
-        """Evaluations of all samples of all iterations."""
+        """Number of evaluations of all iterations."""
         return self.particles * self.iterations
 
     @property

@@ -1,12 +1,12 @@
-"""Many random starts, the best of them polished by Levenberg-Marquardt: the recommended optimiser.
+"""The recommended optimiser: Levenberg-Marquardt polishes the best of many random starts.
 
-A particle swarm needs some ten thousand rollouts because it learns nothing from a rollout but its
-cost. The cost (8) is smooth, its gradient costs about as much as a rollout, and the number of
-misses (two a robot) is small against the number of signals: Levenberg-Marquardt
+A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
+cost (8) is smooth, its gradient costs about as much as a rollout, and the number of misses (two a
+robot) is small against the number of signals: Levenberg-Marquardt
 (`tetractl.control.kernels.levenberg`) solves it in a few dozen steps from about every third smooth
-random sequence. The global part, such as on which side to pass an obstacle, is left to chance and
-cheap selection: each round scatters many smooth sequences, evaluates them in one vectorised rollout
-and polishes only the most promising.
+random sequence. The global part, such as the side on which to pass an obstacle, is solved by random
+starts and selection: each round scatters many smooth sequences, evaluates them in one vectorised
+rollout and polishes only the most promising.
 
 A thorough search hops: it repeatedly moves one of the best few sequences at random, polishes it,
 and keeps it if it is better (basin hopping; Wales and Doye, J. Phys. Chem. A 101 (1997)). For
@@ -30,10 +30,10 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
-SLACK = 0.01  # share of the fastest robot's step by which a path is pushed clear of an obstacle
-HOPS = 1000  # hops of a thorough search for three robots; grows with the square of their number
-HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search, some seconds
-POOL = 6  # number of sequences that are kept to hop from
+SLACK = 0.01  # clearance of a path pushed out of an obstacle, per step of the fastest robot
+HOPS = 1000  # hops of a thorough search for three robots; grows with the square of the number
+HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search: some seconds
+POOL = 6  # number of sequences from which hops start
 # Levenberg-Marquardt iterations of a hop, and its patience
 HOP_STEPS, HOP_PATIENCE = 60, 12
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
@@ -59,8 +59,7 @@ class Multistart(OptimizerSection):
     polished: int = Field(default=4, ge=1, le=10_000)
     """Number of sequences polished in each round, the best of the scattered ones."""
     patience: int = Field(default=6, ge=1, le=10_000)
-    """Polishing of a start ends if its merit does not fall by a fifth within this many
-    iterations.
+    """Polishing a start ends if its merit has not fallen by a fifth within this many iterations.
     """
     polish_steps: int = Field(default=40, ge=1, le=10_000)
     """Largest number of Levenberg-Marquardt iterations for one start."""
@@ -82,7 +81,7 @@ class Multistart(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Evaluations of one round and a warm start."""
+        """Number of evaluations of one round and a warm start."""
         return self.particles + 1
 
     @property
@@ -91,9 +90,7 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor by which a problem needs more knots and iterations than one of 3
-        robots.
-        """
+        """Return the factor on knots and iterations, 1 for a problem of up to 3 robots."""
         return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
@@ -121,8 +118,8 @@ class Multistart(OptimizerSection):
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return the number of rounds: 1 if even straight lines at full speed leave a cost above
-        the tolerance.
+        """Return the number of rounds: 1 if the targets are out of reach even along straight
+        lines.
         """
         gaps = problem.poses.distances(problem.targets)
         beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
@@ -145,7 +142,7 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         self.section, self.problem, self.warm = section, problem, warm
         self.kernels = multistart
-        # made when needed, as few warm starts need it
+        # made when needed: most warm starts do not need it
         self.many: Callable[[Floats], Floats] | None = None
         self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
@@ -188,7 +185,7 @@ class _PolishedProgress(Progress):
         )
 
     def try_one(self, signals: Floats) -> None:
-        """Evaluate one sequence and note its cost."""
+        """Evaluate one sequence (length,) and add its cost."""
         found = np.empty(1)
         self.costs(self.one, np.ascontiguousarray(signals[:, None]), found)
         require_finite(found)
@@ -204,10 +201,10 @@ class _PolishedProgress(Progress):
     def hop(self, key: int) -> None:
         """Hop: polish randomly moved copies of the best POOL sequences until one is good enough.
 
-        A hop adds a curve of random size and knots to all signals or to a span of them, or removes
-        one signal and inserts another elsewhere. Sequences in the pool are compared by the merit of
-        the polish, which measures how deep in an obstacle a path is, and by the number of positions
-        left in obstacles.
+        A hop adds a random curve to all signals or to a span of them, or removes one signal and
+        inserts another elsewhere. Sequences in the pool are compared by the merit of the polish,
+        which measures how deep in an obstacle a path is, and by the number of positions left in
+        obstacles.
         """
         pool: list[tuple[float, Floats]] = []
         found, length = self.polished, self.length
@@ -259,7 +256,7 @@ class _PolishedProgress(Progress):
 
 
 def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:
-    """Return a randomly moved copy of a sequence, to polish next; see `_PolishedProgress.hop`."""
+    """Return a randomly changed copy of a sequence of the pool; see `_PolishedProgress.hop`."""
     which, way, size, count, first, second = draws[:6]
     knots = 2 * draws[8:] - 1
     if len(pool) < POOL:

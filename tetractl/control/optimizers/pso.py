@@ -1,4 +1,4 @@
-"""Particle swarm optimisation, Algorithm 1 with (14)-(20), readable next to the paper.
+"""Particle swarm optimisation: a readable version of Algorithm 1 with (14)-(20).
 
 `pso` is the reference. `Pso.search` runs its compiled twin, `compiled_pso`, which must agree with
 it.
@@ -46,12 +46,12 @@ class PsoFields(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Evaluations of the scattered particles and a warm start."""
+        """Number of evaluations of the scattered particles and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Evaluations of all particles in all iterations, and a warm start."""
+        """Number of evaluations of all iterations and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
@@ -118,7 +118,7 @@ class Swarm:
         return self.u
 
     def tell(self, costs: Floats) -> None:
-        """Update the bests by (18)-(19) with the costs (np,) of the coordinates asked for."""
+        """Update the bests by (18)-(19) with the costs (np,) of the coordinates from `ask`."""
         better = costs < self.best_cost
         self.best[better] = self.u[better]  # (18)
         self.best_cost[better] = costs[better]
@@ -142,7 +142,7 @@ def pso(
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
         swarm.u_gb, swarm.cost = swarm.best[leader].copy(), float(swarm.best_cost[leader])
-    else:  # lines 4-5: taken without a comparison with the swarm, which (19) makes
+    else:  # lines 4-5: (19) compares it with the swarm later
         swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
         evaluations += 1
     history = [swarm.cost]

@@ -43,7 +43,7 @@ class CellsSection(PictureSection):
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points in a picture [px] at a distance `um` along x."""
+        """Return scale and rotation from two points of a picture [px] at a distance `um` in x."""
         across, up = second[0] - first[0], first[1] - second[1]
         long = math.hypot(across, up)
         if long < LEAST_PX:

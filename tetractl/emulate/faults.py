@@ -92,8 +92,8 @@ def fault(
 ) -> type[Fault]:
     """Return a kind of fault: a row of a device's table.
 
-    `keys` are further fields of the kind in a script, besides `Fault`'s: a type, or a pair of type and
-    default.
+    `keys` are further fields of the kind in a script, after `Fault`'s: a type, or a pair of type
+    and default.
     """
     fields: dict[str, Any] = {"fault": (Literal[name], ...)}
     for key, kind in keys.items():

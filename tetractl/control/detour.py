@@ -23,10 +23,7 @@ from tetractl.core.poses import Floats, wrap
 
 ENOUGH = 0.1  # the search for a longer sequence ends at this share of the accepted error
 ACCEPT_GROWTH = 0.1  # share by which the accepted error grows with each detour
-LATE_FROM, LATE_GROWTH = (
-    0.5,
-    4.0,
-)  # from this part of the steps on, the accepted error grows up to this factor
+LATE_FROM, LATE_GROWTH = 0.5, 4.0  # from this part of the steps on it grows up to this factor
 LAST_S = 0.7  # last part of a plan, per robot, in which a detour raises the accepted error [s]
 LAST_LEAST_S = 2.0  # least duration of that last part [s]
 OUT_SIGNALS = 8  # number of signals of a way out of a corner

@@ -1,8 +1,8 @@
 """Keeps compiled kernels between runs, in place of numba's own cache.
 
 Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
-unpickles whatever it finds. Here each file holds the SHA-256 of its contents; code that does not
-match is compiled again, and a file that cannot be written is left out, with one note.
+unpickles any file. Here each file has the SHA-256 of its contents; if that does not match, code is
+compiled again. If a file cannot be written, a note is printed once.
 """
 
 import hashlib
@@ -27,10 +27,10 @@ _SUM = hashlib.sha256().digest_size
 
 
 def sources() -> Iterator[Path]:
-    """Yield the files that kernels are compiled from.
+    """Yield the source files of kernels.
 
-    For a motion or shape of another package these are all modules in the same folder, or its own
-    file alone if the module is in no package.
+    For a motion or shape of another package these are all modules in its folder, or only its file
+    if the module is in no package.
     """
     yield from Path(__file__).parent.glob("*.py")
     for registry in (MOTIONS, SHAPES):
@@ -42,7 +42,7 @@ def sources() -> Iterator[Path]:
 
 @cache
 def folder() -> Path | None:
-    """Return the cache folder for the present sources and settings, None if none can be made.
+    """Return the cache folder for the present sources and settings, None if it cannot be made.
 
     Its parent is $NUMBA_CACHE_DIR, or by default the user's cache folder.
     """
@@ -88,7 +88,7 @@ class KernelCache:
             return CompileResult._rebuild(target_context, *payload) if kept == key else None
         except FileNotFoundError:
             return None
-        except Exception as error:  # compiling again helps against any of them
+        except Exception as error:  # after any error the code is compiled again
             say_once(f"{path.parent}: damaged, compiled again: {error}")
             return None
 

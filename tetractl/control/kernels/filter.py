@@ -17,23 +17,23 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
 X, Y, HEADING, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SINE, COSINE = range(11)
-SIZE = 11  # numbers in a state that the covariance is of
-SWING, PACE = 11, 12  # turning rate over a, and speed over v, of wheels that lag; without variance
-STATE = 13  # numbers in a state
-STILL = 1e-3  # pace below which a robot that was stopped stands
-FOLLOWS = 3  # number of commands that a robot may still follow: the latest and older ones
-STUCK = FOLLOWS  # the slot of a robot that stands although it was sent a direction
+SIZE = 11  # number of state variables with a covariance
+SWING, PACE = 11, 12  # turning rate / a and speed / v of lagging wheels, without variance
+STATE = 13  # number of state variables
+STILL = 1e-3  # pace below which a stopped robot counts as standing
+FOLLOWS = 3  # number of latest commands that a robot may follow
+STUCK = FOLLOWS  # slot of the hypothesis that a robot stands although it was sent a direction
 SLOTS = FOLLOWS + 1
 
 SUBSTEP_S = 0.025  # longest step of the prediction
 LOST = 0.05  # probability that a command does not arrive
-STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # how often a robot gets stuck, and for how long
+STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # mean time until a robot gets stuck, and mean duration
 GATE = 30.0  # squared deviation above which a measurement is an outlier
 LEAST_WEIGHT = -25.0  # least ln of a hypothesis's weight
 # time without a fitting hypothesis after which the pose is taken from the camera
 LOST_TRACK_S = 0.3
 SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
-FORGET_S = 10.0  # time constant with which the scores of dead times are forgotten
+FORGET_S = 10.0  # time constant with which scores of dead times decay
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
 MEAN_CAPPED = 0.8  # mean of the square of a standard normal number, capped at 4
 _wrap = inlined(wrap)
@@ -58,10 +58,10 @@ class Bank(NamedTuple):
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
     weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
     scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
-    unfit: Floats  # (B, N) how long no hypothesis has fitted [s]
+    unfit: Floats  # (B, N) time since a hypothesis fitted [s]
     tau: Floats  # (B,) dead time [s]
     score: Floats  # (B,) ln of the likelihood, up to a constant
-    next: NDArray[np.int64]  # (B,) the command that acts next
+    next: NDArray[np.int64]  # (B,) index of the command that acts next
 
 
 @compiled(**INLINE_FAST)
@@ -69,8 +69,8 @@ def _advance(model, i, z, cov, u, scale, seconds):
     """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint
     rule.
 
-    Wheels that lag follow the turning rate at the heading in which the robot would come to rest,
-    which is what its host sends (`tetractl.model.wheels.LaggingTurns`).
+    Lagging wheels follow the turning rate that the host sends: that at the heading in which the
+    robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0
@@ -138,11 +138,11 @@ def _advance(model, i, z, cov, u, scale, seconds):
 
 @compiled(**INLINE_FAST)
 def _correct(z, cov, n, index, factor, off, var):
-    """Update by one measured number, `off` from its prediction h z; h has n entries h[index] =
-    factor.
+    """Update by a measured number that differs by `off` from its prediction h z; h has n entries
+    h[index] = factor.
 
-    P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': if nothing has fitted for
-    long, P is many orders larger than `var`, and rounding would leave P - k h P no covariance.
+    P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': after a long time without a
+    fit, P is many orders larger than `var`, and by rounding P - k h P would not be a covariance.
     Returns the number's variance before the update.
     """
     gain = np.empty(SIZE)
@@ -171,7 +171,7 @@ def _correct(z, cov, n, index, factor, off, var):
 
 @compiled(**INLINE_FAST)
 def _measure(model, i, z, cov, scale, pose, squares):
-    """Update one hypothesis by a pose (3,); return the ln of its likelihood.
+    """Update one hypothesis by a pose (3,); return the logarithm of the pose's likelihood.
 
     `squares` (2,) is filled with the mean squared deviations of position and heading, relative to
     their variances; an outlier has the likelihood of a pose at the gate.
@@ -251,16 +251,16 @@ def _rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step):
-    """Let a command act: add the hypotheses that robot i follows it, or did not receive it.
+    """Add the hypotheses that robot i follows direction u [rad] from now on, or did not receive it.
 
-    The time of the action is uncertain by `step`, the spacing of the bank's dead times [s].
+    The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     most = weight[best]
     place = 0
     for s in range(FOLLOWS):
-        if held[s] == u and weight[s] > -math.inf:  # a repeated direction changes nothing
+        if held[s] == u and weight[s] > -math.inf:  # the direction is the same as before
             if weight[s] < most + math.log(1 - LOST):
                 _copy(bank, b, i, best, s)
                 weight[s] = most + math.log(1 - LOST)
@@ -283,7 +283,7 @@ def _switch(bank, model, b, i, u, step):
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
-    """Let robot i get stuck or come free, with the probabilities of that in a given time [s]."""
+    """Exchange probability between the hypotheses that robot i drives and is stuck."""
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     if math.isnan(held[best]):
@@ -303,7 +303,7 @@ def _stick(bank, b, i, seconds):
 
 @compiled(**INLINE_FAST)
 def _weigh(bank, b, i, model, pose, seconds):
-    """Update all hypotheses of robot i by a measured pose; return the ln of their likelihood."""
+    """Update all hypotheses of robot i by a pose; return the logarithm of the pose's likelihood."""
     weight, scale = bank.weight[b, i], bank.scale[b, i]
     squares, best_squares = np.zeros(2), np.full(2, np.inf)
     most = -math.inf
@@ -336,7 +336,7 @@ def _weigh(bank, b, i, model, pose, seconds):
 
 @compiled(**ENTRY_FAST)
 def place(bank, b, i, model, pose):
-    """Take the pose of every hypothesis of robot i from the camera."""
+    """Set the pose of every hypothesis of robot i to a measured pose (3,)."""
     bank.unfit[b, i] = 0.0
     for s in range(SLOTS):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
@@ -353,7 +353,7 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
     """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
 
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
-    measured; only those of robots that are `seen` (N,) count.
+    measured; only those with `seen` (N,) True are used.
     """
     least = -math.inf
     for b in range(bank.tau.size):

@@ -1,4 +1,4 @@
-"""One sequence, its predicted path, and how each step depends on heading and signal.
+"""Predicts the path of a sequence, and each step's derivatives by heading and signal.
 
 With phi = u - heading, a step moves a robot by d(heading, u) and turns it; `trace` stores, for each
 robot and signal, the partial derivatives of d and of the next heading g:
@@ -11,8 +11,8 @@ the chain rule backwards in time, in `backward`.
 Only the headings depend on the step before. They are computed first, as cosine and sine; then the
 steps of a robot are independent of each other, and the loop over them is vector code. So arrays
 over the signals are as long as whole vectors, `width` (L); entries beyond the last signal are
-meaningless. Each quantity is an array (N, M) of its own: with the rows of several quantities
-interleaved, the compiler would not vectorise the loop, as it could not exclude overlaps.
+meaningless. Each quantity is a separate array (N, M): in an array of several quantities, the
+compiler could not exclude overlaps and would not vectorise the loop.
 """
 
 from typing import NamedTuple
@@ -41,12 +41,12 @@ class Trace(NamedTuple):
 
 
 def width(length: int) -> int:
-    """Return the padded length of arrays over a number of signals."""
+    """Return the padded length of arrays for `length` signals."""
     return -(-length // VECTOR) * VECTOR
 
 
 def workspace(headings: Floats, length: int) -> Trace:
-    """Return the arrays for robots that start with these headings (N,) [rad]."""
+    """Return the arrays for robots with start headings (N,) [rad]."""
     count, across = len(headings), width(length)
     cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
     cos[:-1, 0], sin[:-1, 0] = np.cos(headings), np.sin(headings)
@@ -58,7 +58,7 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     """Predict under signals u (L,) from start (N, 3), with a and v (N,) and drift (4, N).
 
     `first` and `rest` are the motion's constants for the first signal's period and the others';
-    their class decides how the robots move.
+    their class defines how robots move.
     """
     cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
     count, across = a.size, cos.shape[1]

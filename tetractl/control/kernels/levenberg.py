@@ -4,7 +4,7 @@ The residuals are the 2N coordinates of the misses s_i - tar_i, scaled by one fa
 of their squares is sqrt(N sum_i |s_i - tar_i|^2), which f never exceeds, and, for each robot and
 obstacle, the greatest depth of its predicted positions inside; and for each pair of robots, by how
 much they come nearer than their separation. There are far fewer residuals R than signals L, so the
-damped step is computed in the small space of the residuals:
+damped step is computed from an R x R system:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
 
@@ -29,7 +29,7 @@ Integers = NDArray[np.int64]
 
 LARGEST_STEP = 1.0  # largest change of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # weight W of a depth relative to a miss
-PROGRESS = 0.8  # the merit has to fall below this fraction of itself in `patience` iterations
+PROGRESS = 0.8  # the merit must fall by this factor in `patience` iterations
 
 
 class Polish(NamedTuple):
@@ -43,7 +43,7 @@ class Polish(NamedTuple):
     first_period: float
     period: float
     first: Any  # `Lanes`, constants of the motion for the first signal
-    rest: Any  # and for the other signals
+    rest: Any  # `Lanes`, the same for the other signals
     obstacles: tuple[Any, ...]  # `PackedShapes`
     traced: Trace
     depths: Floats  # (N, O) depth of each robot's deepest position in each obstacle
@@ -125,8 +125,8 @@ def _merit(work):
 
 @compiled(**INLINE_FAST)
 def _find_meetings(work):
-    """Find where each pair of robots is nearest, and by how much it is nearer than the
-    separation.
+    """Find the nearest positions of each pair of robots, and the separation minus their
+    distance.
     """
     path, m = work.traced.path, 0
     for i in range(work.a.size):
@@ -143,7 +143,7 @@ def _find_meetings(work):
 
 @compiled(**INLINE_FAST)
 def _linearise(work, floor, slack):
-    """Fill residuals and Jacobian of the path `_merit` has just seen; return the rows in use.
+    """Fill residuals and Jacobian for the path of the last `_merit`; return the number of rows.
 
     Obstacles are grown by `slack`, so that a path pushed to their edge ends outside.
     """
@@ -181,8 +181,8 @@ def _linearise(work, floor, slack):
 
 @compiled(**INLINE_FAST)
 def _linearise_meetings(work, floor, slack, r):
-    """Add a residual and its row for each pair nearer than the separation; return the number of
-    rows.
+    """Add a residual and a Jacobian row for each pair nearer than the separation; return the number
+    of rows.
     """
     path, gradients, m = work.traced.path, work.traced.gradients, 0
     for i in range(work.a.size):
@@ -244,7 +244,7 @@ def _solve(gram, residual, step, r, damping, factor):
 
 @compiled(**INLINE_FAST)
 def _propose(work, u, r):
-    """Write to work.trial the sequence u - J' step, no signal moved by more than LARGEST_STEP."""
+    """Write u - J' step to work.trial, with every change reduced to LARGEST_STEP at most."""
     largest = 0.0
     for j in range(u.size):
         move = 0.0

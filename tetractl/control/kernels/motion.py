@@ -1,8 +1,8 @@
-"""Robots advanced by one signal: the compiled step of a problem's motion in a loop over particles.
+"""Advances robots by one signal: the compiled step of a problem's motion in a loop over particles.
 
 Arguments are rows of arrays (N, P): position x, y; cos and sin of the heading, advanced by
 rotation. Then cos and sin of the direction u (P,), the same for every robot. `lanes` are the
-constants of a motion, whose class decides what is compiled.
+constants of a motion; code is compiled for each class of them.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""One round of `tetractl.control.optimizers.multistart`: starts scattered, the best polished."""
+"""One round of `tetractl.control.optimizers.multistart`: scatters starts and polishes the best."""
 
 import math
 from typing import NamedTuple

@@ -1,8 +1,8 @@
 """Tests positions against obstacles: the twins of `Obstacles.contain` and `Obstacles.cross`.
 
-`packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; what is compiled
-depends on their classes. Loops over kinds are unrolled by recursion: a tuple of several types has
-no loop in compiled code.
+`packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; code is compiled
+for each set of their classes. Loops over kinds are unrolled by recursion: a tuple of several types
+has no loop in compiled code.
 """
 
 import math
@@ -14,7 +14,7 @@ from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 
 
 class SingleShape(NamedTuple):
-    """A problem's only obstacle, tested at the samples inside the loop that moves the robots."""
+    """A problem's only obstacle, tested at predicted positions in the loop that moves robots."""
 
     shape: Any  # PackedShapes of one row
 
@@ -35,7 +35,7 @@ def _row(pack, o):
 def count_hits(
     packs: Any, x0: Any, y0: Any, x: Any, y: Any, i: int, swept: bool, gap: Any, hits: Any
 ) -> None:
-    """Add 1 to hits[i, n] where robot i is in, or came through, any obstacle.
+    """Add 1 to hits[i, n] if robot i of particle n is in an obstacle or has passed through one.
 
     The robot is at x, y (N, P); if `swept`, it came there from x0, y0 (P,). gap (P,) is a scratch
     array, 1 before and after.
@@ -114,7 +114,7 @@ def _count_deepest(packs, path, length, depths, where):
 
 
 def outward(packs: Any, o: int, x: float, y: float) -> Any:
-    """Return the unit vector that leads (x, y) out of obstacle o, counted over all kinds."""
+    """Return the unit vector from (x, y) out of obstacle o, numbered over all kinds."""
 
 
 @overload(outward, jit_options=INLINE_FAST)

@@ -8,7 +8,7 @@ from typing import Any
 from numba import njit
 from numba.extending import overload
 
-FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf keep their meaning: costs are checked
+FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf are kept, to check costs for them
 INLINE_FAST: Any = {
     "nogil": True,
     "fastmath": FAST,
@@ -26,7 +26,7 @@ INLINE_STRICT: Any = {
     "forceinline": True,
 }
 ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
-"""For functions that have to round exactly as NumPy does."""
+"""For functions that must round exactly as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""
 

@@ -11,7 +11,7 @@ from tetractl.control.kernels.options import ENTRY_FAST
 def predict(u, a, v, drift, first_period, period, motion, path):
     """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,).
 
-    The class of `motion`, a motion's constants, decides how the robots move.
+    The class of `motion`, a motion's constants, defines how robots move.
     """
     for j in range(u.size):
         t, cu, su = first_period if j == 0 else period, math.cos(u[j]), math.sin(u[j])

@@ -36,7 +36,7 @@ class SwarmRules(NamedTuple):
     cognitive: float
     social: float
     iterations: int
-    budget: int  # largest number of evaluations; `spent` were used before the first iteration
+    budget: int  # largest number of evaluations; `spent` of them precede the first iteration
     spent: int
     stop: int
     window: int
@@ -76,7 +76,7 @@ def update_bests(swarm, z):
 
 @compiled(**INLINE_FAST)
 def stop_reason(history, z, rules):
-    """Return why to stop after iteration z, or PAUSED to go on: the twin of
+    """Return the reason to stop after iteration z, or PAUSED: the twin of
     `tetractl.control.stop`.
     """
     if rules.stop == TARGET_STOP and history[z] <= rules.target:

@@ -1,7 +1,7 @@
 """The cost (7)-(9) of a whole swarm: the twin of `tetractl.control.cost.evaluate`.
 
-Particles are simulated signal by signal: `begin`, `follow` for each signal, `add_up`. A swarm's
-signals can therefore be updated row by row, while the row is in the processor's cache.
+Particles are simulated signal by signal: `begin`, `follow` for each signal, `add_up`. So a swarm's
+signals can be updated one row at a time, while the row is in the processor's cache.
 """
 
 import math
@@ -27,7 +27,7 @@ class Rollout(NamedTuple):
     start: Floats  # (4, N): x, y, cos and sin of the heading
     target: Floats  # (2, N)
     first: Any  # `Lanes`, constants of the motion for the first signal
-    rest: Any  # and for the other signals
+    rest: Any  # `Lanes`, the same for the other signals
     obstacles: Any  # `SingleShape`, or a tuple of `PackedShapes`
     weight: float
     swept: bool
@@ -43,7 +43,7 @@ class Rollout(NamedTuple):
 
 
 def aligned(shape: tuple[int, ...]) -> Floats:
-    """Return an array that begins with a cache line: vectors across two take twice the time."""
+    """Return an array that begins with a cache line: a vector in two lines takes twice the time."""
     size, line = math.prod(shape), LINE // 8
     raw = np.empty(size + line)
     first = -raw.ctypes.data // raw.itemsize % line
@@ -88,7 +88,7 @@ def costs(rollout, signals, total):
 
 @compiled(**INLINE_FAST)
 def evaluate(rollout, signals, total):
-    """The same as `costs`, to be called by kernels."""
+    """Do the same as `costs`; for calls by kernels."""
     lanes, scratch = views(rollout)
     begin(rollout, lanes, scratch)
     for j in range(signals.shape[0]):
@@ -100,7 +100,7 @@ def evaluate(rollout, signals, total):
 def views(rollout):
     """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap, own_cos_u, own_sin_u).
 
-    To be called outside loops, as each view costs a reference count in compiled code.
+    Call it outside of loops: each view costs a reference count in compiled code.
     """
     a, b = rollout.lanes, rollout.scratch
     return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
@@ -120,7 +120,7 @@ def begin(rollout, lanes, scratch):
 
 
 def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None:
-    """Move every robot by signal j of every particle, and count those in an obstacle."""
+    """Move every robot by signal j of every particle, and count the robots in an obstacle."""
 
 
 @overload(follow, jit_options=INLINE_FAST)
@@ -159,9 +159,7 @@ def _follow(rollout, lanes, scratch, signals, j):
 
 
 def _follow_past_one(constants, obstacles):
-    """Return `follow` for a single obstacle tested at the samples: motion and test share one
-    loop.
-    """
+    """Return the `follow` for a single obstacle tested at samples: one loop moves and tests."""
     kind, shape = constants.instance_class, obstacles[0].instance_class
     step, gap_of = inlined(kind.advance), inlined(shape.gap)
     ends_early = hasattr(kind, "finish")

@@ -1,4 +1,4 @@
-"""The compiled move of particles, (14)-(18), which draws its random numbers as it goes."""
+"""The compiled move of particles, (14)-(18), including the draws of its random numbers."""
 
 import math
 
@@ -28,7 +28,7 @@ def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
     """Apply (14)-(17) to signal j of every particle, with draws first, first + 1, ...
 
     Before that, the coordinate of a particle that has just improved becomes its local best, (18):
-    here, because the row is in the processor's cache.
+    this is done here because the row is in the processor's cache.
     """
     c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers of 31 bits
     base = key + np.uint64(first + 1) * GOLDEN

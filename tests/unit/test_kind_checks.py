@@ -185,7 +185,7 @@ class Other(Mppi):
     ("fault", "what"),
     [
         ("", None),
-        ("key", "12 signals: the same for the same key"),
+        ("key", "12 signals: same search for the same key"),
         ("warm", "12 signals, warm start: not changed"),
         ("budget", "12 signals: evaluations: in budget"),
         ("cost", "12 signals: cost: J of the signals"),

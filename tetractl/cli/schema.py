@@ -13,7 +13,7 @@ def schema(
     ] = None,
     study: Annotated[
         bool,
-        typer.Option("--study", help="Print the schema of a study in place of that of a spec."),
+        typer.Option("--study", help="Print the schema of a study in place of a spec's."),
     ] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 PORT = 8765
 """TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
 LICHTBLICK = "http://localhost:8080"
-"""Address of Lichtblick if it is started on this machine as its manual says."""
+"""Default address of Lichtblick on this machine."""
 
 Serve = Annotated[
     bool,
@@ -54,7 +54,7 @@ def wanted_port(serve: bool, port: int | None) -> int | None:
 
 @contextmanager
 def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
-    """Yield the observers that serve the trials run inside the block; none if `port` is None."""
+    """Yield the observers that serve trials run inside the block; none if `port` is None."""
     if port is None:
         yield []
         return

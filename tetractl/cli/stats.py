@@ -91,7 +91,7 @@ def show(found: "GroupComparison", form: str) -> None:
 
 
 def _described(listed: "Sequence[Source]") -> "list[Group]":
-    """Read and describe batches; name what is damaged on stderr."""
+    """Read and describe batches; print damaged logs and rows on stderr."""
     from tetractl.core.errors import LogError, printable
     from tetractl.results.describe import describe
 
@@ -111,7 +111,7 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
 
 
 def _draw(found: "GroupComparison", file: Path) -> None:
-    """Draw every trial of one or two groups as a dot, the distributions of more."""
+    """Draw one or two groups with a dot per trial, or the distributions of more groups."""
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.figures.ecdf import distributions_figure
     from tetractl.view.style import save

@@ -194,7 +194,7 @@ def stoppable(
 ) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an interrupt that signals set inside the block.
 
-    In the lab, unless `unattended`, losing every reader of the output sends such a signal.
+    In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """
     from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up

@@ -93,7 +93,7 @@ class Recording:
         )
 
     def elapsed_s(self, time_ns: int) -> float:
-        """Return the time from the first direction to a time of the trial's clock [s]."""
+        """Return the time since the first direction [s] at a time of the trial's clock [ns]."""
         return seconds(time_ns - self.began_ns)
 
 

@@ -59,7 +59,7 @@ def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator
         (channels.LAYOUT, layout.layout(log.start.setup)),
     ):
         if raw.text(name) != text:
-            yield Difference(None, name, "differs from that of the experiment")
+            yield Difference(None, name, "differs from the experiment's")
     for name in (channels.SPEC, channels.ENVIRONMENT):
         if name not in raw.attachments:
             yield Difference(None, name, "missing")

@@ -254,7 +254,7 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
 def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
     """Return all total errors as inline SVG, each dot a link to its trial; "" without any error.
 
-    `numbers` are those of the trials on the page by path.
+    `numbers` has each trial's number on the page, by path.
     """
     from tetractl.view.figures.batch import batch_figure
     from tetractl.view.style import svg

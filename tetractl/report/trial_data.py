@@ -18,7 +18,7 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import MOST, DishPictures
 
 FRAMES_HZ = 30.0
-"""Largest rate of camera frames on the page [Hz]: that of a screen."""
+"""Largest rate of camera frames on the page [Hz], since screens show no more."""
 PLAN_ERROR = 1e-3
 """Largest error of a plan on the page, relative to the arena's longer side."""
 HISTORY_ERROR = 5e-3

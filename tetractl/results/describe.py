@@ -48,7 +48,7 @@ class Scaled:
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """A batch of trials of N robots, described under a name; lengths in `unit`.
+    """A batch of trials of N robots, with a name; lengths in `unit`.
 
     `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
     outcome the controller decided. `statistics` are the values of `results.kinds`, over all trials.

@@ -106,7 +106,7 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
     """Raise KeyboardInterrupt in the block at the first signal; ignore later signals.
 
     So no signal interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
-    is that of `Interrupt.watch`; main thread only.
+    is passed to `Interrupt.watch`; main thread only.
     """
     with _OneInterrupt().watch(robots):
         yield

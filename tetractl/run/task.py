@@ -149,7 +149,7 @@ def trial_seeds(root: int, trial: int) -> tuple[int, np.random.SeedSequence]:
 
 
 def log_path(folder: Path, trial: int) -> Path:
-    """Return the file of a trial's log."""
+    """Return the path of a trial's log in a batch's or arm's folder."""
     return folder / f"trial-{trial:03d}.mcap"
 
 

@@ -114,7 +114,7 @@ def lay_out(drawing: Figure) -> None:
 
 
 def panel(axes: Axes, letter: str, title: str) -> None:
-    """Set the title of a panel: (a) what it shows."""
+    """Set the title of a panel to "(LETTER) TITLE"."""
     axes.set_title(f"({letter}) {title}", loc="left")
 
 

@@ -244,7 +244,7 @@ def _solve(gram, residual, step, r, damping, factor):
 
 @compiled(**INLINE_FAST)
 def _propose(work, u, r):
-    """Write u - J' step to work.trial, with every change reduced to LARGEST_STEP at most."""
+    """Write u - c J' step to work.trial; c <= 1 keeps every change within LARGEST_STEP."""
     largest = 0.0
     for j in range(u.size):
         move = 0.0

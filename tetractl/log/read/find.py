@@ -26,7 +26,7 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file name, perhaps of an earlier form, is that of a log set aside."""
+    """Return whether a file's name, of the present or an earlier form, marks a log set aside."""
     return _SET_ASIDE.search(name) is not None
 
 

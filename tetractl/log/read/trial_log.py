@@ -106,7 +106,7 @@ class TrialLog(TrialRecords):
         return max(min(sent, default=0), 0)
 
     def elapsed_s(self, time_ns: int) -> float:
-        """Return the time from the first direction to a time of the trial's clock [s]."""
+        """Return the time since the first direction [s] at a time of the trial's clock [ns]."""
         return seconds(time_ns - self.began_ns)
 
     @property
@@ -152,7 +152,7 @@ class ResultSummary:
 
     @property
     def outcome(self) -> Outcome:
-        """How the trial ended."""
+        """The outcome of the trial."""
         return self.result.outcome
 
 

@@ -24,8 +24,8 @@ from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
 from tetractl.log.format.metadata import add_checksum
 
 CHUNK_S = 0.7
-"""Longest time a message waits in memory [s of wall time]. As the loop collects camera frames over
-a control period of 0.2 s, a killed process then loses less than 1.2 s of its trial.
+"""Longest time for which a message stays in memory [s of wall time]. With camera frames collected
+over a control period of 0.2 s, a killed process loses less than 1.2 s of its trial.
 """
 SYNC_S = 1.0
 """Longest time for which a power cut can lose written bytes [s of wall time]."""

@@ -107,7 +107,7 @@ class Chain:
         return float(total - explained + np.linalg.slogdet(normal)[1])
 
     def noise_of(self, r: Floats, by: Floats) -> ChainNoise:
-        """Return the most likely noise of residuals (K,); `by` is as in `deviance`."""
+        """Return the most likely noise of residuals (K,); `by` (K, P) is X."""
         size = _size(r[self.used])
         begin = np.log([0.5 * size, size])
         best = minimize(

@@ -30,7 +30,7 @@ class RobotFound:
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
     `heading_noise` [rad] and `position_noise` [length unit] are standard deviations of
     measurements, of positions along the robot's path; `heading_walk` [rad/sqrt(s)] is the random
-    walk of the heading. `lost` is the number of commands inferred lost, `intervals` that of frame
+    walk of the heading. `lost` and `intervals` are the numbers of commands inferred lost and of
     intervals used.
     """
 

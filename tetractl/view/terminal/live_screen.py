@@ -155,7 +155,7 @@ class LiveView:
 
 
 class TerminalPrompt:
-    """A `PlacementPrompt` at the terminal: prints where robots must go, and waits for Enter."""
+    """A `PlacementPrompt` at the terminal: prints where robots must stand, and waits for Enter."""
 
     def __init__(self, console: Console, entered: threading.Event) -> None:
         self._console, self._entered = console, entered

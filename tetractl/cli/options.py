@@ -104,8 +104,7 @@ def refuse_existing(out: Path | None) -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal; yields a function of the number done and the total.
-    """
+    """Show a progress bar on a terminal; yields a function of the number done and the total."""
     from rich.console import Console
     from rich.progress import Progress
 

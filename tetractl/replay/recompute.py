@@ -72,7 +72,7 @@ class Rerun:
 
     @property
     def started(self) -> bool:
-        """Whether the time limit is running."""
+        """Whether `start` was called."""
         return self._until is not None
 
     def start(self) -> None:

@@ -24,7 +24,7 @@ PLAN_ERROR = 1e-3
 HISTORY_ERROR = 5e-3
 """Largest error of a curve of log J over the iterations, relative to the curve's size."""
 MISSING = -32768
-"""The 16-bit number for NaN."""
+"""The 16-bit number that represents NaN."""
 LARGEST = 32767
 
 

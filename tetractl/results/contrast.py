@@ -102,7 +102,7 @@ class GroupComparison:
 
     @property
     def whole(self) -> bool:
-        """Whether no log is damaged."""
+        """Whether no log of any group is damaged."""
         return all(group.batch.whole for group in self.groups)
 
 

@@ -109,7 +109,7 @@ class Report:
 
     @property
     def interrupted(self) -> bool:
-        """Whether a trial was interrupted."""
+        """Whether any trial was interrupted."""
         return any(r.outcome is Outcome.INTERRUPTED for r in self.results.values())
 
     @property

@@ -75,7 +75,7 @@ class CheckContext:
 
     @property
     def unit(self) -> str:
-        """The length unit."""
+        """The length unit of the experiment."""
         return self.setup.unit
 
     @property

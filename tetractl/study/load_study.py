@@ -120,7 +120,7 @@ class LoadedStudy:
 
     @property
     def paths(self) -> tuple[str, ...]:
-        """The swept fields."""
+        """Paths of the swept fields."""
         return tuple(dict.fromkeys(path for arm in self.arms for path in arm.values))
 
 

@@ -124,7 +124,7 @@ class SampledSweep(Sweep):
         """Return numbers from 0 to below 1, shape (count, number of fields)."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the drawn points."""
+        """Return `count` points drawn from the ranges."""
         return [
             {
                 path: Setting(range_.at(share), ("fields", path))
@@ -140,7 +140,7 @@ class Random(SampledSweep):
     type: Literal["random"]
 
     def shares(self, rng: np.random.Generator) -> Floats:
-        """Return uniform numbers."""
+        """Return independent uniform numbers from 0 to below 1, shape (count, number of fields)."""
         return rng.random((self.count, len(self.fields)))
 
 

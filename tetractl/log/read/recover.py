@@ -39,7 +39,7 @@ class Recovery:
 
     @property
     def whole(self) -> bool:
-        """Whether no record was lost."""
+        """Whether no record of the log was lost."""
         return not self.damage.lost
 
 

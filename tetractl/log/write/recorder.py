@@ -72,7 +72,7 @@ class Recorder:
 
     @property
     def trial_digest(self) -> str:
-        """The digest of the trial."""
+        """The trial digest of the recorded trial."""
         return trial_digest(self.trial)
 
     @property

@@ -76,7 +76,7 @@ def _filtered(track: Track, prior: Prior) -> Turning:
 
 
 class _Fit:
-    """The state of a fit."""
+    """The parameters, noise and used intervals of a fit, improved round by round."""
 
     def __init__(self, drives: Drives, start: Turning) -> None:
         self.turns, self.p = Turns(drives), start

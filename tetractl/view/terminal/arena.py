@@ -97,7 +97,7 @@ class Canvas:
             self._style[row, column] = self._index(style)
 
     def text(self) -> list[str]:
-        """Return the rows as text."""
+        """Return the rows of the canvas as text."""
         chars = self._chars
         if not self._ascii:
             braille = (0x2800 + self._bits.astype(np.uint32)).view("<U1")

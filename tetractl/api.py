@@ -116,8 +116,8 @@ def run_batch(
 
 
 def read_log(path: str | Path) -> TrialLog:
-    """Read a trial from its log. Of a damaged log the intact part is read; see `damage` of the
-    trial.
+    """Read a trial from its log. If the log is damaged, the intact part is read and the trial's
+    `damage` describes what is missing.
 
     Raises LogError if nothing can be read.
     """

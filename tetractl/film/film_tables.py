@@ -39,7 +39,7 @@ def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
 
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
-    """Return notes on a film, one line each."""
+    """Return remarks on how well the cells of a film were followed, one line each."""
     width, height = followed.size
     look = "bright on dark" if followed.bright else "dark on bright"
     found = [

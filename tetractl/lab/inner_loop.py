@@ -91,7 +91,7 @@ class InnerLoop:
             self.guard, self.frames = guard, FrameBuffer()
 
     def stop(self) -> None:
-        """Stop every robot, ten times over 200 ms; never raises."""
+        """Send the stop command to every robot ten times within 200 ms; never raises."""
         with self._held(STOP_S) as held:
             self._steering, self.idle = False, None
             self.guard.rest()

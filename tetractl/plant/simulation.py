@@ -33,8 +33,8 @@ NO_FRAME_S = 60
 CULTURE = 6  # number of cells to choose from
 # spawn key of these cells' random numbers; `verify` repeats the plant's random numbers without them
 FINDING = 1000
-SURVEYED = 0.03  # relative error of a and speed measured by a survey
-# largest number of repetitions of a stop that a robot has not received: one minute
+SURVEYED = 0.03  # relative error of the turning rate a and the speed that a survey measures
+# how often a stop command that was lost is sent again at most: for one minute
 STOPS_MAX = 3000
 POSES_MAX = 2_000_000  # largest number of poses in a control period, which are simulated together
 WHEELS_KEY = 2**32 - 1

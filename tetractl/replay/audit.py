@@ -22,8 +22,8 @@ from tetractl.replay.recompute import ROUNDING
 REST = 1e-6  # tolerance for the position of a robot at rest, relative to a coordinate
 STOPPING_S = 1.0  # longest time until a stop is sent on a busy host
 STOPPING_NS = 500_000_000  # longest time from a stop's first repetition to its last
-LAST_FRAMES = 120  # a lab trial's final poses are those of one of this many last frames
-SLACK = 2.0  # factor on the lab's limits, for frames after the lab's last check
+LAST_FRAMES = 120  # a lab trial's final poses must be those of one of this many last frames
+SLACK = 2.0  # frames after the guard's last check may exceed the guard's limits by this factor
 
 
 @dataclass(slots=True)

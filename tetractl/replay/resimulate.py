@@ -147,7 +147,7 @@ class _LoggedPlans:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
         if not 0 <= step.plan.delay_ns <= self._period_ns:
-            raise AbortError(f"step {step.k} waits {step.plan.delay_ns} ns after its decision")
+            raise AbortError(f"step {step.k} is delayed by {step.plan.delay_ns} ns, over a period")
         return step.plan
 
 

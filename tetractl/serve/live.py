@@ -1,9 +1,9 @@
-"""Serves a trial to the log viewers Foxglove and Lichtblick over WebSockets.
+"""Serves a recorded trial, or running trials, to the log viewers Foxglove and Lichtblick.
 
 `websockets` (the extra `serve`) implements the protocol; each viewer has two threads. No trial
-waits for a viewer: each viewer has a queue of `BACKLOG` messages, of which the oldest are dropped.
-A viewer cannot publish messages or call services; it can only control the playback of a recording.
-The source is a recorded trial or running trials.
+waits for a viewer: each viewer has a queue of at most `BACKLOG` messages; when it is full, the
+oldest are dropped. A viewer cannot publish messages or call services; it can only control the
+playback of a recording.
 """
 
 import json

@@ -30,7 +30,7 @@ MAX_BYTES = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """The location of a value or a key: origin, line and column from 1, and its text."""
+    """The file, line and column (from 1) of a value or a key, and the text of that value or key."""
 
     origin: str
     line: int | None = None

@@ -31,9 +31,10 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
 
 
 def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the complete trials of each folder, by the folder's name or, if not unique, its path.
+    """Return the complete trials of each folder; the key is the folder's name, or its path if two
+    folders have the same name.
 
-    Raises UsageError for errors in several units, and LogError if no trial is complete.
+    Raises UsageError if the trials' errors are in different units, LogError if none is complete.
     """
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:

@@ -22,10 +22,11 @@ SHARES = (0.0, 0.25, 1.0)
 
 
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the swarm of the first plan's search at three iterations, as the paper's Figure 2 does.
+    """Draw the particle swarm of the first plan's search at three iterations, as in Figure 2.
 
-    The axes are the first two signals of the sequence; the background shows J over these two with
-    the other signals of the best sequence found. The last panel has the path of one particle.
+    The axes are the first two signals of the sequence. The background shows the cost J as a
+    function of these two; the other signals are those of the best sequence found. The last panel
+    shows the path of one particle.
     """
     log = one_trial(logs)
     need_steps(log)

@@ -292,7 +292,7 @@ class Stream:
         elif asked == UNITS:
             unit_mm = response_float(response)
             if not 1e-3 <= unit_mm <= 1e6:
-                raise WireError(f"not a unit of length: {unit_mm:g} mm")
+                raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")
             self.unit_mm = unit_mm
             if abs(unit_mm - METRE_MM) > 1e-3 * METRE_MM:
                 self._fault = self._fault or (

@@ -118,7 +118,9 @@ class ManualActuator(M3piActuator):
 
     held: tuple[Counts, ...] = ()
 
-    def counts(self, direction: float, poses: Sequence[Pose | None], age_ns: int) -> list[Counts]:
+    def counts(
+        self, direction: float, poses: Sequence[Pose | None], exposed_ns: int
+    ) -> list[Counts]:
         """Return the counts in `held`."""
         return list(self.held)
 

@@ -1,5 +1,4 @@
-"""The filter of `tetractl.control.filter`, compiled; `tests/oracles/filter.py` is its readable
-twin and must agree with it.
+"""The filter of `tetractl.control.filter`, compiled; `tests/oracles/filter.py` is its twin.
 
 The state of a robot is (x, y, heading of its course, ln of a and of the speed over the spec's, turn
 bias, marker bias, flow along x and y, helix as sine and cosine), in the order of the indices below.
@@ -24,14 +23,12 @@ STILL = 1e-3  # pace below which a stopped robot counts as standing
 FOLLOWS = 3  # number of latest commands that a robot may follow
 STUCK = FOLLOWS  # slot of the hypothesis that a robot stands although it was sent a direction
 SLOTS = FOLLOWS + 1
-
 SUBSTEP_S = 0.025  # longest step of the prediction
 LOST = 0.05  # probability that a command does not arrive
 STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # mean time until a robot gets stuck, and mean duration
 GATE = 30.0  # squared deviation above which a measurement is an outlier
 LEAST_WEIGHT = -25.0  # least ln of a hypothesis's weight
-# time without a fitting hypothesis after which the pose is taken from the camera
-LOST_TRACK_S = 0.3
+LOST_TRACK_S = 0.3  # time without a fitting hypothesis after which the camera's pose is taken
 SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which scores of dead times decay
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
@@ -66,8 +63,7 @@ class Bank(NamedTuple):
 
 @compiled(**INLINE_FAST)
 def _advance(model, i, z, cov, u, scale, seconds):
-    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint
-    rule.
+    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule.
 
     Lagging wheels follow the turning rate that the host sends: that at the heading in which the
     robot would come to rest (`tetractl.model.wheels.LaggingTurns`).

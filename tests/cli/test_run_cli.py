@@ -199,7 +199,7 @@ def test_a_trial_whose_worker_is_killed_twice_ends_the_batch_with_a_clear_line(t
         assert running.process.wait(PATIENCE_S) == 1
         lines = running.err.read_text().splitlines()
         assert lines[-2].startswith("error: a trial's process was killed twice")
-        assert lines[-1].startswith("hint: with fewer --jobs")
+        assert lines[-1].startswith("hint: give the same command with fewer --jobs")
 
 
 def test_a_full_disk_aborts_the_trial_and_says_so(batch, tmp_path):

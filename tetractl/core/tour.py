@@ -23,8 +23,8 @@ Integers = NDArray[np.int64]
 class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
-    If lost robots are `replaced`, a lost robot that is tracked again is another robot, which takes
-    over the target.
+    If `replaced`, what is tracked again after a loss counts as another robot, which takes over the
+    lost robot's target.
     """
 
     after_s: float

@@ -299,7 +299,7 @@ class StreamedCamera(ABC):
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
-        """End the stream."""
+        """End the stream; return what to log about it."""
         if self._opened:
             self.camera.__exit__()
             self._opened = False

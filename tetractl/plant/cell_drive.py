@@ -37,7 +37,7 @@ class CellDrive:
     """
 
     host = None  # no host computes wheel speeds
-    sampled = True  # the path is a sum over samples
+    sampled = True  # the path is integrated in time steps, not known in closed form
     repeats_ns = NEVER  # a field holds until the next command
     rest_s = 0.0
 

@@ -149,7 +149,7 @@ class StartError(Disturbance):
         self._section, self._rng = section, rng
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the poses with their errors."""
+        """Return the poses with the errors of placing the robots added."""
         x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
         off, turned = self._section.position, self._section.heading
         return Poses(poses.x + off * x, poses.y + off * y, poses.heading + turned * heading)

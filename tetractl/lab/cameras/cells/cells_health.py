@@ -13,7 +13,7 @@ from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
-BLURRED = 0.1  # 1/px: the rim of a cell is wider than ten pixels
+BLURRED = 0.1  # least sharpness of a rim, 1 / its width [1/px]; below it, focus is reported
 SMALL_PX = 8.0  # smallest width of a cell
 BODY_UM = 26.3
 UNSURE = 0.9  # probability of a robot's identity below which a problem is reported

@@ -6,6 +6,7 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Sequence
 
+import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
@@ -15,7 +16,7 @@ from tetractl.core.commands import Health
 from tetractl.core.poses import Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.cells_health import DishState, SeenDish, cell_health
+from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl.lab.cameras.cells.crops import FilmCutter
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.cells.helix import Piece
@@ -95,18 +96,18 @@ class CellCamera(PictureCamera[SeenDish]):
     def check(self) -> Health:
         """Examine some pictures and return the problems of source, light, focus and cells."""
         looks = self._look()
-        state = DishState(
-            source=self.section.source_name,
-            ended=self._ended,
-            now_ns=self._clock.now(),
-            rate_hz=None if self._feed is None else self._feed.rate_hz,
-            size=self._size,
-            damaged=self.damaged,
-            skipped=self._skipped,
-            um_px=self.section.um_px,
-            emulated=self.emulated,
-        )
-        return cell_health(self._setup.names, looks, state)
+        problems, warnings = self._stream_lines(looks)
+        wrong, doubtful = dish_lines(self._setup.names, looks, self.section.um_px)
+        facts = {
+            "source": self.section.source_name,
+            "scale": f"{self.section.um_px:g} um/px",
+            **self._stream_facts(looks),
+            **({"cells": str(cell_count(looks))} if looks else {}),
+            "opencv": cv2.__version__,
+            "damaged": str(self.damaged),
+            "skipped": str(self._skipped),
+        }
+        return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
         if self._tracker.finder.background is None:

@@ -4,12 +4,9 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
-
-from tetractl.core.commands import Health
 from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.pictures.looks import Look, rate_hz, search_ms, stream_lines
+from tetractl.lab.cameras.pictures.looks import Look
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
@@ -36,45 +33,22 @@ class SeenDish:
     sure: float
 
 
-@dataclass(frozen=True, slots=True)
-class DishState:
-    """The state of the camera besides its pictures; `ended` is why the source ended, "" while it is
-    open.
+def dish_lines(
+    names: Sequence[str], looks: Sequence[Look[SeenDish]], um_px: float
+) -> tuple[list[str], list[str]]:
+    """Return problems and warnings of light, focus and cells from the last pictures, oldest first;
+    none without pictures.
     """
-
-    source: str
-    ended: str
-    now_ns: int
-    rate_hz: float | None
-    size: tuple[int, ...] | None
-    damaged: int
-    skipped: int
-    um_px: float
-    emulated: bool
+    return (_problems(names, looks), _warnings(looks, um_px)) if looks else ([], [])
 
 
-def cell_health(names: Sequence[str], looks: Sequence[Look[SeenDish]], state: DishState) -> Health:
-    """Return the health of a camera from the results for its last pictures, oldest first."""
-    problems, warnings = stream_lines(
-        looks, state.source, state.ended, state.now_ns, state.rate_hz, state.damaged
-    )
-    if looks:
-        for lines, found in (
-            (problems, _problems(names, looks)),
-            (warnings, _warnings(looks, state)),
-        ):
-            lines += found
-    facts = {"source": state.source, "scale": f"{state.um_px:g} um/px"}
-    if state.size is not None:
-        facts["resolution"] = f"{state.size[1]}x{state.size[0]}"
-    if (rate := rate_hz(looks)) is not None:
-        facts["rate"] = f"{rate:.1f} Hz"
-    if looks:
-        facts["search"] = f"{search_ms(looks):.1f} ms"
-        facts["cells"] = str(_cells(looks))
-    facts["opencv"] = cv2.__version__
-    facts |= {"damaged": str(state.damaged), "skipped": str(state.skipped)}
-    return Health(tuple(problems), tuple(warnings), facts, emulated=state.emulated)
+def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
+    """Return the median number of cells in view in one or more pictures."""
+    counts = [
+        sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
+        for look in looks
+    ]
+    return round(statistics.median(counts))
 
 
 def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str]:
@@ -94,14 +68,14 @@ def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str
         )
     lost = [name for name, pose in zip(names, looks[-1].seen.poses, strict=True) if pose is None]
     if lost:
-        seen = _cells(looks)
+        seen = cell_count(looks)
         found.append(
             f"{', '.join(lost)} not tracked: {seen} cells swim in view, {len(names)} are wanted"
         )
     return found
 
 
-def _warnings(looks: Sequence[Look[SeenDish]], state: DishState) -> list[str]:
+def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
     found: list[str] = []
     ratios = [
         look.seen.light.contrast / max(look.seen.light.noise, 1.0)
@@ -116,21 +90,12 @@ def _warnings(looks: Sequence[Look[SeenDish]], state: DishState) -> list[str]:
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         found.append("the rims of cells are blurred: focus, or shorten the exposure")
-    if BODY_UM / state.um_px < SMALL_PX:
+    if BODY_UM / um_px < SMALL_PX:
         found.append(
-            f"a cell is {BODY_UM / state.um_px:.0f} px wide only: {SMALL_PX:.0f} or more are wanted"
+            f"a cell is {BODY_UM / um_px:.0f} px wide only: {SMALL_PX:.0f} or more are wanted"
         )
     if looks[-1].seen.sure < UNSURE and not any(pose is None for pose in looks[-1].seen.poses):
         found.append(
             "cells have met, and which cell is which is not sure: let the field turn a few times"
         )
     return found
-
-
-def _cells(looks: Sequence[Look[SeenDish]]) -> int:
-    """Return the median number of cells in view."""
-    counts = [
-        sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
-        for look in looks
-    ]
-    return round(statistics.median(counts))

@@ -17,7 +17,7 @@ from tetractl.lab.rig import Rig
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # deviation of a turn from a quarter turn [rad]
 BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
-STEP_UM = 35.0  # largest distance by which a cell may move between two pictures to be recognised
+STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
 SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
 
@@ -46,7 +46,8 @@ def turn_field(
 ) -> list[FoundCell]:
     """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
-    The field turns further. `on_look` is called regularly. AbortError if no pictures arrive.
+    The field continues to turn afterwards. `on_look` is called about every 50 ms. AbortError if no
+    pictures arrive.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()

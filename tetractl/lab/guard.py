@@ -1,12 +1,12 @@
-"""The guard: decides, at every tick, which robots may move. No I/O, no clock of its own.
+"""The guard: decides, at every tick, which robots may move. It does no I/O and reads no clock.
 
     preflight --ready()--> ready --go()--> run <--> hold
                              ^              |        |
                              +---- rest() --+--------+      any --> abort, for good
 
 In `hold`, one robot or all are stopped because of a fault that may pass; robots that can only be
-stopped together are steered further while one of them is not tracked. `abort` is final. Lengths are
-in the spec's length unit, times ns on the run's clock.
+stopped together continue to be steered while one is not tracked. `abort` is final. Lengths are in
+the spec's length unit, times ns on the run's clock.
 """
 
 import math
@@ -108,7 +108,7 @@ class Guard:
     _behind_ns: int = 0  # age of the last outdated frame relative to the newest one
     _warned: set[str] = field(default_factory=set)
     _warnings: list[str] = field(default_factory=list)  # warnings not yet returned
-    _driven: bool = False  # True from the first `go` on: then robots are not carried
+    _driven: bool = False  # whether `go` was called: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
@@ -132,7 +132,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why the newest pose of each robot (N,) was refused, "" if it was accepted or missing."""
+        """Why each robot's newest pose was refused (N,); "" if it was accepted or missing."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:
@@ -174,7 +174,7 @@ class Guard:
         self._steered_ns = now_ns
 
     def late(self, missed: bool) -> None:
-        """Count the control steps in a row that missed their deadline."""
+        """Count a control step that missed its deadline; abort after `late_steps` in a row."""
         self._late = self._late + 1 if missed else 0
         if self._late >= self.rules.late_steps and self._active:
             self.abort(f"{self._late} control steps in a row were late")
@@ -188,7 +188,8 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        Returns None for a frame not exposed after all earlier frames; it is dropped and counted.
+        Returns None for a frame that was not exposed after all earlier ones: it is dropped and
+        counted.
         """
         if frame.fault:
             self.abort(frame.fault)
@@ -198,7 +199,7 @@ class Guard:
             self._outdated_in_a_row += 1
             self._behind_ns = newest - now
             if self._active and self.outdated == 1:
-                self._warn(f"a camera frame {self._behind()} came, and was dropped")
+                self._warn(f"a camera frame {self._behind()} was dropped")
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
@@ -375,7 +376,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Return whether a robot moves further outside; one at the edge may move back inside."""
+        """Return whether a robot leaves the arena or, if outside, moves further away from it."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:

@@ -27,8 +27,8 @@ KEPT = 100_000
 class InnerLoop:
     """Runs a guard between a camera and an actuator. Times are ns on `clock`.
 
-    `wake` is set by the camera after each frame, `emergency` by a person. `frames` holds the
-    accepted frames. Without `start`, the owner of the clock calls `step`.
+    `wake` is set by the camera after each frame, `emergency` by the operator. `frames` are the
+    accepted frames. Without `start`, the caller must call `step`.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class InnerLoop:
         emergency: threading.Event,
     ) -> None:
         self.guard, self.frames = guard, FrameBuffer()
-        # direction u before robots are steered [rad]
+        # function of time [ns]: the direction u [rad] sent before robots are steered
         self.idle: Callable[[int], float] | None = None
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
@@ -50,7 +50,7 @@ class InnerLoop:
         self._lock = threading.Lock()
         self._direction = 0.0  # the direction held while steering [rad]
         self._steering = False
-        self._new = False  # whether the direction has not been sent yet
+        self._new = False  # whether the direction is still to be sent
         # which robots were allowed to move by the last transmission
         self._let: tuple[bool, ...] = ()
         self._sent: deque[Transmission] = deque(maxlen=KEPT)
@@ -192,7 +192,7 @@ class InnerLoop:
         self._stops_left -= 1
         try:
             self._note(self._actuator.stop(emergency=self.guard.emergency))
-        except AbortError as error:  # a failed actuator does not take the other stops either
+        except AbortError as error:  # a failed actuator cannot send the remaining stops either
             self._stops_left = 0
             self.guard.abort(str(error))
 

@@ -43,7 +43,8 @@ WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
 class MotionCheck:
     """Compares N robots of `speeds` (N,) with their commands.
 
-    `radius` is r, 0 for robots without wheels; `noise` is the largest error of a pose.
+    `radius` is r, 0 for robots without wheels; `noise` is the largest error of a pose [length
+    unit].
     """
 
     def __init__(self, speeds: Sequence[float], radius: float, noise: float) -> None:
@@ -105,8 +106,8 @@ class MotionCheck:
         return bool(np.any((least > 0.0) | (most < 0.0)))
 
     def disagrees(self, i: int, before: Pose, pose: Pose) -> str:
-        """Return how robot i disobeyed its commands since its last consistent pose; "" if it did
-        not: then the new pose is consistent.
+        """Return how robot i disobeyed its commands since its last consistent pose; "" if it
+        obeyed, and the new pose is then the last consistent one.
         """
         past, allowed = self._past[i], self._allowed[:, i]
         seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
@@ -136,7 +137,7 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return a text for a motion (3,), along, across and around, that is out of bounds."""
+    """Return the fault text for a motion (3,), along, across and around, that is out of bounds."""
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

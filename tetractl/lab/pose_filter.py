@@ -13,7 +13,7 @@ from itertools import islice
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 
-FASTER = 2.0  # a robot may move and turn this much faster before its pose counts as a jump
+FASTER = 2.0  # multiple of a robot's speed and turning limits above which its pose jumped
 WINDOW_NS = SECOND  # largest age of accepted poses with which a pose is compared
 SPACING_NS = SECOND // 10  # interval of the poses kept for this comparison, except the last one
 

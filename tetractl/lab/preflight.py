@@ -89,7 +89,7 @@ class Preflight:
 
 
 def inspect(rig: Rig) -> Preflight:
-    """Check some camera frames, both devices and the robots' answers; moves nothing."""
+    """Check some camera frames, both devices and the robots' answers, without moving a robot."""
     statuses = rig.actuator.poll(POLL_S)
     outdated = rig.guard.outdated
     seen = _watch(rig)
@@ -151,7 +151,8 @@ def _robot(
 
 def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
     inside = [pose for pose in frame.strangers if rig.setup.arena.contains(pose.x, pose.y)]
-    return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f}" for p in inside]
+    unit = rig.setup.unit
+    return [f"something else stands in the arena at {p.x:.0f}, {p.y:.0f} {unit}" for p in inside]
 
 
 def _watch(rig: Rig) -> list[CameraFrame]:
@@ -172,7 +173,7 @@ def _watch(rig: Rig) -> list[CameraFrame]:
 
 
 def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and greatest age of frames [ms], 0 if the clocks are not related."""
+    """Return the median and greatest age of frames [ms]; None if the ages are not known."""
     ages = sorted(frame.received_ns - frame.sampled_ns for frame in seen)
     if not ages or not ages[-1]:
         return None

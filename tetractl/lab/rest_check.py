@@ -8,7 +8,7 @@ from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rig import Rig
 
 REST_NS = SECOND // 4  # time for which the camera must see robots stand still
-WATCHED = 0.6  # fraction of this time that the frames of each robot must span
+WATCHED = 0.6  # fraction of REST_NS that the frames of each robot must span
 TURNING = 0.3  # a robot that turns more slowly stands still [rad/s]
 LOOK_NS = SECOND // 20
 ROLLING_NS = SECOND // 2  # time after which robots that still move are stopped again

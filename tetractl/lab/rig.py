@@ -70,7 +70,7 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with the robots of another setup, of these camera numbers, from their poses."""
+        """Continue with the robots of another setup, the cells of these numbers, where they are."""
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]

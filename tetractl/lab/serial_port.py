@@ -21,7 +21,7 @@ from tetractl.core.errors import AbortError
 
 WRITE_TIMEOUT_S = 0.02
 READ_TIMEOUT_S = 0.05
-# times [s] after which the process is asked again, killed, and given up
+# times [s] after which the process gets a second SIGTERM, gets SIGKILL, and is given up
 AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0
 SWITCH_OFF = "switch the robots off by hand if they move"
 MAX_BUFFER = 2048  # bytes in the system's send buffer above which the port counts as stuck
@@ -164,7 +164,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
 
 
 def require_port(name: str, device: str) -> None:
-    """Raise AbortError if no port has this name; `device` is for the hint. Opens nothing."""
+    """Raise AbortError if no port has this name; `device` is for the hint."""
     if not Path(name).exists():
         raise _missing(name, device)
 
@@ -174,7 +174,7 @@ def _missing(name: str, device: str) -> AbortError:
 
 
 def holder(port: str) -> int | None:
-    """Return the id of the process that has locked a port, None if none or not on Linux."""
+    """Return the id of the process that has locked a port; None without one or not on Linux."""
     with suppress(OSError):
         at = Path(port).stat()
         device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
@@ -194,8 +194,8 @@ def command_line(pid: int) -> list[str]:
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
     """Stop the robots of the run that has a port open, then end that run, if needed by SIGKILL.
-    `stops` sends stops on the port and returns a text about them; it is repeated until the port is
-    free, since a hanging run may still drive robots. `say` prints a line. AbortError if the process
+    `stops` sends stops on the port and returns a summary; it is repeated until the port is free,
+    since a hanging run may still drive robots. `say` prints a line. AbortError if the process
     cannot be ended: it is unknown, another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
@@ -224,7 +224,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             time.sleep(0.05)
         else:
             if not said:
-                say(f"{sent}, past it")
+                say(f"{sent}, while that process has the port open")
             said = True
         if pid is None or not ours:
             raise _left(

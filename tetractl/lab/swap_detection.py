@@ -52,7 +52,7 @@ class SwapDetector:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
-        self._times: list[int] = []  # times of the turning rates sent, a row each
+        self._times: list[int] = []  # times of the turning rates in `_sent` [ns]
         self._sent: list[Floats] = []
         self._shared: tuple[tuple[int, int], Floats] | None = None  # commanded turning of a frame
         self.restart()
@@ -67,7 +67,7 @@ class SwapDetector:
         self._alone = np.zeros((n, n), dtype=np.bool_)
         # duration of the stretch while commanded to turn
         self._watched_ns = np.zeros(n, dtype=np.int64)
-        self._found: str | None = None  # the fault, once it has been searched
+        self._found: str | None = None  # the fault's message; None before the search
 
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
         """Take the turning rates of a transmission [rad/s], 0 for robots that stand."""
@@ -136,7 +136,7 @@ class SwapDetector:
 
 
 class _TurnIntegrals:
-    """The integrals of the module's Q over a stretch of time, for N robots and D delays."""
+    """The integrals in Q_ij (see the module) over a stretch of time, for N robots and D delays."""
 
     def __init__(self, n: int) -> None:
         # integrals of w_j(t - d)^2 while i was tracked
@@ -167,7 +167,9 @@ class _TurnIntegrals:
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return (N,): whether robot i, with no bad wheel, follows the commands of each robot."""
+        """Return (N,): whether robot i follows each robot's commands, and a bad wheel does not
+        explain it.
+        """
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
         commanded = np.take_along_axis(self._commanded[:, i], misfits.argmin(axis=0)[None], axis=0)[
@@ -213,7 +215,7 @@ class IdentityWatch:
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
         self._names, self._patience_ns = names, round(patience_s * SECOND)
-        self._since_ns: dict[int, int] = {}  # since when each unknown robot has been unknown
+        self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
@@ -223,7 +225,7 @@ class IdentityWatch:
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
                 self._since_ns[i] = now
-                text = f"{name} has met another cell: that this is {name} has the probability"
+                text = f"{name} has met another cell: its identity has the probability"
                 yield Note(now, "warning", f"{text} {probability:.2f}")
             elif probability >= SURE and self._since_ns.pop(i, None) is not None:
                 yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")

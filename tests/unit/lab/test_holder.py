@@ -81,7 +81,7 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
     assert process.wait() == -signal.SIGTERM
     assert f"{port}: process {process.pid} (" in said
     assert "asked it to stop its robots and end" in said
-    assert "sent stops, past it" in said
+    assert "sent stops, while that process has the port open" in said
     assert "it released the port" in said
 
 

@@ -56,7 +56,7 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
             replace(frame, strangers=(Pose(x, 700.0, 0.0),)) for frame in frames()
         ]
 
-    inside = ("something else stands in the arena at 1000, 700",)
+    inside = ("something else stands in the arena at 1000, 700 mm",)
     assert looked_over(place).problems == (inside if x > 0 else ())
 
 

@@ -1,1 +1,1 @@
-"""Actuators, which turn a direction into the motion of robots: one package or file each."""
+"""Actuators, which steer robots by the common direction; one package or file per device."""

@@ -1,1 +1,1 @@
-"""Cameras, which track the robots: one package or file each."""
+"""Cameras, which track the robots; one package or file per device."""

@@ -27,7 +27,7 @@ from tetractl.lab.actuators.field.driver import (
 )
 from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 
-STOPS = 3  # number of frames per stop, so that a damaged byte does not lose the stop
+STOPS = 3  # number of frames per stop, so that one damaged frame does not lose the stop
 OFF: Pair = (0.0, 0.0)
 
 
@@ -35,8 +35,8 @@ class FieldActuator:
     """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
 
     No cell can be held still: every transmission, even a stop, states that all move at their own
-    speed. Its outputs are the currents requested of the driver, `current_x_a` and `current_y_a`
-    [A], and the field they make, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
+    speed. Its outputs are the currents requested from the driver, `current_x_a` and `current_y_a`
+    [A], and their field, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
     """
 
     individual = False
@@ -47,9 +47,9 @@ class FieldActuator:
         self.driver = Driver(section.port, section.baud, clock)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
-        self._currents = OFF  # currents requested of the driver [A], held from `_sent_ns` ...
+        self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]
         self._sent_ns = clock.now() - self.period_ns
-        self._held_until_ns = self._sent_ns  # ... until this time, when the driver goes to 0
+        self._held_until_ns = self._sent_ns  # from this time on, the currents go to 0
 
     def __enter__(self) -> Self:
         try:
@@ -65,7 +65,7 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Steer the cells of a new setup from now on, after a trial has chosen them."""
+        """Use the turning rates and speeds of a new setup, after a trial has chosen its cells."""
         self._a, self._speed = setup.a, setup.speed
 
     @property
@@ -75,7 +75,7 @@ class FieldActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why the driver makes no field any more, None while there is no fault."""
+        """Why the driver no longer makes a field; None without a fault."""
         return self.driver.failure
 
     def steer(
@@ -159,7 +159,7 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return the driver's problems, warnings and facts from its reply, None without one."""
+    """Return the driver's problems, warnings and facts; `reply` is None if it did not answer."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))
@@ -222,5 +222,5 @@ def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
             f"program keeps to {section.current_max_a:g} A"
         )
     if section.supply_min_v and not reply.supply_mv:
-        found.append("the current driver does not know its supply voltage")
+        found.append("the current driver does not report its supply voltage")
     return found

@@ -3,7 +3,7 @@
 Command: 53 sequence flags, i16 x, i16 y [mA], CRC. Reply, only when polled: 54 sequence status
 version, i16 measured x, y [mA], u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames
 received, u16 frames rejected, u16 greatest current [mA], u32 slew [mA/s], u16 watchdog [ms], CRC.
-All little-endian, sealed by `cobs.frame_with_crc`. `firmware/field_core.c` is the driver's side.
+All little-endian, framed by `cobs.frame_with_crc`. `firmware/field_core.c` is the driver's side.
 """
 
 import struct
@@ -39,7 +39,7 @@ class DriverStatus(IntFlag):
     EMERGENCY_STOPPED = 2
     SILENT = 4  # stopped by the watchdog
     LIMITED = 8  # the last frame requested more than the greatest current
-    HOT = 16  # stopped by its temperature; latched like an emergency stop
+    HOT = 16  # stopped because it was too hot; latched like an emergency stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ def decode_reply(frame: bytes) -> FieldReply:
 
 
 SILENCE_NS = SECOND // 2
-# after more than this number of frames and this time without a reply, the driver counts as off
+# after more frames than this, and SILENCE_NS, without a reply, the driver counts as off
 UNANSWERED_MAX = 5
 TRIES = 5
 ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
@@ -113,8 +113,7 @@ HINT = "the driver switches the field off by its watchdog; cells swim on"
 class Driver:
     """A current driver on a port that is opened by `open`. Times are ns on `clock`.
 
-    Every frame polls the driver, so that a run notices if it is off, latched or hot, which
-    `failure` then reports.
+    Every frame polls the driver; `failure` reports if it is off, latched or hot.
     """
 
     def __init__(self, port: str, baud: int, clock: Clock) -> None:
@@ -130,7 +129,7 @@ class Driver:
 
     @property
     def failure(self) -> str | None:
-        """Why the driver makes no field any more, None while there is no fault."""
+        """Why the driver no longer makes a field; None without a fault."""
         newest, now_ns = self.newest, self._clock.now()
         if self._port.failure is not None:
             return self._port.failure
@@ -158,9 +157,7 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll with the field off, up to five times, 0.1 s each; return the reply, None without
-        one.
-
+        """Poll up to five times with the field off, 0.1 s each; return the reply or None.
         AbortError if the port has failed.
         """
         self.newest = None

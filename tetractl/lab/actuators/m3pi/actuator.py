@@ -69,14 +69,14 @@ class M3piActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while there is no fault."""
+        """Why nothing can be sent any more; None without a fault."""
         return self.link.failure
 
     def check(self) -> Health:
         """Return the radio's problems and questions; warn about robots without a watchdog."""
         warnings: tuple[str, ...] = ()
         if not self.section.protocol.watchdog:
-            warnings = ("the robots have no watchdog: one that loses the radio drives on",)
+            warnings = ("the robots have no watchdog: a robot that loses the radio drives on",)
         return Health(self.link.problems(), warnings, questions=self.link.questions)
 
     def steer(

@@ -1,8 +1,8 @@
 """The broadcast to all robots and their replies: the mbed firmware, which has a watchdog.
 
-Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled:
-52 id sequence flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all
-little-endian, sealed by `cobs.frame_with_crc`. `firmware/m3pi_core.c` is the robot's side.
+Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled: 52 id sequence
+flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all little-endian, framed by
+`cobs.frame_with_crc`. `firmware/m3pi_core.c` is the robot's side.
 """
 
 import struct
@@ -37,7 +37,9 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i drives with `wheels[i]`, or stops if there is none."""
+    """One frame for all robots: robot i drives with the counts `wheels[i]`, or stops without an
+    entry.
+    """
 
     sequence: int
     flags: Flag
@@ -46,7 +48,8 @@ class BroadcastCommand:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The reply of a polled robot; `sequence` is the number of the poll's frame, 0 mV is unknown.
+    """The reply of a polled robot; `sequence` is the number of the poll's frame. `battery_mv` is 0
+    if unknown.
 
     `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
     """

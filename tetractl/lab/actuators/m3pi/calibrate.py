@@ -1,4 +1,4 @@
-"""Measures a robot by moving it a little: wheel order, gains, dead zones, r, heading offset.
+"""Measures a robot's wheel order, gains, dead zones, r and heading offset by small motions.
 
 One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with k =
 gain / (2 r), for any heading offset. Both wheels together, with counts whose turning rates w1 and
@@ -30,8 +30,8 @@ BURST_S = 0.4
 SETTLING_S = 0.2  # time from the start of a burst until the wheels turn steadily
 STRAIGHT_S = 0.7
 TURNS = 0.25  # rad/s: a robot that turns more slowly counts as not turning
-ROAM_MM = 300.0  # largest distance of a robot from its starting place
-POINTS = 3  # least number of speeds for the fit of a line
+ROAM_MM = 300.0  # largest distance of a robot from its first position
+POINTS = 3  # least number of counts for the fit of a line
 GAP_NS = 60_000_000  # longest gap between frames of a burst
 TRIES = 4
 SILENCE_NS = 3 * SECOND
@@ -51,7 +51,9 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor channel: it turns the robot by `sign` k (|count| - dead zone) on counts > 0."""
+    """One motor channel: a count > 0 turns the robot at the rate `sign` k (count - dead zone)
+    [rad/s].
+    """
 
     sign: int
     k: float
@@ -212,7 +214,7 @@ class _Bench:
             WheelSection(gain_mm=round(2 * radius * c.k, 4), dead_zone=c.dead_zone, invert=sign < 0)
             for c, sign in zip(channels, signs, strict=True)
         ]
-        swap = channels[0].sign * signs[0] > 0  # forward on the right turns left
+        swap = channels[0].sign * signs[0] > 0  # a right wheel driving forward turns the robot left
         left, right = reversed(wheels) if swap else wheels
         whole = math.remainder(self._offset + offset, math.tau)
         return Found(round(whole, 5), round(radius, 3), left, right, swap)
@@ -252,7 +254,7 @@ class _Bench:
     def _run(self, counts: Counts, seconds: float) -> DrivenPath:
         """Hold wheel counts for a time [s]; return the motion after the wheels have settled.
 
-        The robot moves again if frames were missing, since the guard may have stopped it.
+        If frames were missing, the motion is repeated, since the guard may have stopped the robot.
         """
         for _ in range(TRIES):
             first = self.rig.frames.count
@@ -295,7 +297,7 @@ class _Bench:
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
-    """Fit turning rate and velocity in the robot's own frame to the (time [ns], pose) of frames."""
+    """Return turning rate and velocity in the robot's axes, fitted to (time [ns], pose) pairs."""
     seen = [(t, pose) for t, pose in poses if t >= since_ns]
     t = np.array([t for t, _ in seen]) / SECOND
     x, y, raw = np.array([(p.x, p.y, p.heading) for _, p in seen]).T

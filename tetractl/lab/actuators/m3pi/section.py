@@ -34,7 +34,7 @@ class SlaveSection(Model):
     accept_no_watchdog: Literal[True]
     """Must be true: confirms that a person stands by to switch the robots off."""
     limit: int = Field(default=25, ge=1, le=40)
-    """Largest wheel count that is sent, at most 127."""
+    """Largest wheel count that is sent; full speed is 127."""
 
 
 class WheelSection(Model):
@@ -66,7 +66,7 @@ class M3piRobot(RobotPart):
     swap: bool = False
     """Whether the left wheel is connected to the right motor's output."""
     limit: int = Field(default=127, ge=1, le=127)
-    """Largest wheel count that is sent to the robot."""
+    """Largest wheel count that is sent to the robot; full speed is 127."""
 
 
 class M3piSection(XbeeSection, ActuatorSection):
@@ -140,7 +140,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in radio range, with either program; the mbed firmware latches it."""
+        """Stop every robot in radio range, with either program; the mbed latches the stop."""
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

@@ -1,6 +1,4 @@
-"""The two protocols of m3pi robots over a link, one broadcast for all or one message each, and the
-emergency stop, which only needs a port.
-"""
+"""The two protocols of m3pi robots over a link: one broadcast for all, or one message each."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

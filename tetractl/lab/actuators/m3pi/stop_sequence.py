@@ -1,4 +1,4 @@
-"""The emergency stop by itself, which only needs a port."""
+"""The emergency stop of m3pi robots, which needs only the radio's port."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from tetractl.lab.actuators.xbee.link import Link
 
 
 def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = True) -> str:
-    """Send stops to every robot in radio range, ten times over 200 ms; return a text about them.
+    """Send stops to every robot in radio range, ten times over 200 ms; return a summary.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
     stops on its own bytes, sent to each address and to all. The module is not checked, because
@@ -33,4 +33,4 @@ def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = T
             clock.sleep_until(clock.now() + STOP_GAP_NS)
     finally:
         link.close()
-    return f"sent {sent} stops on {module.port}; switch the robots off and on to free them"
+    return f"sent {sent} stops on {module.port}; switch the robots off and on to drive them again"

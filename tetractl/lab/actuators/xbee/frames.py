@@ -1,11 +1,11 @@
 """XBee API frames: one dataclass per frame type, big-endian fields in wire order.
 
-Both directions are packed and parsed, as an emulated module receives what the PC sends. In
+Both directions are packed and parsed, since an emulated module receives the PC's frames. In
 transparent mode, used by the robots' modules, there are no frames: bytes are sent unchanged.
 
 API framing is delimiter, length, content, checksum; plain (AP=1) or escaped (AP=2). Escaped, a 0x7E
 is always the start of a frame, so a lost byte costs one frame. Plain, a 0x7E may be data: after a
-frame with a wrong checksum, the search for frames goes on after its delimiter.
+wrong checksum, the search continues behind that frame's delimiter.
 """
 
 import struct
@@ -76,7 +76,7 @@ class Receive16(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class AtResponse(XbeeFrame):
-    """0x88: the result of an AT command; status 0 is good."""
+    """0x88: the result of an AT command; status 0 means success."""
 
     API = 0x88
     LAYOUT = struct.Struct(">B2sB")
@@ -229,7 +229,8 @@ class Decoder:
     def _unescaped(self) -> tuple[bytearray, int, bool]:
         """Return the unescaped bytes after the delimiter, the number of raw bytes read, and `cut`.
 
-        Reads at most the number of bytes in the length field. `cut`: another frame starts inside.
+        Reads at most the number of bytes in the length field. `cut` is True if another frame starts
+        among them.
         """
         raw = bytearray()
         wanted = 2

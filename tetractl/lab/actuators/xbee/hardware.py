@@ -1,10 +1,10 @@
 """Hardware and firmware of XBee modules, and the check of the PC's module before robots are driven.
 
-The first byte of HV (hardware version) is the hardware, the first hexadecimal digit of VR (firmware
-version) the protocol of its firmware. The numbers are those of Digi's published enumerations
-`HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are called Zigbee
-here. Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows about one
-broadcast per second and DigiMesh repeats each.
+The first byte of HV (hardware version) gives the hardware, and the first hexadecimal digit of VR
+(firmware version) gives the firmware's protocol. The numbers are those of Digi's published
+enumerations `HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are
+called Zigbee here. Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows
+about one broadcast per second and DigiMesh repeats each.
 """
 
 from dataclasses import dataclass, field
@@ -158,11 +158,11 @@ def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
         link.set_baud(baud)
         if link.ask(b"HV") is not None:
             return AbortError(
-                f"{radio.port}: the module speaks {baud} baud, the spec says {radio.baud}",
+                f"{radio.port}: the module answers at {baud} baud, the spec says {radio.baud}",
                 f"set lab.actuator.baud to {baud}, or BD in the module",
             )
     return AbortError(
-        f"{radio.port}: no XBee module answers at {radio.baud} baud or another",
+        f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
         "is the module in an API mode (AP=1 or 2)? is it an XBee, and does it have power?",
     )
 

@@ -32,7 +32,9 @@ HINT = "the robots stop by their watchdog; plug it in, start again"
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes from another module, with its address, None in transparent mode, and the time [ns]."""
+    """Bytes received from another module at `t_ns`; `source` is its address, None in transparent
+    mode.
+    """
 
     source: int | None
     t_ns: int
@@ -61,7 +63,7 @@ class Link:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while there is no fault."""
+        """Why nothing can be sent any more; None without a fault."""
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
@@ -83,7 +85,7 @@ class Link:
         return encode(frame, escaped=self.radio.mode == "api2")
 
     def ask(self, command: bytes, timeout_s: float = ANSWER_S) -> bytes | None:
-        """Request a parameter of the module; return its value, None without an answer."""
+        """Request a parameter of the module; return its value, or None without an answer."""
         wanted = self._next_id()
         self._answers.clear()
         self._port.write(self.packed(AtCommand(wanted, command)))
@@ -104,7 +106,7 @@ class Link:
         if not self.explicit:
             return ()
         return (
-            f"{self.radio.port}: the module reports what it hears in frames of type 0x91, which "
+            f"{self.radio.port}: the module reports received data in frames of type 0x91, which "
             "are not read: set AO in it to 0 or 2",
         )
 

@@ -26,10 +26,11 @@ _MODEL = SQUARE[:, 0] + 1j * SQUARE[:, 1]
 @dataclass(frozen=True, slots=True)
 class Seen:
     """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
-    `strangers` are the poses of unknown tags, computed as if on the floor; both in the spec's unit.
-    `tags` are the numbers of all tags, repeated if seen several times. `sizes` are each robot's
-    ratio of measured side to `size_mm`, None if not seen. `blur` [modules] is the largest blur of
-    an edge and `side_px` the shortest side of robots' and floor tags; None without these tags.
+    `strangers` are the poses of unknown tags, computed as if on the floor. Poses are in the spec's
+    length unit. `tags` are the numbers of all tags, repeated if seen several times. `sizes` are
+    each robot's ratio of measured side to `size_mm`, None if not seen. `blur` [modules] is the
+    largest blur of an edge and `side_px` the shortest side of robots' and floor tags; None without
+    these tags.
     """
 
     poses: tuple[Pose | None, ...]
@@ -41,7 +42,7 @@ class Seen:
 
 
 class Tracker:
-    """Finds the tags of robots in pictures; `metres` is the length of the spec's unit."""
+    """Finds the tags of robots in pictures; `metres` is the spec's length unit [m]."""
 
     def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
         self.robots = section.ordered(names)
@@ -105,8 +106,8 @@ class Tracker:
         return Pose(float(x), float(y), heading), float(abs(fit))
 
 
-BLURRED = 0.36  # blur in modules from which on some tags cannot be read
-ODD = 0.03  # relative difference from the spec's size that is reported
+BLURRED = 0.36  # blur [modules] above which some tags cannot be read
+ODD = 0.03  # relative difference from the spec's tag size above which a warning is given
 MISPLACED_MM = 3.0
 DOUBTFUL_MM = 3.0
 OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from tetractl.core.poses import Floats, Grey
 
 MODULES = 8  # side of a tag in modules, including the black border
-ZERO = 0xD5D628584  # tag 0 as the AprilTag project prints it: its modules row by row, 1 is white
+ZERO = 0xD5D628584  # the AprilTag project's tag 0: one bit per module, row by row, 1 is white
 # columns; narrower pictures are enlarged, as a module is often too small to be read
 ENLARGED_BELOW = 1000
 
@@ -44,7 +44,7 @@ class Detector:
     def __init__(self) -> None:
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = 9, 21
-        # two thresholds: OpenCV's third takes time and finds no more tags
+        # two adaptive thresholds: OpenCV's third one takes time and finds no further tags
         parameters.adaptiveThreshWinSizeStep = 12
         parameters.perspectiveRemovePixelPerCell = 8
         parameters.perspectiveRemoveIgnoredMarginPerCell = 0.33  # the rim of a module is blurred

@@ -23,7 +23,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import MM
 from tetractl.lab.cameras.apriltag.section import FloorTag, Lens
 
-# A tag's corners, in sides of the tag: top left first, clockwise; x is the direction of reading.
+# corners of a tag of side 1: top left first, clockwise; x is the direction of reading
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 
 ALIKE_PX = 0.1  # two fits that differ by less cannot be distinguished
@@ -100,7 +100,7 @@ def placed(tag: FloorTag, metres: float) -> Floats:
 USUAL_FOCAL = 0.35  # standard deviation of log(f / width) among lenses: 40 to 70 degrees of view
 USUAL_BEND = 0.15  # standard deviation of k1 among lenses
 CORNER_PX = 0.1  # standard deviation of a detected corner
-SURE = 2.0  # standard deviations of the lens for `doubt_mm`
+SURE = 2.0  # assumed error of the lens for `doubt_mm`, in standard deviations
 
 
 def calibrated(

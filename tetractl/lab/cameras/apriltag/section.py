@@ -48,7 +48,7 @@ class RobotTag(RobotPart):
     height_mm: NonNegative
     """Height of the tag above the floor [mm]."""
     heading_offset: Finite = 0.0
-    """Added to the heading of the tag, which is the direction of reading it upright [rad]."""
+    """Added to the heading of the tag, the direction in which the upright tag is read [rad]."""
 
 
 class FloorTag(Model):
@@ -61,7 +61,7 @@ class FloorTag(Model):
     size_mm: Positive
     """Side of the tag's black square [mm]."""
     heading: Finite = 0.0
-    """Direction of reading of the upright tag, from the spec's x axis [rad]."""
+    """Direction in which the upright tag is read, as an angle from the spec's x axis [rad]."""
 
 
 class AprilTagSection(PictureSection):

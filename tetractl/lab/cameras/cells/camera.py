@@ -25,7 +25,7 @@ from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
 BACKGROUND = 15  # pictures
-# most pictures queued with their crops, about 50 kB each, and a whole picture per second
+# most pictures queued: each has crops of about 50 kB, and one per second is kept whole
 FILMS = 1024
 SIGNALS = 4096  # number of directions that are remembered
 
@@ -34,9 +34,9 @@ class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
     Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
-    become the robots. A lost cell is not tracked again: a cell that appears later is a stranger.
-    `steered` passes the common direction to the camera; without it, cells that have met are
-    distinguished only by their paths.
+    become the robots. A lost cell is tracked again if it reappears within 3 s; a cell that appears
+    later is a stranger. `steered` passes the common direction to the camera; without it, cells that
+    have met are distinguished only by their paths.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
-        self._identities: list[int] | None = None  # numbers of the robots' cells, once all are seen
+        self._identities: list[int] | None = None  # cell number per robot, once all were seen
         self.divided: set[int] = set()  # robots from whose blob another cell separated
         self._lock = threading.Lock()
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
@@ -131,9 +131,7 @@ class CellCamera(PictureCamera[SeenDish]):
         )
 
     def _learn(self, picture: Grey, exposed_ns: int) -> None:
-        """Collect pictures spread over the time of learning, then compute the background
-        from them.
-        """
+        """Collect pictures over the learning time, and then compute the background from them."""
         if self._first_ns is None:
             self._first_ns = exposed_ns
         passed = (exposed_ns - self._first_ns) / SECOND

@@ -75,7 +75,7 @@ class FollowedCell:
     row: int
     long: float
     wide: float
-    certainty: float = 1.0  # probability of its identity after the closed questions
+    certainty: float = 1.0  # probability of its identity, without its open question
     missed_s: float = 0.0
     odd: int = 0
     merge: "Merge | None" = None

@@ -10,7 +10,7 @@ from tetractl.lab.cameras.pictures.looks import Look
 
 DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
-BLURRED = 0.1  # least sharpness of a rim, 1 / its width [1/px]; below it, focus is reported
+BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
 SMALL_PX = 8.0  # smallest width of a cell
 BODY_UM = 26.3
 UNSURE = 0.9  # probability of a robot's identity below which a problem is reported
@@ -58,7 +58,7 @@ def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str
         found.append(f"the picture is black (median {level:.0f} of 255): is the lamp on?")
     elif level > SATURATED:
         found.append(
-            f"the picture is saturated (median {level:.0f} of 255): less light, or a shorter "
+            f"the picture is saturated (median {level:.0f} of 255): use less light or a shorter "
             "exposure"
         )
     if looks[-1].seen.light.lost:
@@ -70,7 +70,7 @@ def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str
     if lost:
         seen = cell_count(looks)
         found.append(
-            f"{', '.join(lost)} not tracked: {seen} cells swim in view, {len(names)} are wanted"
+            f"{', '.join(lost)} not tracked: {seen} cells are in view, {len(names)} are needed"
         )
     return found
 
@@ -85,17 +85,17 @@ def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
     if ratios and statistics.median(ratios) < FAINT:
         found.append(
             f"cells differ from the medium by {statistics.median(ratios):.1f} times the noise "
-            "only: more light, a stop further closed, or phase contrast"
+            "only: use more light, a smaller aperture or phase contrast"
         )
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         found.append("the rims of cells are blurred: focus, or shorten the exposure")
     if BODY_UM / um_px < SMALL_PX:
         found.append(
-            f"a cell is {BODY_UM / um_px:.0f} px wide only: {SMALL_PX:.0f} or more are wanted"
+            f"a cell is {BODY_UM / um_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed"
         )
     if looks[-1].seen.sure < UNSURE and not any(pose is None for pose in looks[-1].seen.poses):
         found.append(
-            "cells have met, and which cell is which is not sure: let the field turn a few times"
+            "cells have met, and it is uncertain which is which: let the field turn a few times"
         )
     return found

@@ -1,4 +1,4 @@
-"""Finds blobs in a grey picture: regions that differ from a slowly learned background, as ellipses.
+"""Finds blobs in a grey picture: regions that differ from a slowly updated background.
 
 Steps: blur; subtract the background, scaled to the picture's light; threshold with hysteresis; find
 contours; compute the moments inside each.
@@ -19,10 +19,10 @@ LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 
 SPARSE = 64  # rows sampled for light and noise; at most every eighth
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
-BLOBS = 200  # largest number of blobs of a picture; the smallest of more are dropped
+BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
 CONTOURS = 4000  # a picture with more contours does not show a dish
-CHANGED = 0.25  # fraction of changed pixels above which the picture shows something else
-PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's extreme
+CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
+PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's greatest difference
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +89,9 @@ class BlobFinder:
     _flat: Grey | None = field(default=None, init=False)
     _stripe: int = field(default=0, init=False)
     _smooth: Grey | None = field(default=None, init=False)
-    _room: list[Grey] = field(default_factory=list, init=False)  # reused: new memory costs time
+    _room: list[Grey] = field(default_factory=list, init=False)  # buffers, reused for speed
     searched: Grey | None = field(default=None, init=False)
-    """The newest picture minus its background, in which blobs are searched."""
+    """The newest picture minus its background; blobs are searched in this difference."""
     limits: tuple[float, ...] = field(default=(), init=False)
     """Limits of the newest search: low and high threshold [grey levels], least and most area
     [px^2].
@@ -244,7 +244,7 @@ def _blob(
 
 
 def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:
-    """Blur a picture with two boxes, nearly a Gaussian of 1.15 px and four times as fast."""
+    """Blur a picture by two box filters: nearly a Gaussian of 1.15 px, and four times as fast."""
     cv2.blur(picture, (3, 3), dst=between)
     cv2.blur(between, (3, 3), dst=into)
     return into

@@ -34,13 +34,13 @@ A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
 SLOWEST_UM_S = 60.0  # below this speed a cell rests, and its helix does not give its axis
-BACKWARDS_UM_S = -60.0  # backward speed above which the heading is reversed
+BACKWARDS_UM_S = -60.0  # speed along the heading below which the heading is reversed
 # growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
 # additional growth at rest, since a cell may go on in any direction
 RESTING = ((HEADING, 0.5), (SPEED, 150.0))
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
-# standard deviation of that turning [rad/s] with and without a known field
+# standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 25.0  # squared distance, in standard deviations, above which a measurement gets less weight
@@ -82,7 +82,9 @@ class HelixFilter:
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
-        """Return a new row of the same cell at another pose: speed, helix and turning are kept."""
+        """Return a new row of the same cell at another pose; speed, turning and helix rate are
+        kept.
+        """
         new = self.copied(row)
         for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
             self.mean[new, state] = value
@@ -131,8 +133,8 @@ class HelixFilter:
         """Update rows (M,) by measurements x, y [um], axis [rad] (M, 3) with standard deviations
         (M, 3).
 
-        Returns the logarithm of each likelihood, by Student's distribution, and the squared
-        distance in standard deviations (M,).
+        Returns the log-likelihoods (M,) by Student's distribution, and the squared distances (M,)
+        in standard deviations.
         """
         if len(rows) == 0:
             return np.zeros(0), np.zeros(0)
@@ -158,7 +160,9 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that swim backwards: it was the wrong end of the axis."""
+        """Reverse the heading of cells that swim backwards: it pointed to the wrong end of the
+        axis.
+        """
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
             signs = np.ones(STATES)
@@ -190,7 +194,7 @@ class HelixFilter:
         towards_2, bend_2 = np.where(resting, 0.0, towards_2), a * slope_2
         f = np.zeros((len(rows), STATES, STATES))
         f[:, range(STATES), range(STATES)] = 1
-        # derivatives of the heading in the middle, which moves the cell, and at the end
+        # derivatives of the headings halfway, along which the cell moves, and at the end
         to_middle = {HEADING: 1 + bend * half, A: towards * half, BIAS: bend * half, TURN: half}
         direct = {A: towards_2, BIAS: bend_2, TURN: 1.0}
         cos, sin = np.cos(middle), np.sin(middle)
@@ -225,8 +229,8 @@ class HelixFilter:
 
 
 def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return the turning rate (R,) by (3) with a = 1, the cross product of the dipole's direction
-    (R,) and the field, and its derivative.
+    """Return the turning rate (R,) by (3) with a = 1 for dipoles in directions (R,) [rad] in a
+    field, and its derivative by the direction.
     """
     cos, sin = np.cos(dipole), np.sin(dipole)
     return uy * cos - ux * sin, -(uy * sin + ux * cos)

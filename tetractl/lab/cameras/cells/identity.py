@@ -17,17 +17,17 @@ from tetractl.lab.cameras.cells.helix import HelixFilter
 MOST = 4  # most cells whose identities are resolved jointly: 4! = 24 assignments
 SURE = 0.998  # probability at which a question is closed
 LEAST_S = 0.25  # shortest time that a question is open
-PATIENCE_S = 10.0  # time after which a question is closed as the cells cannot be distinguished
-TEMPER = 0.7  # exponent of the likelihood, as errors of successive pictures are not independent
+PATIENCE_S = 10.0  # time after which a question is closed, certain or not
+TEMPER = 0.7  # exponent of likelihoods, since errors of successive pictures are not independent
 FIRST = (2.0, 2.0, 0.1)  # standard deviations of a track's first blob in a question: um, um, rad
-FAR = 25.0  # squared distance from the prediction, in standard deviations, that moves a cell
+FAR = 25.0  # squared distance, in standard deviations, above which a cell is moved to its track
 SIZE_SD, SIZE_TAIL = 0.1, 4.0  # scale and degrees of freedom (Student's t) of the log of a size
-SIZED = 6  # pictures that give the sizes of a question's tracks
+SIZED = 6  # number of first pictures in which the sizes of a question's tracks are measured
 
 
 @dataclass(slots=True)
 class Question:
-    """The question which of K cells is on which of K tracks.
+    """The open question which of K cells is on which of K tracks.
 
     `rows[t, i]` (K, K) is the filter's row that follows track t as cell i. `likelihood` (K, K) is
     the sum of these rows' log-likelihoods since `since_s`, when the question was opened. `sizes`
@@ -87,11 +87,12 @@ def opened(
     sizes: Floats,
     now_s: float,
 ) -> Question:
-    """Return the question which cells, predicted in rows `coasted` since they merged, are seen.
+    """Return a new question: which of the cells, predicted in rows `coasted` since they merged, is
+    on which track.
 
     `seen` (K, 3) are x, y, heading of the tracks now [um, rad]; `sizes` (K, 2) length and width of
     the cells [um], NaN for a new cell. A cell predicted far from a track is moved to the track; its
-    speed, helix and turning are kept.
+    speed, turning and helix rate are kept.
     """
     count = len(identities)
     rows = np.array([[bank.copied(row) for row in coasted] for _ in seen])

@@ -15,24 +15,24 @@ from tetractl.lab.cameras.cells.cell import FollowedCell
 from tetractl.lab.cameras.cells.helix import SPEED, HelixFilter
 
 REMEMBERED_S = 3.0  # time for which a lost cell can come back
-REMEMBERED = 16  # largest number of such cells
+REMEMBERED = 16  # largest number of remembered lost cells
 PLACE_UM = 40.0  # standard deviation of a lost cell's position, in addition to the filter's
 REACH_UM = 60.0  # largest distance from its last position, in addition to speed times time
 SAME, ALIKE = 0.08, 0.25  # standard deviations of log(size) of one cell and among cells
-RETURNS = 0.25  # probability that it swims on, that it rests, and that it has turned
+RETURNS = 0.25  # probability of each: a lost cell has swum on, rests, or has turned
 NEW, ENTERED = 0.3, 10.0  # cells expected to appear in the picture: anywhere, and at its edge
-LEAST, MOST = 0.5, 0.9  # least probability to accept the lost cell, and largest one returned
+LEAST, MOST = 0.5, 0.9  # least probability of an accepted lost cell, largest one returned
 
 
 @dataclass(slots=True)
 class LostCells:
-    """The cells of a filter that were lost; their rows are predicted further."""
+    """The lost cells of a filter; their rows are still predicted."""
 
     bank: HelixFilter
     _lost: list[tuple[FollowedCell, float, Floats]] = field(default_factory=list)
 
     def add(self, cell: FollowedCell, seconds: float) -> None:
-        """Remember a cell lost at a time [s]; `LostCells` frees its filter row later."""
+        """Remember a cell that was not seen up to a time [s]; its filter row is freed later."""
         self._lost.append((cell, seconds - cell.missed_s, cell.last))
         if len(self._lost) > REMEMBERED:
             self._drop(0)

@@ -11,15 +11,15 @@ from tetractl.lab.cameras.cells.cell import FollowedCell
 from tetractl.lab.cameras.cells.detect_cells import Blob
 
 GATE = 6.0  # largest distance from a cell's expected position, in standard deviations
-GATE_UM = 12.0  # least radius of this gate
+GATE_UM = 12.0  # distance within which a blob always matches a cell
 FAR = 100.0  # cost of leaving a cell without a blob
 STOPPED_UM = 45.0  # largest distance of a stopped cell's blob from the expected position
-STOPPED_UM_S = 200.0  # growth of this distance for each second without a blob
+STOPPED_UM_S = 200.0  # growth of STOPPED_UM per second without a blob
 SIZE_SHARE = 0.15  # relative variation of a cell's blob between pictures
 ALIKE = 0.4  # largest difference of the logarithms of size for a stopped cell
 COVER = 0.6  # largest distance of a cell from a blob it is part of, relative to the cell's width
-FAR_PX = 20.0  # largest distance from a blob's middle to a cell in it, plus the blob's length
-PARTED_UM = 90.0  # largest distance of a cell that has left a blob of several cells
+FAR_PX = 20.0  # plus the blob's length: largest distance from a blob's middle to a cell in it
+PARTED_UM = 90.0  # largest distance of a cell from the shared blob that it has left
 SPECK_UM = 25.0  # a blob nearer than this to a hidden speck is the speck
 LARGE = 1.45  # ratio of blob to cell area above which a blob shows more than one cell
 PLACE_UM = 2.0  # standard deviation of a blob's position, in addition to the filter's
@@ -85,7 +85,7 @@ def stopped(
 ) -> list[int]:
     """Assign free blobs to cells that have stopped or turned by themselves; return these cells.
 
-    Such a cell is near its expected position and as large as the blob; `owner` is changed.
+    Such a cell is near its expected position and as large as the blob; `owner` is updated.
     """
     taken = set(owner.values()) | specks
     free = [j for j in range(len(places)) if j not in taken]
@@ -145,10 +145,9 @@ def separated(
     specks: set[int],
     hidden: Floats,
 ) -> None:
-    """Assign free blobs to cells that have left a shared blob nearby; change `owner` and `shared`.
-
-    This finds separated cells away from their expected positions. A free blob near `hidden` (S, 2)
-    is a speck that a cell had covered, and is not assigned.
+    """Assign free blobs to cells that have left a shared blob nearby; update `owner` and `shared`.
+    The cells may be away from their expected positions. A free blob near `hidden` (S, 2) is a speck
+    that a cell had covered, and is not assigned.
     """
     away = np.linalg.norm(places[:, None, :2] - hidden, axis=2).min(axis=1, initial=np.inf)
     free = [

@@ -13,11 +13,11 @@ from tetractl.lab.cameras.cells.match import second_best
 
 CLEAR = 25.0  # difference of squared distances between two assignments that decides at once
 CLEAR_UM = 3.0  # standard deviation of a position, in addition to the filter's
-REMEMBERED_S = 0.5  # time to keep a copy after a blob was too large, to recognise another cell
+REMEMBERED_S = 0.5  # time for which a copied row is kept after the cell's blob was too large
 
 
 class Merges:
-    """Records which cells share blobs, and asks which cell is which once they have separated."""
+    """Records which cells share blobs, and identifies the cells once they have separated."""
 
     def __init__(self, bank: HelixFilter) -> None:
         self._bank = bank
@@ -25,7 +25,9 @@ class Merges:
         self.closed: list[CellAnswer] = []
 
     def join(self, together: Sequence[FollowedCell], cells: Sequence[FollowedCell]) -> None:
-        """Record which cells share a blob; copy their filter rows, to be predicted unmeasured."""
+        """Record which cells share a blob; copy their filter rows, to be predicted without
+        measurements.
+        """
         for cell in together:
             if cell.question is not None:
                 self._close(cell.question, cells)
@@ -48,8 +50,8 @@ class Merges:
             self._merges.append(merge)
 
     def watch(self, cell: FollowedCell, large: bool, met: bool, seconds: float) -> None:
-        """Keep a copy of a cell's row, predicted by the signal alone, while its blob is too large
-        and shortly after; `met` is whether an object not followed may have entered the blob.
+        """Keep a copy of a cell's filter row, predicted without measurements, while its blob is too
+        large and shortly after; `met` is whether an object not followed may have entered the blob.
         """
         if large:
             cell.large_s = seconds
@@ -67,8 +69,10 @@ class Merges:
         since_s: float,
         cells: Sequence[FollowedCell],
     ) -> None:
-        """Open the question which of two poses `seen` (2, 3) a cell has, and which a new cell that
-        separated from its blob; close the cell's open question. `cells` are all cells."""
+        """Open a question: which of two poses `seen` (2, 3) is a cell's, and which is that of a new
+        cell that separated from its blob. The cell's open question is closed; `cells` are all
+        cells.
+        """
         assert cell.alone is not None, "only a cell that was watched is known"
         if cell.question is not None:
             self._close(cell.question, cells)
@@ -149,8 +153,9 @@ class Merges:
         sizes: Floats,
         seconds: float,
     ) -> None:
-        """Open the question which cell, predicted in rows `coasted`, has which pose of `seen`
-        (K, 3): x, y [um], axis [rad]."""
+        """Open a question: which cell, predicted in rows `coasted`, has which of the poses `seen`
+        (K, 3), x, y [um] and axis [rad].
+        """
         heading = self._bank.mean[[cell.row for cell in cells], HEADING]
         places = seen.copy()
         places[:, 2] += np.pi * np.round((heading - places[:, 2]) / np.pi)
@@ -161,7 +166,9 @@ class Merges:
             cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Close a question with its likeliest answer; multiply its probability to the cells'."""
+        """Close a question with its likeliest answer; multiply the cells' certainty by its
+        probability.
+        """
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]
         for cell in members:

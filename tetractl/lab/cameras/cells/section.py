@@ -48,12 +48,12 @@ class CellsSection(PictureSection):
         long = math.hypot(across, up)
         if long < LEAST_PX:
             raise UsageError(
-                f"the two places are {long:.3g} px from each other; at least {LEAST_PX} are needed"
+                f"the two points are {long:.3g} px from each other; at least {LEAST_PX} are needed"
             )
         um_px, rotation = um / long, -math.atan2(up, across)
         off = math.sqrt(2) * PLACED_PX / long
         lines = (
-            f"{um_px:.4f} um/px +- {off * um_px:.4f}, where places are right to {PLACED_PX:g} px",
+            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if each point is right to {PLACED_PX:g} px",
             f"rotation {rotation:.4f} rad +- {off:.4f}",
         )
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)

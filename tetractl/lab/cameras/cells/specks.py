@@ -16,12 +16,12 @@ STRAY_UM = 5.0  # largest distance of these blobs from a straight line
 ALONG = 0.75  # least cosine between a cell's axis and its path
 ROUND = 1.3  # ratio of length to width below which a blob has no axis
 EVEN = 0.2  # relative variation of a cell's size
-NEAR_UM = 40.0  # a new blob this near to a cell is part of the cell unless it lasts
+NEAR_UM = 40.0  # a new blob this near to a cell is part of it, unless seen NEAR_BORN times
 NEAR_BORN = 7
 FROM_UM = 80.0  # a cell first seen this near to another cell had shared its blob or divided from it
 LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # ranges of length and width of a possible cell
 REACH_UM = 25.0  # radius of search around a speck's expected position
-FIRST_UM = 40.0  # radius of search around its last position, while it has no path yet
+FIRST_UM = 40.0  # radius of search for a speck whose path is too short to predict
 MISSED = 3  # pictures without a blob after which a speck is hidden or dropped
 HIDDEN = 90  # pictures for which a hidden speck is remembered: a cell may cover it
 

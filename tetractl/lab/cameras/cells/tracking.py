@@ -40,7 +40,7 @@ ODD = (8.0, 8.0, 0.5)  # deviations of x, y [um], axis [rad] for a blob cut off 
 MERGED = (7.0, 7.0, 10.0)  # deviations for a cell in a shared blob
 HIDDEN = (30.0, 30.0, 10.0)  # deviations if the shared blob is only as large as one of its cells
 ODD_RUN = 3  # successive blobs far from their expected positions that make the filter uncertain
-ODD_DISTANCE = 30.0  # squared Mahalanobis distance from which a blob is far
+ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
 ASTRAY_UM = 35.0  # distance of a cell's state from its own blob above which the state is wrong
 ENTERED_UM = 120.0  # a new cell nearer than this to the picture's edge has swum into the picture
 EITHER = 0.5  # probability of a cell's identity once another cell has left its blob
@@ -217,7 +217,7 @@ class CellTracker:
             at += count
 
     def _put_back(self, cell: FollowedCell, x: float, y: float, axis: float) -> None:
-        """Move a cell's state to its blob, far from which the filter had predicted the cell."""
+        """Move a cell's state to its blob, since the filter predicted the cell far from it."""
         vx, vy = x - cell.last[0], y - cell.last[1]
         backwards = math.cos(axis) * vx + math.sin(axis) * vy < 0
         row = self.bank.moved(cell.row, x, y, axis + math.pi * backwards)

@@ -1,7 +1,7 @@
 """OptiTrack cameras as a `Camera`: a NatNet connection, and its checks before a run.
 
-The receiver's thread goes on whatever the network sends: it counts bad datagrams and keeps socket
-errors as `error`. It never waits for the reader of its frames.
+The receiver's thread continues after any datagram or socket error: it counts bad datagrams, and
+stores the last socket error in `error`. It never waits until its frames are fetched.
 """
 
 import select
@@ -41,13 +41,13 @@ from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, St
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
-ASKED_MAX = 4  # optional information is requested this often
+ASKED_MAX = 4  # largest number of requests for each piece of optional information
 MODELS_MAX_NS = 8 * SECOND  # longest interval between requests for models that keep changing
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
 FIRST_ECHO_NS = SECOND // 50
-KEPT = 4096  # most frames kept until they are fetched
+KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.02
 BUFFER = 1 << 18
 
@@ -173,7 +173,7 @@ class OptitrackCamera:
             warnings.append("the server does not report its unit of length: metres are assumed")
         version = stream.version
         if version is not None and not version.known:
-            warnings.append(f"protocol {version} is newer than those known here; it is read as 4.3")
+            warnings.append(f"protocol {version} is newer than the known ones; it is read as 4.3")
         server = stream.info.name if stream.info else ""
         facts = {
             "natnet": str(version),
@@ -192,7 +192,7 @@ class OptitrackCamera:
             data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            # on Linux a socket bound to the group receives only the group; other systems refuse it
+            # on Linux, a socket bound to the group receives only that; other systems refuse it
             data.bind((section.group if sys.platform == "linux" else "", section.data_port))
             membership = struct.pack(
                 "4s4s", socket.inet_aton(section.group), socket.inet_aton(section.interface)
@@ -238,7 +238,9 @@ class OptitrackCamera:
         self._wake()
 
     def _chores(self) -> None:
-        """Send the periodic requests: for missing information and time, and to keep alive."""
+        """Send the periodic requests: for missing information, for the time, and to keep the
+        stream.
+        """
         stream = self.stream
         if stream.info is None:
             self._every("connect", ASK_NS, self._connect)

@@ -64,7 +64,7 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
     came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which read as {fits}"
     if stream.version != own:
         return AbortError(
-            f"{server}, but not in protocol {stream.version}, which lab.camera.version asks for: "
+            f"{server}, but not in protocol {stream.version}, which lab.camera.version requests: "
             f"{came}",
             f"leave lab.camera.version out: the server keeps to its own, {own}",
         )
@@ -86,7 +86,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
         except WireError:
             continue
         return f"protocol {version}"
-    return "no protocol known here"
+    return "no known protocol"
 
 
 def no_tracking_flag(version: Version) -> AbortError:
@@ -126,7 +126,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return one line of text that lists the rigid bodies the server names or streams."""
+    """Return one line that lists the rigid bodies named or streamed by the server."""
     named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
     every = tuple(dict.fromkeys((*named, *stream.seen)))
     shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
@@ -142,8 +142,8 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
 
-    `names` are the names of the stream's robots. A line states whether the server knows the body,
-    if not, which similar name or id exists, and which bodies it has.
+    `names` are the names of the stream's robots. A line states whether the server has the body, the
+    most similar name or id if it has not, and all its bodies.
     """
     if stream.model is None or not (missing := stream.missing()):
         return []
@@ -182,5 +182,5 @@ def not_taken(senders: Senders, stream: Stream) -> list[str]:
             f"were dropped, most of them from {sender}"
         )
     if stream.counts.unasked:
-        lines.append(f"{stream.counts.unasked} answers came without a question and were dropped")
+        lines.append(f"{stream.counts.unasked} answers came without a request and were dropped")
     return lines

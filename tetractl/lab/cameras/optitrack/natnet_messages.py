@@ -36,7 +36,7 @@ NEWEST = Version(4, 3)
 
 
 class MessageKind(IntEnum):
-    """Message ids."""
+    """The message ids of NatNet."""
 
     CONNECT = 0
     SERVER_INFO = 1
@@ -70,7 +70,9 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Times of a frame (from 3.0 on) in ticks of the server's clock, of `ServerInfo.clock_hz`."""
+    """Times of a frame in ticks of the server's clock, `ServerInfo.clock_hz` per second; from 3.0
+    on.
+    """
 
     exposure: int  # middle of the exposure
     received: int  # when the server had the camera data
@@ -123,7 +125,7 @@ class ModelDef:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message; `bitstream` (4.x clients) pins the version, unicast only."""
+    """The client's first message; `bitstream` requests a protocol version (from 4.0, unicast)."""
 
     name: str = ""
     app_version: Quad = (0, 0, 0, 0)
@@ -166,14 +168,14 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """A request for the server's clock; the answer repeats `client`."""
+    """A request for the server's time; the answer repeats `client`, the host's time [ns]."""
 
     client: int
 
 
 @dataclass(frozen=True, slots=True)
 class EchoResponse:
-    """The server's clock at its answer [ticks]."""
+    """The server's time at its answer [ticks], and the `client` of the request."""
 
     client: int
     server: int
@@ -181,7 +183,7 @@ class EchoResponse:
 
 @dataclass(frozen=True, slots=True)
 class Bare:
-    """A message of which only the id is read, such as KEEPALIVE, REQUEST_MODELDEF, TEXT."""
+    """A message whose payload is not read, such as KEEPALIVE, REQUEST_MODELDEF or TEXT."""
 
     kind: MessageKind
 

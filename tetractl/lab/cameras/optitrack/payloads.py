@@ -1,14 +1,14 @@
 """Reads rigid bodies from the payloads of FRAMEOFDATA and MODELDEF, and skips the rest.
 
 A frame is: its number, then sections of counted elements, then a suffix of fixed size. From 4.1 on,
-every section also states its size in bytes; before, elements are measured one by one. The suffix is
-read from the end, and a frame is refused if its sections do not end exactly where the suffix
-begins.
+every section also states its size in bytes; in older versions, elements are measured one by one.
+The suffix is read from the end, and a frame is refused if its sections do not end exactly where the
+suffix begins.
 
 MODELDEF gives each rigid body's id. From 4.1 on, a data set states its size: only name and id of a
-rigid body are read, and the rest is skipped by that size, as Motive 3.4 sends longer descriptions
-than 4.3. Before 4.1 a data set has to be measured; reading ends at a data set of unknown layout,
-and `ModelDef.complete` is then False.
+rigid body are read, and the rest is skipped by that size, since Motive 3.4 sends longer
+descriptions than protocol 4.3 defines. Before 4.1 a data set has to be measured; reading ends at a
+data set of unknown layout, and `ModelDef.complete` is then False.
 """
 
 import struct

@@ -20,7 +20,7 @@ Port = Annotated[int, Field(ge=1, le=65_535)]
 def _version_as_text(value: Any) -> Any:
     """Return a protocol version that YAML reads as a number, such as 4.1, as text.
 
-    Version 2.10 needs quotes, since YAML reads it as 2.1, whose frames cannot be read.
+    Version 2.10 needs quotes, since YAML reads it as 2.1, a version that is too old.
     """
     if not isinstance(value, int | float) or isinstance(value, bool):
         return value

@@ -1,7 +1,5 @@
 """A NatNet connection without its sockets: turns datagrams into camera frames and counts.
 
-The same code reads a live server and a recorded wire.
-
 Echoes give offset and drift of the server's clock against the host's. An echo states that the
 server's clock showed `ticks` between the request's sending and the answer's return; the time
 halfway is the best estimate, with an error of at most half the round trip. Therefore only echoes
@@ -131,7 +129,7 @@ def _slope(echoes: list[Echo]) -> float:
 
 AGE_MAX_NS = 60_000_000_000  # a frame with a larger age was not exposed by these cameras
 MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
-REORDERED = 10  # frame numbers behind the newest up to which a frame was overtaken in the network
+REORDERED = 10  # a frame at most this many numbers behind the newest was overtaken on its way
 UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
 METRE_MM = 1000.0
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
@@ -147,7 +145,7 @@ class StreamCounts:
     overtaken: int = 0  # frames that arrived after a newer one, or twice
     bad: int = 0  # datagrams that are not NatNet messages
     early: int = 0  # frames and models before the version was known
-    unasked: int = 0  # answers to which no request was open
+    unasked: int = 0  # answers without an open request
     unread_frames: int = 0  # bad datagrams that were frames
     unread_models: int = 0  # bad datagrams that were models
 
@@ -194,7 +192,7 @@ class Stream:
         self._echoes: deque[int] = deque(maxlen=ECHOES)
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
-        self._twins = ""  # message about a name that two bodies share
+        self._twins = ""  # fault text if two bodies have one name, otherwise ""
 
     @property
     def version(self) -> Version | None:

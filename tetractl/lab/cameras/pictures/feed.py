@@ -19,7 +19,7 @@ class Picture:
 
 
 class Feed(Protocol):
-    """An open source. One thread reads and closes it; any thread may interrupt.
+    """An open source of pictures. One thread reads and closes it; any thread may interrupt.
 
     A `live` source delivers pictures even if they are not read. `rate_hz` is the declared rate,
     None if unknown. An `emulated` source does not show real robots.

@@ -1,8 +1,9 @@
-"""Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; never tried on a real one.
+"""Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; not tested with a real
+camera.
 
 According to its documentation, the core fills a circular buffer while a sequence runs. This feed
-removes each picture at once, so that none waits in the buffer; `PictureCamera` skips and counts the
-pictures that it has no time to search.
+removes each picture at once, so that no picture waits in the buffer; `PictureCamera` skips and
+counts the pictures for which its search is too slow.
 """
 
 import threading
@@ -61,7 +62,7 @@ class MicroManagerFeed:
                     return Picture(self._grey(self._core.popNextImage()), self._clock.now())
                 running = self._core.isSequenceRunning()
             except RuntimeError as error:
-                raise SourceEndedError(f"Micro-Manager says: {error}") from error
+                raise SourceEndedError(f"Micro-Manager reports: {error}") from error
             if not running or self._clock.now() > silent:
                 raise SourceEndedError("Micro-Manager's camera delivers no more pictures")
             self._clock.sleep_until(self._clock.now() + WAIT_NS)

@@ -1,4 +1,4 @@
-"""A camera that searches pictures: one thread reads the source, another one finds the robots."""
+"""A camera that searches pictures: one thread reads the source, another finds the robots."""
 
 import queue
 import threading
@@ -20,13 +20,13 @@ from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms,
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
-KEPT = 4096  # most frames kept until they are fetched
+KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.05
 CLOSE_S = 2.0
 
 
 class SearchedPicture(Protocol):
-    """The result for one picture: the robots' poses, None if not tracked, and strangers."""
+    """The result for one picture: poses of the robots and of other objects."""
 
     @property
     def poses(self) -> tuple[Pose | None, ...]:

@@ -52,7 +52,7 @@ class MjpegSource(Model):
 
 
 class MicroManagerSource(Model):
-    """A microscope's camera through Micro-Manager; never tried with a real camera."""
+    """A microscope's camera through Micro-Manager; not tested with a real camera."""
 
     type: Literal["micromanager"]
     config: str = Field(min_length=1, max_length=500)
@@ -85,7 +85,7 @@ class PictureSection(CameraSection):
     source: Source
     """Source of the pictures."""
     latency: NonNegative = 0.05
-    """Time from exposure to arrival of a picture [s], which no source reports."""
+    """Time from exposure to arrival of a picture [s]; sources do not report it."""
     connect: Positive = 5.0
     """Longest wait for the source to open, and then for the first picture [s]."""
 

@@ -80,7 +80,7 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
 
 
 class DeviceFeed:
-    """A camera at this computer, opened by OpenCV; never tried with a real camera."""
+    """A camera at this computer, opened by OpenCV; not tested with a real camera."""
 
     live = True
     emulated = False
@@ -139,7 +139,7 @@ class FileFeed:
     def __init__(self, source: FileSource, clock: Clock) -> None:
         self._path, self._clock = source.path, clock
         if not Path(source.path).is_file():
-            raise AbortError(f"there is no file {source.path}", "lab.camera.source.path")
+            raise AbortError(f"there is no file {source.path}", "see lab.camera.source.path")
         self._capture = cv2.VideoCapture(source.path)
         rate = self._capture.get(cv2.CAP_PROP_FPS) if self._capture.isOpened() else 0.0
         if not rate > 0:
@@ -162,7 +162,7 @@ class FileFeed:
         return Picture(pixels, self._clock.now())
 
     def interrupt(self) -> None:
-        """Do nothing: no wait is longer than one picture lasts."""
+        """Do nothing: `read` waits for at most one picture's duration."""
 
     def close(self) -> None:
         """Close the file."""

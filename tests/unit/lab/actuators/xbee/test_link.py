@@ -101,7 +101,7 @@ def test_a_module_that_would_not_do_is_refused(answers, radio, says):
 
 
 def test_a_port_without_a_module_is_told():
-    with pytest.raises(AbortError, match="no XBee module answers at 57600 baud or another"):
+    with pytest.raises(AbortError, match="no XBee module answers at 57600 or any other baud rate"):
         Module({}).opened()
 
 

@@ -138,11 +138,11 @@ def looks(**changes):
         ({"level": 3.0}, 2.3, "black"),
         ({"level": 252.0}, 2.3, "saturated"),
         ({"light": Light(1, 2, None, 0.4, True)}, 2.3, "was the stage or the lamp moved"),
-        ({"poses": (None, None)}, 2.3, "first, second not tracked: 0 cells swim in view, 2"),
+        ({"poses": (None, None)}, 2.3, "first, second not tracked: 0 cells are in view, 2"),
         ({"light": Light(1, 10.0, 20.0, 0.01, False)}, 2.3, "2.0 times the noise"),
         ({"sharpness": 0.05}, 2.3, "focus"),
-        ({"sure": 0.6}, 2.3, "which cell is which is not sure"),
-        ({}, 5.0, "a cell is 5 px wide only"),
+        ({"sure": 0.6}, 2.3, "it is uncertain which is which"),
+        ({}, 5.0, "a cell is 5 px wide; 8 px"),
     ],
 )
 def test_health_says_what_is_wrong_in_words(changes, um_px, says):

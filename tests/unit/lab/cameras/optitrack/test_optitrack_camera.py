@@ -138,7 +138,7 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
         # regression: it said that no frames come, while 120 a second did
         (
             "version: 4.2, keeps_version: true",
-            r"not in protocol 3\.1, which lab.camera.version asks for: .* read as protocol 4\.2$",
+            r"not in protocol 3\.1, which lab.camera.version requests: .* read as protocol 4\.2$",
             "leave lab.camera.version out: the server keeps to its own, 4.2",
         ),
         (
@@ -219,7 +219,7 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert clock.wait(lambda: all(camera.newest.poses))
         found = camera.check()
         assert found.problems == ()
-        assert f"protocol {version} is newer than those known here; it is read as 4.3" in (
+        assert f"protocol {version} is newer than the known ones; it is read as 4.3" in (
             found.warnings
         )
         assert camera.damaged == 0

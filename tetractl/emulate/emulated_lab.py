@@ -156,7 +156,7 @@ class EmulatedLab:
         self.actuator.tick()
         if self.actuator.driven and not self._ran:
             self._ran = True
-            if self._still_since is not None:  # a run begins: earlier poses are ignored
+            if self._still_since is not None:  # a run begins: rest before it does not count
                 self._still_since = now
             self._note("run")
             self._report("run", {})

@@ -29,17 +29,18 @@ class Visible(Enum):
 
 
 class Fault(Model):
-    """A scripted fault; `fault` adds the fields of a kind."""
+    """A scripted fault; the function `fault` makes a subclass with further fields for each kind."""
 
     visible: ClassVar[Visible]
-    # triggers the fault on a device, returns the function to undo it
+    # starts the fault on a device and returns the function that ends it
     begin: ClassVar[Callable[..., Undo]]
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
     """Time of the fault after `since` [s]."""
     since: Literal["start", "client", "run"] = "run"
-    """`start` of the emulation, the first `client` of the cameras, or the first command of a `run`
-    that moves a robot."""
+    """Event from which `at` counts: the `start` of the emulation, the first `client` of the
+    cameras, or the first command of a `run` that moves a robot.
+    """
     duration: Positive | None = Field(default=None, alias="for")
     """Duration of the fault [s]; by default the rest of the run."""
 
@@ -51,7 +52,7 @@ class Fault(Model):
 
 
 def setting(target: object, **values: object) -> Undo:
-    """Set attributes; return the function that sets them back."""
+    """Set attributes; return the function that restores their values."""
     before = {name: getattr(target, name) for name in values}
     for name, value in values.items():
         setattr(target, name, value)
@@ -110,7 +111,7 @@ STUCK_PORT = fault(
     "stuck_port", "The actuator's port takes no bytes.", switching(lambda d, f: d.port.stall)
 )
 MARK = fault(
-    "mark", "Nothing goes wrong: it is only reported.", lambda f, d: lambda: None, name=Name
+    "mark", "No fault, but a named time that is reported.", lambda f, d: lambda: None, name=Name
 )
 
 
@@ -122,7 +123,7 @@ class _Pending:
 
 @dataclass(slots=True)
 class Injector:
-    """Schedules the faults of a script; `device_of` returns the device that has a fault.
+    """Schedules the faults of a script; `device_of` returns the device of a fault.
 
     `report(phase, fault)` is called when a fault starts, becomes visible, and ends.
     """

@@ -162,26 +162,26 @@ FAULTS = (
     fault("off", "The driver is switched off.", switching(lambda d, f: d.driver.switch, False)),
     fault(
         "low_supply",
-        "The driver's supply has this voltage.",
+        "The driver's supply has this voltage [mV].",
         settings(_driver_of, supply_mv=attrgetter("millivolts")),
         millivolts=Annotated[int, Field(ge=0, le=60_000)],
     ),
     fault(
         "hot",
-        "The coils have this temperature.",
+        "The coils have this temperature [degrees Celsius].",
         settings(_driver_of, temperature_dc=lambda f: round(10 * f.celsius)),
         celsius=Annotated[float, Field(ge=0, le=200)],
     ),
-    fault("divides", "A cell becomes two.", _divides, cell=Name),
+    fault("divides", "A cell divides into two.", _divides, cell=Name),
     fault("rests", "A cell stops swimming.", switching(_rests), cell=Name),
     fault(
         "dives",
-        "A cell leaves the focal plane by a height, and returns within seconds.",
+        "A cell leaves the focal plane by this height [um], and returns within seconds.",
         _dives,
         cell=Name,
         by_um=(Finite, 300.0),
     ),
-    fault("mute", "The driver hears but does not reply.", settings(_driver_of, mute=True)),
+    fault("mute", "The driver receives but does not reply.", settings(_driver_of, mute=True)),
 )
 
 

@@ -152,7 +152,7 @@ class RobotCore(_Core):
         return left.value, right.value
 
     def status(self, now_ms: int) -> Status:
-        """Return the contents of a reply."""
+        """Return the status flags of a reply."""
         return Status(self._call("status", self._core, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
@@ -206,5 +206,5 @@ class DriverCore(_Core):
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:
-        """Return the contents of a reply."""
+        """Return the status flags of a reply."""
         return DriverStatus(self._call("status", self._core, now_ms))

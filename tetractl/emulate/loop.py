@@ -26,7 +26,7 @@ class Timeline:
         self._order = count()
 
     def at(self, when_ns: int, act: Act) -> None:
-        """Schedule an event; if its time has passed, it happens now."""
+        """Schedule an event; an event in the past happens now."""
         heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
 
     @property
@@ -73,7 +73,7 @@ class Loop:
         self._readers.pop(fd, None)
 
     def end(self) -> None:
-        """Ask `run` to return; safe in a signal handler."""
+        """Make `run` return; may be called in a signal handler."""
         self._ended = True
 
     def catch_up(self) -> None:

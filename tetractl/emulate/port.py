@@ -24,7 +24,7 @@ def uart_ns(size: int, baud: int) -> int:
 
 
 class SerialDevice(ABC):
-    """A device that receives and answers through `port`; bytes take their time on the line."""
+    """A device that receives and answers through `port`; bytes are delayed as on a serial line."""
 
     def __init__(self, timeline: Timeline, port: "PseudoPort", baud: int) -> None:
         self.port = port
@@ -34,7 +34,7 @@ class SerialDevice(ABC):
 
     @abstractmethod
     def hear(self, data: bytes) -> None:
-        """Take bytes that have come through the line."""
+        """Take bytes received over the line."""
 
     @abstractmethod
     def _witness(self, data: bytes) -> None:
@@ -99,17 +99,17 @@ class PluggedDevice:
 class PseudoPort:
     """A serial port that programs open by the name `link`; `fd` is the emulation's end.
 
-    Programs can open it exclusively, like any port: a second one is then refused.
+    A program can open it exclusively, like any port; a second program is then refused.
     """
 
     def __init__(self, link: Path) -> None:
         self.link = link
         self.fd = -1
-        # kept open, so that the emulation's end stays valid while no program has the port
+        # kept open, so that `fd` stays valid while no program has the port open
         self._far = -1
 
     def plug(self) -> None:
-        """Make the port and its name; UsageError if the name cannot be made."""
+        """Create the port and its name; UsageError if the name cannot be created."""
         self.fd, self._far = os.openpty()
         try:
             tty.setraw(self._far)

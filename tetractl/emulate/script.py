@@ -19,7 +19,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Return the fault of the script's devices whose name is in a mapping's key `fault`."""
+    """Return the fault described by a mapping, whose key `fault` names the kind."""
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
@@ -31,7 +31,7 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
 
 
 def _settings(value: Any, info: ValidationInfo) -> Model:
-    """Return the settings of the device, camera or actuator, that the field is named after."""
+    """Return the settings of the device that the field is named after: camera or actuator."""
     return getattr(_sides(info), str(info.field_name)).Settings.model_validate(value, strict=True)
 
 
@@ -58,7 +58,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """A test's actions on the run."""
+    """Actions of the end-to-end test on the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings for both the run and the emulator."""
@@ -101,7 +101,7 @@ class Script(Model):
     about: str = Field(min_length=1, max_length=500)
     """Purpose of the script, in one or two sentences."""
     row: str = Field(default="", max_length=200)
-    """Kind of fault that the script stands for."""
+    """Kind of fault that the script tests."""
     emulation: Emulation = Emulation()
     """Differences of the emulated lab from the spec."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
@@ -109,7 +109,7 @@ class Script(Model):
     )
     """The faults and their times."""
     runner: Runner = Runner()
-    """A test's actions on the run."""
+    """Actions of the end-to-end test on the run."""
     expect: Expect | None = None
     """The result that a test expects of the run."""
 

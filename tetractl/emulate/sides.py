@@ -19,7 +19,7 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Addresses of the emulation. Port 0 takes any free port, None the spec's.
+    """Options of the emulation. Port 0 is any free port, None the spec's port.
 
     `record` is a file for the true events. `replace_after` [s]: robots that have stood still for
     this time after a run are switched off and on and put back on their starts. `chosen`: trials
@@ -131,5 +131,5 @@ class EmulatedActuator(EmulatedSide, Protocol):
         ...
 
     def tick(self) -> None:
-        """Do periodic work, every few milliseconds, such as sending answers."""
+        """Do periodic work, such as sending answers; called every few milliseconds."""
         ...

@@ -118,7 +118,7 @@ class EmulatedNetworkCamera:
         start, half = self._clock.now(), self._half
         while not self._closing.is_set():
             due = int((self._clock.now() - start - half) * self._rate_hz / SECOND)
-            self.exposed = max(self.exposed + 1, due)  # a busy host skips some
+            self.exposed = max(self.exposed + 1, due)  # a busy host skips some exposures
             exposed = start + round(self.exposed * SECOND / self._rate_hz)
             self._clock.sleep_until(exposed + half)
             if self.frozen.is_set() or not self._clients or self.exposed % self.every:
@@ -224,7 +224,7 @@ STREAM_FAULTS = (
     fault("no_frames", "No pictures are exposed.", _freeze, Visible.SENT),
     fault(
         "repeat",
-        "One picture is sent again and again, at the camera's rate.",
+        "The same picture is sent repeatedly, at the camera's rate.",
         settings(lambda d, f: d.camera, mangle=_first_again),
         Visible.SENT,
     ),
@@ -310,7 +310,7 @@ class StreamedCamera(ABC):
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time [ns], interpolated between the two kept around it."""
+        """Return the scene at a time [ns], interpolated between the two stored scenes around it."""
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:

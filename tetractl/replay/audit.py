@@ -213,9 +213,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """Check that the last frames of a complete lab trial show every robot, and that it rests unless
-    it swims.
-    """
+    """Check that the last frames of a complete lab trial show every robot, at rest if it can rest."""
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
@@ -239,8 +237,9 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """Check that the duration in the lab counts from a time between the first frame and first
-    command."""
+    """Check that the duration of a lab trial counts from a time between first frame and first
+    command.
+    """
     first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))

@@ -37,7 +37,7 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the newest picture at a time, or else of the first; None for none."""
+        """Return the index of the newest picture at a time, else of the first; None without one."""
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:

@@ -1,7 +1,8 @@
 """Checks the film in a log: searches the logged crops for the cells again, with the same code.
 
 Each crop must contain the logged blob, and a robot's logged pose must be at its blob. With another
-version of OpenCV, results may differ by a pixel: then only the checksums are compared, with a note.
+version of OpenCV, results may differ by a pixel: then only the checksums are compared, and a note
+says so.
 """
 
 import time

@@ -1,10 +1,10 @@
 """Computes each decision of a trial again with the controller rebuilt from the log.
 
-There are two ways. *Re-computed*: every search is run again and must give the same bits, as it does
-on the machine and with the versions that wrote the log. *Re-evaluated*: the searches' results are
-read from the log, and their J, the choice among them and the predicted path are computed again, to
-TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the last
-bit of one cost may change the leading particle and then the whole search.
+There are two methods. *Re-computed*: every search is run again and must give the same bits, as it
+does on the machine and with the versions that wrote the log. *Re-evaluated*: the searches' results
+are read from the log, and their J, the choice among them and the predicted path are computed again,
+to TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the
+last bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -57,8 +57,8 @@ class _TooLongError(Exception):
 class Rerun:
     """Repeats the logged searches of a trial, in place of a controller's optimisers.
 
-    A search that ended at the deadline is repeated with a clock that passes the deadline at the
-    reading after which the logged number of evaluations was done. With `search_again` False the
+    A search that ended at the deadline is repeated with a deadline that passes at the reading of
+    the clock after which the logged number of evaluations is done. With `search_again` False the
     logged searches are returned, and their contradictions are in `wrong`. `limit_s` is the longest
     processor time from `start` on, read from `cpu` [s].
     """
@@ -132,7 +132,10 @@ class _Repeated:
             self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
-        few, many = 1, 2  # bounds of the least number of readings for the logged evaluations
+        few, many = (
+            1,
+            2,
+        )  # bounds of the least number of readings that is enough
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
                 return found  # the search ended before the deadline
@@ -323,6 +326,6 @@ def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
-    """Return the tolerance of re-evaluation for N robots at and heading for positions (N, 2)."""
+    """Return the tolerance of re-evaluation for N robots with positions and targets (N, 2)."""
     ends = np.abs(np.concatenate([xy, targets]))
     return Tolerance(TOLERANCE, ROUNDING * float(ends.max(initial=1.0)) * len(targets))

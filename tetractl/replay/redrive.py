@@ -23,10 +23,10 @@ EARLY = 0.25  # a stop may precede the end of a control period by this fraction 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
 
-    Periods count from the first direction sent, which may belong to a preceding square. A direction
-    sent in the first half of a period counts for the whole period. The remainder is the time for
-    which the last direction was held after the last whole period. UsageError if no direction was
-    sent, or if the field was off at times.
+    Periods count from the first direction sent, which may belong to a square driven before the
+    first plan. A direction sent in the first half of a period counts for the whole period. The
+    remainder is the time for which the last direction was held after the last whole period.
+    UsageError if no direction was sent, or if the field was off at times.
     """
     require_field(log)
     sent = sorted(
@@ -68,8 +68,8 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
 class Apart:
     """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
 
-    `distance` (M, N) is between a robot's two measured positions [length unit], NaN unless it was
-    tracked in both.
+    `distance` (M, N) [length unit] is the distance between a robot's measured positions in both
+    trials, NaN unless it was tracked in both.
     """
 
     names: tuple[str, ...]

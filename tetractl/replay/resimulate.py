@@ -1,10 +1,9 @@
 """Repeats the simulation of a trial, with the plant rebuilt from the spec and the seed.
 
 The controller of the repeated trial returns the logged plans. Commands, frames, true poses,
-operator messages, verdict and the plant's facts must come out as logged.
-
-They must have the same bits on the machine and with the versions that wrote the log; elsewhere they
-may differ by `ROUGHLY`, since a sine may differ in its last bit.
+operator messages, verdict and the plant's facts must be the logged ones: with the same bits on the
+machine and with the versions that wrote the log, elsewhere to the tolerance `ROUGHLY`, since a sine
+may differ in its last bit.
 """
 
 import copy
@@ -87,8 +86,9 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a repeated trial with the log's values of what a last bit may change: facts (text),
-    and whether a robot entered an obstacle that it touches."""
+    """Return a repeated trial with those values of the log that a last bit may change: facts
+    (text), and whether a robot that touches an obstacle entered it.
+    """
     assert ours.result
     assert log.result
     found, logged = ours.result.verdict, log.result.verdict
@@ -152,7 +152,7 @@ class _LoggedPlans:
 
 
 class _Recorder(Recorder):
-    """Records a trial run again, and ends it if the log was ended between two control steps."""
+    """Records a repeated trial, and ends it where a log ends between two control steps."""
 
     failure = ""  # reason why the trial did not run to its end
 

@@ -26,7 +26,7 @@ from tetractl.run.task import trial_seeds
 
 GRID = 61
 SEEN = [0, 1]
-"""Indices of the two signals that are the two dimensions."""
+"""Indices of the two signals that are the dimensions of the figure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,9 +44,9 @@ class SwarmHistory:
     """A particle swarm search in two dimensions: the first two signals of a sequence.
 
     `path` (Z + 1, 2) is the course of the first particle and `path_best` (2,) its local best at the
-    end. `costs` (GRID, GRID) is J on a grid over (12) in the two dimensions, row by row upwards,
-    with the other signals of u_gb. `repeated` is whether J(u_gb) agrees with the log in every
-    iteration.
+    end. `costs` (GRID, GRID) is J on a grid over the range (12) of the two signals, the lowest row
+    first; the other signals are those of u_gb. `repeated` is whether J(u_gb) agrees with the log in
+    every iteration.
     """
 
     frames: tuple[Frame, ...]

@@ -93,7 +93,7 @@ def _messages(
             del left[made.topic]
     for topic, rest in left.items():
         if next(rest, None) is not None:
-            yield Difference(None, topic, f"has more than the {count[topic]} messages that follow")
+            yield Difference(None, topic, f"has more than the {count[topic]} messages of the trial")
 
 
 def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
@@ -242,8 +242,9 @@ def verify(path: Path) -> Verification:
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:
-    """Return the differences between the log's host and this one that may change bits, a line
-    each."""
+    """Return the differences between the log's host and this one that may change bits, one per
+    line.
+    """
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
     there = log.host | log.provenance
@@ -255,7 +256,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 
 def _difference(key: str, there: str | None, here: str | None) -> str:
-    """Return text on a fact that differs on two hosts; of a list of words, only those."""
+    """Return text on a fact that differs between hosts; of a list, only the words that differ."""
     if there is not None and here is not None and key in provenance.LISTS:
         ours, theirs = set(here.split()), set(there.split())
         only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))

@@ -33,12 +33,12 @@ FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Pictures per second; a GIF states intervals in hundredths of a second."""
 WIDTH = 960
 HOLD_S = 1.5
-"""Time for which the last picture stays [s]."""
+"""Time for which the last picture is shown [s]."""
 LONGEST_S = 60.0
 SPEEDS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 ARENA_IN = (5.0, 4.4)  # largest width and height of the arena
 SIDE_IN = 2.2  # width of the curve and the numbers
-MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of the arena, below it, between it and the side, above
+MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of and below the arena, between arena and side, above
 TRAIL_POINTS = 600
 BODY = 0.028
 """Length of a robot's wedge relative to the arena's longer side, if the spec gives no wheels."""
@@ -192,7 +192,7 @@ class FilmFrames:
     def _course(
         self, figure: Figure, side: tuple[float, float, float], log: TrialLog
     ) -> list[Line2D | Text]:
-        """Prepare the curve of the total error and below it the numbers and the direction u.
+        """Prepare the curve of the total error and, below it, the numbers and the direction u.
 
         `side` is their left end, width and upper end, as fractions of the figure.
         """

@@ -49,7 +49,7 @@ RC: dict[str, Any] = {
     "lines.linewidth": 1.2,
     "lines.solid_capstyle": "round",
     "savefig.dpi": 300,
-    "pdf.fonttype": 42,  # embeds fonts, so that text stays text
+    "pdf.fonttype": 42,  # embeds fonts, so that text can be searched
     "svg.fonttype": "none",
     "svg.hashsalt": "tetractl",  # the same file from the same log
 }
@@ -91,9 +91,8 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 
 
 def _lower_legends(drawing: Figure, share: float) -> float:
-    """Lower the legends above the axes below the top `share` of a figure; return their height [in].
-
-    The layout leaves space for a legend next to a headline, not below it.
+    """Move the legends above the axes into the lower `share` of a figure; return their height [in].
+    The layout engine would place them next to the headline, not below it.
     """
     if not drawing.legends:
         return 0.0

@@ -75,7 +75,7 @@ def test_a_long_trial_plays_faster(tmp_path, log, monkeypatch):
 
 
 def test_a_log_without_steps_is_no_film(tmp_path, log):
-    with pytest.raises(LogError, match="holds no control steps"):
+    with pytest.raises(LogError, match="contains no control steps"):
         write_video(cut_short(log, 0), tmp_path / "film.gif")
 
 

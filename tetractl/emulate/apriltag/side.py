@@ -63,7 +63,7 @@ class Optics:
         and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
-        # from the card's centre to its corner
+        # from the centre of the largest card to its corner, rounded up [m]
         around = 0.75 * max(tag.size_mm for tag in floor) * MM
         low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
@@ -128,10 +128,9 @@ Shades = NDArray[np.float32]
 
 @dataclass(slots=True)
 class Renderer:
-    """Renders robots with tags and floor tags through the optics; a seed fixes the pictures.
-
-    `metres` is the length of the spec's unit. Tags whose number is in `hidden` are not drawn; tags
-    in `strays` are drawn on the floor as well.
+    """Renders robots with tags and floor tags through the optics; the same seed gives the same
+    pictures. `metres` is the spec's length unit [m]. Tags whose number is in `hidden` are not
+    drawn; tags in `strays` are drawn on the floor as well.
     """
 
     robots: Sequence[RobotTag]
@@ -187,7 +186,7 @@ class Renderer:
         """Return the picture of the floor with its tags, drawn again if other tags are hidden."""
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
-            light = np.linspace(0.92, 1.06, self.optics.width)  # a window at one side
+            light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
             canvas = np.tile(FLOOR * light, (self.optics.height, 1)).astype(np.float32)
             for tag in self.floor:
                 if tag.tag not in hidden:

@@ -1,1 +1,1 @@
-"""Synthetic pictures of an emulated dish; nothing here was filmed."""
+"""An emulated dish of cells, and its synthetic pictures."""

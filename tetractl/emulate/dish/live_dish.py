@@ -113,12 +113,12 @@ class CellBody:
 
     @property
     def x(self) -> float:
-        """Place [mm]."""
+        """Position x [mm]."""
         return float(self.dish.cells.x[self.row]) / UM_MM
 
     @property
     def y(self) -> float:
-        """Place [mm]."""
+        """Position y [mm]."""
         return float(self.dish.cells.y[self.row]) / UM_MM
 
     @property

@@ -27,7 +27,12 @@ NOISE_SPARE = 64  # margin by which the field of noise is larger than a picture 
 
 @dataclass(frozen=True, slots=True)
 class RenderedSpeck:
-    """Debris or a bubble: an ellipse at x, y [um] that drifts [um/s]; `rim`: its rim is bright."""
+    """Debris or a bubble: an ellipse of width `size_um` at x, y [um], `stretch` times as long, with
+    its long axis at the angle `turn` [rad].
+
+    `shade` is its contrast relative to a cell's, `drift` its velocity [um/s]; `rim`: it has a
+    bright rim.
+    """
 
     x: float
     y: float

@@ -28,9 +28,9 @@ class MicroscopeSettings(StreamSettings):
     """Properties of the emulated microscope; scale and default `latency` come from the spec."""
 
     width: int = Field(default=0, ge=0, le=8192)
-    """Columns of a picture [px]; 0 means as many as show the whole arena."""
+    """Columns of a picture [px]; with 0, the picture shows the whole width of the arena."""
     height: int = Field(default=0, ge=0, le=8192)
-    """Rows of a picture [px]; 0 means as many as show the whole arena."""
+    """Rows of a picture [px]; with 0, the picture shows the whole height of the arena."""
     noise: NonNegative = 3.0
     """Standard deviation of each pixel [grey levels]."""
     exposure: Positive = 0.01
@@ -89,21 +89,21 @@ class EmulatedMicroscope(StreamedCamera):
         ),
         fault(
             "focus",
-            "The focus is off by a height.",
+            "The focus is off by this height [um].",
             _changes(focus_um=lambda f, look: f.by_um),
             Visible.EXPOSED,
             by_um=Finite,
         ),
         fault(
             "knocked",
-            "The stage was moved.",
+            "The stage was moved by this displacement [um].",
             _changes(corner_um=_knocked),
             Visible.EXPOSED,
             by_um=tuple[Finite, Finite],
         ),
         fault(
             "bubble",
-            "A bubble is in the middle of the picture.",
+            "A bubble of this diameter [um] is in the middle of the picture.",
             _changes(specks=_bubble),
             Visible.EXPOSED,
             size_um=(Positive, BUBBLE_UM),

@@ -1,8 +1,8 @@
 """The emulated radio: the XBee at the PC, UARTs, transmission, loss and acknowledgements; no I/O.
 
 A frame takes time on the PC's UART, then 32 us per byte on the air after a short random wait, then
-time on the robot's UART. Broadcasts are not acknowledged; a unicast is tried four times. The module
-answers AT commands that request a parameter, and reports the result of each transmission. In
+time on the robot's UART. Broadcasts are not acknowledged; a unicast is sent up to four times. The
+module answers AT commands that request a parameter, and reports the result of each transmission. In
 transparent mode, bytes are sent without frames.
 """
 
@@ -109,7 +109,7 @@ class EmulatedModule:
 
 AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
-BACKOFF_NS = 320_000  # longest wait for a clear channel
+BACKOFF_NS = 320_000  # longest random wait before a transmission
 ACK_NS = 860_000  # time a sender waits for an acknowledgement
 TRIES = 4
 ROBOT_BAUD = 57600

@@ -48,7 +48,7 @@ class FirmwareProgram(RobotCore):
 
 
 class Motor(Enum):
-    """M1 is the left motor if nothing is swapped."""
+    """A motor; M1 is the left one unless the spec swaps them."""
 
     M1 = M1
     M2 = M2

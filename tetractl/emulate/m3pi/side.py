@@ -112,7 +112,7 @@ class M3piSettings(Model):
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
     """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
-    """The module's hardware version (HV); by default the version of a Series 1 or 2."""
+    """The module's hardware version (HV); by default a Series 1, or a Series 2 with zigbee."""
     explicit: bool = False
     """Whether the module reports received data in frames of type 0x91 (AO=1)."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
@@ -145,7 +145,7 @@ FAULTS = (
     ),
     fault(
         "wheel_stuck",
-        "A wheel does not turn any more.",
+        "A wheel, or both, no longer turn.",
         settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
         robot=Name,
         wheel=Wheel,
@@ -166,14 +166,14 @@ FAULTS = (
     ),
     fault(
         "wrong_id",
-        "A robot's firmware was built with this number.",
+        "A robot's firmware was built with this broadcast number.",
         settings(_robot_of, boot=_boots, program=lambda f: _boots(f)()),
         robot=Name,
         id=Annotated[int, Field(ge=0, le=31)],
     ),
     fault(
         "low_battery",
-        "A robot's battery has this voltage.",
+        "A robot's battery has this voltage [mV].",
         settings(
             lambda d, f: _robot_of(d, f).battery, open_mv=lambda f: float(f.millivolts), sag_mv=0.0
         ),
@@ -249,7 +249,7 @@ class EmulatedM3pi(PluggedDevice):
 def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
     radius = truth.radius_mm or robot.radius_mm
     if radius is None:
-        assert stage.setup.wheel_radius is not None, "the spec's check asks for one of the two"
+        assert stage.setup.wheel_radius is not None, "the spec's check requires one of the two"
         radius = stage.setup.wheel_radius * stage.mm
     fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
     given = {name: value for name, value in fields.items() if value is not None}

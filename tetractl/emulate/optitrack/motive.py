@@ -97,7 +97,7 @@ class Motive:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
         if not (multicast and s.data_port):
-            # in multicast too, as no other server has this port
+            # in multicast too, since no other server uses this port
             self.server.data_port = _port(self.data)
         self._start_ns = self._timeline.now_ns
         self._plan()

@@ -78,8 +78,8 @@ class Streaming:
 @dataclass(slots=True)
 class Trouble:
     """State that faults set: silent (no answers, no frames), no frames, the same frame repeated, a
-    frame counter set back, edit mode, a fraction of damaged datagrams, or a number of `outdated`
-    frames with exposure times `outdated_s` too early.
+    frame counter set back, edit mode, a fraction of damaged datagrams, frames in another `version`,
+    or a number of `outdated` frames whose exposure times are `outdated_s` [s] too early.
     """
 
     silent: bool = False
@@ -181,8 +181,9 @@ class MotiveServer:
         return None
 
     def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses and versions of the clients that get frames; unicast clients time
-        out."""
+        """Return the addresses and versions of the clients that get frames; drop silent unicast
+        clients.
+        """
         s = self.streaming
         if s.transport == "multicast":
             return [((s.group, self.data_port), s.version)]
@@ -253,7 +254,7 @@ def parse_request(received: bytes) -> Message:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
-        case MessageKind.CONNECT if len(payload) < SENDER:  # minimal clients send only a word
+        case MessageKind.CONNECT if len(payload) < SENDER:  # minimal clients send only a name
             return Connect(read_text(payload))
         case MessageKind.CONNECT if len(payload) < CONNECT_4:
             return Connect(*read_sender(payload))

@@ -117,9 +117,9 @@ SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
 Axes = Literal["floor", "robot"]
 FAULTS = (
-    fault("no_server", "Nothing answers or sends.", settings(_trouble, silent=True), SENT),
+    fault("no_server", "The server sends nothing.", settings(_trouble, silent=True), SENT),
     fault("no_frames", "No frames are sent.", settings(_trouble, no_frames=True), SENT),
-    fault("freeze", "One frame is sent again and again.", settings(_trouble, frozen=True), SENT),
+    fault("freeze", "The same frame is sent repeatedly.", settings(_trouble, frozen=True), SENT),
     fault(
         "counter_back",
         "The frame number goes back by this number.",
@@ -144,7 +144,7 @@ FAULTS = (
     ),
     fault(
         "untracked",
-        "A body is not tracked; its last pose is held.",
+        "A body is not tracked; its last pose is repeated.",
         settings(_body, tracked=False),
         EXPOSED,
         robot=Name,
@@ -205,15 +205,15 @@ FAULTS = (
     ),
     fault(
         "bad_quaternion",
-        "A body's quaternion is not of norm 1.",
+        "A body's quaternion does not have norm 1.",
         settings(_body, norm=0.5),
         EXPOSED,
         robot=Name,
     ),
-    fault("clock_jump", "The server's clock is set forward [s].", _set_clock, by=Finite),
+    fault("clock_jump", "The server's clock is set forward by a time [s].", _set_clock, by=Finite),
     fault(
         "clock_rate",
-        "The server's clock gains this time [s] each second.",
+        "The server's clock advances by this time [s] each second.",
         _run_clock,
         rate=Positive,
     ),
@@ -222,7 +222,7 @@ FAULTS = (
 
 
 class EmulatedOptitrack:
-    """Motive and the rigid bodies on the robots."""
+    """An emulated Motive server, and the rigid bodies on the robots."""
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS

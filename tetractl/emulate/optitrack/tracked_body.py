@@ -62,7 +62,7 @@ class TrackedBody:
     roll: float = 0.0
     nan: bool = False
     norm: float = 1.0
-    seen: RigidBody | None = field(default=None)  # the body in its last tracked pose
+    seen: RigidBody | None = field(default=None)  # the body at its last tracked pose
 
     def expose(self, view: View) -> RigidBody:
         """Return the body as the cameras report it now; an untracked body keeps its last pose."""

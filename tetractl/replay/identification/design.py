@@ -1,7 +1,7 @@
 """An informative motion: a sequence of directions, inside the arena, for accurate identification.
-Of many random sequences, the one is kept that minimises the sum of the logarithms of the predicted
-variances (a D-optimal design) of the dead time and of each robot's a and heading bias. No robot may
-come within `margin` of the arena's edge, an obstacle or another robot. The best sequence is then
+It is the one of many random sequences that minimises the sum of the logarithms of the predicted
+variances of the dead time and of each robot's a and heading bias (a D-optimal design). No robot may
+come within `margin` of the arena's edge, an obstacle or another robot. This sequence is then
 improved one direction at a time. Variances are predicted from the Fisher information of turns in
 intervals of SHORTEST_S, with the noise NOISE.
 
@@ -167,8 +167,9 @@ def _path(setup: Setup, directions: Floats, period: float) -> Floats:
 
 
 def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> Floats:
-    """Return x, y, heading (M, N, 3) under direction `u`: frames at least SHORTEST_S apart, then
-    the end."""
+    """Return x, y, heading (M, N, 3) under direction `u`, in frames at least SHORTEST_S apart and
+    at the end.
+    """
     count = max(1, int(seconds / SHORTEST_S))
     t = np.append((np.arange(count) + 0.5) / count, 1.0)[:, None] * seconds
     moved = step(poses.x, poses.y, poses.heading, np.array(u), setup.a, setup.speed, t)

@@ -133,7 +133,9 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
     camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(x, y)  # `shown` is the factor by which heading noise shortens this
+    length = np.hypot(
+        x, y
+    )  # `shown` is the factor by which heading noise shortens the mean displacement
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]
@@ -155,7 +157,7 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
         speed, std = float(by @ y / (by @ by)), float(1 / np.sqrt(by @ by))
     assert chain is not None
     of_position, _ = chain.noise_intervals(along - speed * length, length[:, None], noise)
-    # the deviance is a parabola in the speed: its profile is the normal interval
+    # the deviance is a parabola in the speed, so the profile interval is the normal one
     interval = SampleInterval(speed, speed - 1.96 * std, speed + 1.96 * std)
     return interval, SampleInterval(noise.measured, *of_position)
 

@@ -1,5 +1,5 @@
 """The data of identification: tracked poses of robots and the directions sent to them, from logs or
-from CSV files, poses in one and commands in another, as `tetractl export` writes.
+from the CSV files of `tetractl export`, poses in one file and commands in another.
 """
 
 import math
@@ -131,7 +131,7 @@ def require_field(log: TrialLog) -> None:
     if any(one.field_off for one in log.commands):
         raise UsageError(
             f"{log.path}: its robots drove with the field off at times",
-            "take the log of a controller that sends a direction at every step",
+            "use the log of a controller that sends a direction at every step",
         )
 
 
@@ -170,7 +170,7 @@ def drives_of(tracks: list[Track]) -> Drives:
 
 
 def _drive(track: Track, begin: float) -> Drives:
-    """Return one track that begins at `begin` [s], counted from its first command."""
+    """Return one track as `Drives`, shifted so that its first command is at time `begin` [s]."""
     if not len(track.sent):
         raise UsageError(f"{track.source}: contains no sent direction")
     origin = float(track.sent[0])
@@ -222,8 +222,8 @@ def substeps(
     """Return which of the directions sent at `when` (C,) [s] act in each interval, oldest first.
 
     Each pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
-    interval has fewer directions. A direction acts `tau` [s] after it was sent, the first also
-    before.
+    interval has fewer directions. A direction acts from `tau` [s] after it was sent; the first one
+    also acts before.
     """
     acts = when + tau
     ends = np.append(acts[1:], np.inf)  # the last direction acts until the end
@@ -282,7 +282,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     if lonely or not poses:
         which = f"{named[lonely[0]]}: " if lonely else ""
         raise UsageError(
-            f"{which}both poses and commands are needed of each trial",
+            f"{which}both poses and commands are needed for each trial",
             "name both files, such as poses.csv steps.csv of `tetractl export`",
         )
     return [_track(poses[trial], commands[trial], unit, named[trial], trial) for trial in poses]

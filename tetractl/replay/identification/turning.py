@@ -53,7 +53,7 @@ class Turns:
         count = len(drives.directions.u)
         self.lost = np.zeros((count, drives.moved.shape[1]))
         self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
-        self._followed = self._own, self._own  # if uncertain commands arrived, or were lost
+        self._followed = self._own, self._own  # followed if uncertain commands arrived, and if lost
 
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
@@ -103,7 +103,7 @@ class Turns:
         turned, main = self.drives.intervals.turned, self._main(p)
         first = np.diff(main, prepend=-1) != 0
         gains = np.zeros(self.lost.shape)
-        # an interval may begin under the previous direction, whose losses are kept
+        # an interval may begin under the previous direction: test every second direction at once
         for odd in (0, 1):
             asked = self._own % 2 == odd
             residuals = [

@@ -51,7 +51,7 @@ def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered from NUMBERED robots on."""
+    """Return the robots' names for a figure: shortened, and numbered if NUMBERED or more."""
     short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
     if len(names) < NUMBERED:
         return short
@@ -110,7 +110,7 @@ def final_poses(log: TrialLog) -> Floats:
 def need_steps(log: TrialLog) -> None:
     """Raise LogError for a log without control steps."""
     if not log.steps:
-        raise LogError(f"{log.path}: holds no control steps to plot")
+        raise LogError(f"{log.path}: contains no control steps to plot")
 
 
 def positive(values: Floats) -> Floats:
@@ -120,7 +120,7 @@ def positive(values: Floats) -> Floats:
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return limits for an axis that shows positive values, at least 10 % from each other."""
+    """Return limits of an axis for positive values; their ratio is at least 1.1."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0
@@ -129,7 +129,8 @@ def span(values: Floats) -> tuple[float, float]:
 
 
 def plain_log(axes: Axes) -> None:
-    """Place ticks at 1, 2 and 5 of each decade of a few decades, evenly in less than half a decade.
+    """Place the ticks of a logarithmic axis: evenly if its limits have a ratio below 5, at 1, 2 and
+    5 of each decade below 1000, otherwise at each decade.
 
     All ticks of an axis have the same format: decimal from 0.01 to 10,000, else powers of ten.
     """

@@ -27,8 +27,8 @@ _LABELS = 12  # largest number of labelled categories
 def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
     """Draw the total errors of the counted trials of each group, and each robot's errors.
 
-    The robots are those of the first group. `links` are addresses by the path of a trial, to which
-    dots in an SVG link. A headline names the plants.
+    The robots are those of the first group. `links` maps the path of a trial to the address that
+    its dot in an SVG links to. A headline names the plants.
     """
     drawn = [group for group in groups if group.counted]
     if not drawn:

@@ -29,7 +29,9 @@ from tetractl.view.figures.labels import separated
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its fall at each step."""
+    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its decrease in the search of each
+    step.
+    """
     log = one_trial(logs)
     need_steps(log)
     unit = unit_of(log.start.setup.unit)

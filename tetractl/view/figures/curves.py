@@ -78,9 +78,8 @@ def robot_curves(
     high: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each robot of values (M, N), without a band from NUMBERED robots on.
-
-    The name is the robot's name and, formatted by `show`, the last value.
+    """Return a curve for each robot of values (M, N); NUMBERED or more robots have no bands. The
+    name is the robot's name and, formatted by `show`, the last value.
     """
     colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
     banded = low is not None and high is not None and len(names) < NUMBERED
@@ -127,7 +126,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
         whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
         robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
         draw_curves(total, time_s, [whole])
-        for curve in robots:  # curves end before the result: add its value
+        for curve in robots:  # the last value is the result's: only the curve's name shows it
             each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
         if tolerance := log.experiment.controller.arrival_tolerance:
             label = f"arrival within {tolerance:g} {unit}"
@@ -147,7 +146,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the total error of every trial over time, and the median of each robot's error.
 
-    Bands hold the middle half of the trials. After its end, a trial keeps its final error.
+    Bands contain the middle half of the trials. After its end, a trial keeps its final error.
     Incomplete trials are drawn, but not counted in medians and bands.
     """
     check_alike(logs)
@@ -237,7 +236,7 @@ def _panels(
 def _need_frames(logs: Sequence[TrialLog]) -> None:
     for log in logs:
         if not len(log.mocap_ns):
-            raise LogError(f"{log.path}: holds no camera frames to plot")
+            raise LogError(f"{log.path}: contains no camera frames to plot")
 
 
 def _common_times(logs: Sequence[TrialLog]) -> Floats:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 
 def check_kind(kind: str) -> None:
-    """Raise UsageError for a name that no figure has."""
+    """Raise UsageError if no figure has this name."""
     if kind not in FIGURES:
         raise UsageError(
             f"no figure is called {kind!r}",

@@ -1,8 +1,8 @@
 """The total errors of batches as empirical distribution functions, each with its 95 % band.
 
-The band is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann. Probab. 18, 1990): of
-half width sqrt(ln(2 / 0.05) / 2n), it contains the whole true function of any distribution with 95
-% probability.
+The band is Dvoretzky, Kiefer and Wolfowitz's with Massart's constant (Ann. Probab. 18, 1990): with
+the half width sqrt(ln(2 / 0.05) / 2n), it contains the whole true distribution function with at
+least 95 % probability.
 """
 
 import math
@@ -26,7 +26,7 @@ _BANDS = 4  # largest number of batches whose bands are shaded
 
 
 def band(n: int) -> float:
-    """Return half the height of the band of n values."""
+    """Return half the height of the band for n values."""
     return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
 
 

@@ -34,14 +34,14 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 
     a and speed are drawn relative to the spec's values, on one scale for all robots, and a cross
     marks the true value of a simulation; the heading bias in rad, the dead time in ms. A panel is
-    drawn for each estimated quantity; many robots have no bands.
+    drawn for each estimated quantity; NUMBERED or more robots have no bands.
     """
     log = one_trial(logs)
     steps = [step for step in log.steps if step.plan.estimate is not None]
     known = [step.plan.estimate for step in steps if step.plan.estimate is not None]
     if not known:
         raise LogError(
-            f"{log.path}: holds no estimates to plot",
+            f"{log.path}: contains no estimates to plot",
             "the controller estimates with --set controller.estimate=true",
         )
     setup = log.start.setup

@@ -41,10 +41,11 @@ def end_labels(
 
 
 def separated(wanted: Floats, gap: float) -> Floats:
-    """Return rising heights in 0 to 1, at least `gap` from each other, near the rising `wanted`.
+    """Return heights from 0 to 1, at least `gap` from each other, near the heights `wanted`; both
+    rise.
 
-    Neighbours that would overlap form a block about the mean of their heights, the least squares
-    solution; then all are shifted into the range as far as it has space.
+    Neighbours that would overlap form a block around the mean of their heights, the least-squares
+    solution. Then all heights are shifted into the range, as far as they fit.
     """
     blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and the number of heights
     for i, height in enumerate(wanted):
@@ -72,7 +73,7 @@ class Labels:
     """Writes times next to the trails, each in the place farthest from other marks."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
-        """Keep clear of `trails` (M, 2); `point` is a typographic point in length units."""
+        """Place labels away from `trails` (M, 2); `point` is 1/72 inch in length units."""
         self._axes, self._point = axes, point
         self._taken = trails[np.isfinite(trails).all(axis=1)]
 

@@ -34,7 +34,7 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
     check_alike(logs)
     for log in logs:
         if log.result is None and not len(log.mocap_ns):
-            raise LogError(f"{log.path}: holds no camera frames to plot")
+            raise LogError(f"{log.path}: contains no camera frames to plot")
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
     gaps = np.array([final_poses(log)[:, :2] for log in logs]) - setup.targets

@@ -1,4 +1,4 @@
-"""The paper's Figure 5: the paths of the robots in one trial or several, for a dish over the
+"""The paper's Figure 5: the paths of the robots in one trial or several; for a dish, over the
 microscope's picture.
 """
 
@@ -66,7 +66,7 @@ class DishGround:
 
 FAR = 2.0  # largest distance from the arena that a figure shows, in arena sizes
 LINE_IN = 0.156  # height of a line of the legend [in]
-CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character and of marker and gaps
+CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character, and of a marker with gaps [pt]
 KEYED = 30  # largest number of robots with entries in the legend
 MARKS = 5  # largest number of times marked along a trail
 

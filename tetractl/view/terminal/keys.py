@@ -99,8 +99,9 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`; return ["q"] if the terminal was closed, and once
-        interrupted."""
+        """Wait for keys, at most `timeout_s`; return ["q"] if the terminal was closed or after an
+        interrupt.
+        """
         if self._stop_wanted:
             self._suspend()
         try:

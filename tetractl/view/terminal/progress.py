@@ -81,7 +81,7 @@ class BatchProgress(_TrialsBar):
         self._tally, self._unit = Tally(), unit
 
     def trial_ended(self, ending: Ending) -> None:
-        """Advance the bar, or print a line on the trial."""
+        """Advance the bar, or print the trial's line."""
         if ending.result:
             self._tally.add(ending.result)
         self._advance(_left(ending), self._tally.summary(self._unit))
@@ -122,7 +122,7 @@ def _left(ending: Ending) -> str:
 
 
 def trial_line(task: Task, result: Result, unit: str) -> str:
-    """Return a line on a finished trial."""
+    """Return a line about a finished trial."""
     entered = ", entered an obstacle" if result.entered_obstacle else ""
     why = f" ({result.reason})" if result.outcome == "aborted" else ""
     return (

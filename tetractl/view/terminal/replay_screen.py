@@ -32,7 +32,7 @@ def play(
     follow: Callable[[], None] = lambda: None,
     note: str = "",
 ) -> bool:
-    """Play the first of `count` trials, on the keys n and p another one, until q is pressed.
+    """Play the first of `count` trials until q is pressed; the keys n and p change the trial.
 
     `turn_to(i)` returns the player of trial i; `follow` is called before each picture is drawn, and
     `note` is shown in it. Returns whether a signal ended the play.
@@ -96,14 +96,14 @@ def dashboard(
 def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
     """Return each key or group of keys with its action."""
     return (
-        ("space", "pause, play on; at the end: again from the start"),
-        (glyphs.left_right, "1 s back or on"),
+        ("space", "pause or continue; at the end: play again from the start"),
+        (glyphs.left_right, "1 s back or forward"),
         (", .", "previous or next control step, and pause"),
         ("E e", "previous or next event, and pause"),
         ("Home End", "start or end"),
-        ("+ -", "twice or half the rate"),
+        ("+ -", "double or halve the rate"),
         ("p n", "previous or next trial, if several logs are given"),
-        ("?", "show or hide this"),
+        ("?", "show or hide this list"),
         ("q", "quit"),
     )
 

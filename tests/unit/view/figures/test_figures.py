@@ -324,7 +324,7 @@ def test_labels_stay_apart_in_order_and_inside(heights, gap):
 
 @pytest.mark.parametrize("kind", [kind for kind in COURSES if kind != "trajectory"])
 def test_an_empty_log_says_so(log, kind):
-    with pytest.raises(LogError, match="holds no"):
+    with pytest.raises(LogError, match="contains no"):
         draw(kind, [cut_short(log, 0)])
 
 

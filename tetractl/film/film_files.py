@@ -72,7 +72,7 @@ def write_overlay(path: Path, film: FilmPictures, followed: Followed) -> None:
     code = cv2.VideoWriter.fourcc(*"mp4v")
     writer = cv2.VideoWriter(str(path), code, followed.rate_hz, (width, height))
     if not writer.isOpened():
-        raise TetractlError(f"{path}: OpenCV cannot write an MP4 film here")
+        raise TetractlError(f"{path}: OpenCV on this computer cannot write an MP4 film")
     trails: dict[int, list[tuple[int, int]]] = {}
     try:
         for number, picture in film:

@@ -49,8 +49,8 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     ]
     if followed.guessed_scale:
         found.append(
-            "warning: the scale is guessed from bodies of 52.3 um; lengths and speeds have the "
-            "same relative error. Give it by --scale"
+            "warning: the scale is guessed, assuming bodies of 52.3 um; lengths and speeds have "
+            "its relative error. Give the scale by --scale"
         )
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")

@@ -41,19 +41,19 @@ WIDE_A = 0.3  # prior deviation of a (relative, and in rad/s) in the second run 
 
 @dataclass(frozen=True, slots=True)
 class Estimated:
-    """A value and half the width of its 95 % interval; None if unknown."""
+    """A value and half the width of its 95 % interval."""
 
     value: float
     half: float
 
     @property
     def low(self) -> float:
-        """Lower end of the 95 % interval, None if unknown."""
+        """Lower end of the 95 % interval."""
         return self.value - self.half
 
     @property
     def high(self) -> float:
-        """Upper end of the 95 % interval, None if unknown."""
+        """Upper end of the 95 % interval."""
         return self.value + self.half
 
 

@@ -15,7 +15,7 @@ from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 
 BACKGROUND = 25  # number of pictures for the background
-BACKGROUND_S = 20.0  # length of the first part of the film from which they are taken [s]
+BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 USUAL_BODY_UM = 52.3  # mean length of cells, for films without a scale [um]
 # a blob whose ratio of length to width lies between these may be a single cell
 SHAPE = (1.4, 3.0)
@@ -156,7 +156,7 @@ def _fill_back(
     rate_hz: float,
     born: Born,
 ) -> None:
-    """Add the earlier pictures from which a new cell was recognised to its path."""
+    """Add to a new cell's path the earlier pictures in which it was recognised."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():

@@ -51,7 +51,7 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
     if path.is_dir():
         if not _names(path):
             raise UsageError(
-                f"{path}: holds no pictures",
+                f"{path}: contains no pictures",
                 f"names of pictures end in {', '.join(sorted(PICTURES))}",
             )
         return FilmPictures(path, rate_hz or USUAL_HZ)
@@ -101,7 +101,7 @@ def _folder(folder: Path) -> Iterator["Grey | None"]:
     for path in _names(folder):
         try:
             yield _grey(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-        except cv2.error:  # the header states a size that OpenCV refuses
+        except cv2.error:  # the picture's header states a size that OpenCV refuses
             yield None
 
 

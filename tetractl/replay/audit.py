@@ -213,7 +213,7 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """Check that the last frames of a complete lab trial show every robot, at rest if it can rest."""
+    """Check that the last frames of a complete lab trial show every robot, at rest if possible."""
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return

@@ -59,12 +59,12 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
     direction sent.
 
-    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`. Of
-    each control step, `steps` holds time, direction u, cost J, number of signals, solve time and
-    the robots' distances to their targets (K, N). With `plans`, `plan` holds the predicted
+    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
+    For each control step, `steps` contains time, direction u, cost J, number of signals, solve time
+    and the robots' distances to their targets (K, N). With `plans`, `plan` contains the predicted
     positions and `history` the iterations and J of the chosen search; step k has the entries
-    `at[k]` to `at[k + 1]`. Points of both that straight lines replace are left out. `dish` holds a
-    microscope's pictures, for a trial with `plans`.
+    `at[k]` to `at[k + 1]`. Points of both that are close to a straight line between other points
+    are left out. `dish` contains a microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)

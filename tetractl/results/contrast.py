@@ -43,12 +43,12 @@ class Contrast:
 
     `pairs` is the number of pairs of trials with the same disturbances; without pairs,
     `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
-    Welch's t test; `both` is its interval computed from the intervals of the two means. `rank_p` is
-    the p of Wilcoxon's signed-rank test or, without pairs, rank-sum test. Each `..._holm` is a p
-    corrected for the number of contrasts. `detects` is the difference that the test finds in 80 %
-    of all studies of this size, in standard deviations of the paired differences or of the values.
-    `verdict` is "lower", "higher" or "undecided", or None with a `reason`. Groups with different
-    plants (`alike` False) are not tested; their p is NaN.
+    Welch's t test; `both` is another interval of it, computed from the intervals of the two means.
+    `rank_p` is the p of Wilcoxon's signed-rank test or, without pairs, rank-sum test. Each
+    `..._holm` is a p corrected for the number of contrasts. `detects` is the difference that the
+    test finds in 80 % of all studies of this size, in standard deviations of the paired differences
+    or of the values. `verdict` is "lower", "higher" or "undecided", or None with a `reason`. Groups
+    with different plants (`alike` False) are not tested; their p is NaN.
     """
 
     one: Group
@@ -109,7 +109,7 @@ class GroupComparison:
 def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupComparison:
     """Compare each pair of groups or, with a baseline, each group with the baseline.
 
-    Raises UsageError if they do not share the unit of length.
+    Raises UsageError if groups have different units of length.
     """
     every = (*groups, baseline) if baseline else tuple(groups)
     first = every[0]

@@ -18,7 +18,7 @@ from tetractl.results.statistic import Value, statistics
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The published result, and by Welch's t the measured mean minus the published one.
+    """The published result, and the measured mean minus the published one, tested by Welch's t.
 
     `difference` is None if the two are not comparable, such as an undisturbed simulation and
     real robots.
@@ -140,7 +140,7 @@ def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
 
 @dataclass(frozen=True, slots=True)
 class Flagged:
-    """A log to be examined, its trial's outcome, and the reasons."""
+    """A log to be examined: its path, the outcome of its trial, and the reasons."""
 
     path: str
     outcome: str

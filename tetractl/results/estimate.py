@@ -206,11 +206,11 @@ def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
 def _skewed_end(values: Floats, mean: float, std: float) -> float:
     """Return the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
 
-    With the skewness G of the sample and g = G / sqrt(n), f(T) = T + g T^2 / 3 + g^2 T^3 / 27 +
-    g / 6 takes the skewness out of Student's T; the end is m - f^-1(-t(0.975, n - 1)) s / sqrt(n).
+    With the skewness G of the sample and g = G / sqrt(n), f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g /
+    6 removes the skewness from Student's T; the end is m - f^-1(-t(0.975, n - 1)) s / sqrt(n).
     """
     n = len(values)
-    off = (values - mean) / std  # scaled first: cubes of small lengths would vanish
+    off = (values - mean) / std  # scaled first: cubes of small lengths would underflow
     moment = float(np.mean(off**3) / np.mean(off**2) ** 1.5)
     g = math.sqrt(n - 1) / (n - 2) * moment
     t = -t_quantile(n - 1)
@@ -220,8 +220,9 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 / 4n^2)) /
-    (1 + z^2 / n)."""
+    """Return Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 /
+    4n^2)) / (1 + z^2 / n).
+    """
     if n == 0:
         return Interval.none("no trials")
     p, z2 = successes / n, Z**2

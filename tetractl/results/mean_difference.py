@@ -95,14 +95,15 @@ def paired_t(differences: Floats) -> MeanDifference:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """Cliff's delta: P(first > second) - P(first < second), from -1 to 1."""
+    """An effect size with its 95 % interval: Cliff's delta, or a standardised mean difference."""
 
     value: float
     ci95: Interval
 
 
 def cliffs_delta(ours: Floats, theirs: Floats) -> Effect:
-    """Return the effect size of two batches, whose values need not be normal or equally spread.
+    """Return Cliff's delta of two batches with any distributions: P(first > second) - P(first <
+    second).
 
     delta = 2 theta - 1, theta = U / (m n) with the Mann-Whitney U. The interval is Newcombe's score
     interval of theta (Statistics in Medicine 25, 2006, method 5), which holds for small batches and
@@ -261,7 +262,8 @@ def signed_rank(differences: Floats) -> float:
 
 def rank_sum(ours: Floats, theirs: Floats) -> float:
     """Return the p-value of the rank-sum test (Wilcoxon, Mann and Whitney) of values (m,) and (n,).
-    NaN if a side is empty."""
+    NaN if one side has no values.
+    """
     m, n = len(ours), len(theirs)
     if min(m, n) == 0:
         return math.nan

@@ -74,7 +74,7 @@ class Batch:
 
     @property
     def whole(self) -> bool:
-        """Whether no log or row of the batch is damaged; attempts do not matter."""
+        """Whether no log or row of the batch is damaged; attempts are ignored."""
         return not self.lost and not any(trial.recovered for trial in self.trials)
 
 
@@ -110,7 +110,7 @@ class Source:
         return cls(name + more, logs, [file for found in kept.values() for file in found])
 
     def by_arm(self, folder: Path) -> "list[Source]":
-        """Return a source per arm if `folder` holds only a study, otherwise this source."""
+        """Return a source per arm if `folder` contains only a study, otherwise this source."""
         logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
@@ -154,7 +154,9 @@ def sources(paths: Sequence[str]) -> list[Source]:
 
 
 def one_source(paths: Sequence[str]) -> Source:
-    """Return all paths as one batch; UsageError if one is a study with several arms."""
+    """Return the files of all paths as one batch; UsageError if a path is a study with several
+    arms.
+    """
     source = Source.of(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
         listed = source if len(paths) == 1 else Source.of([folder])
@@ -204,9 +206,8 @@ _BOOKKEEPING = {"trials", "description", "error_bound"}  # fields that do not ch
 def experiment_of(batch: Batch) -> Experiment:
     """Return the experiment that all trials and attempts share.
 
-    Raises UsageError if the experiments differ, if only some trials are of an emulated lab, or if a
-    trial occurs twice: copies of a log, or a simulation run again, would count as independent
-    trials.
+    Raises UsageError if the experiments or the plants differ, or if a trial occurs twice: copies of
+    a log, or a simulation run again, would count as independent trials.
     """
     if not batch.trials:
         if batch.attempts:

@@ -53,7 +53,9 @@ RECOVERED = Statistic(
 
 
 Distances = Callable[[Verdict], Sequence[float]]
-"""The least distance of each robot in a trial [length unit]; empty if the log has none."""
+"""Function that returns the least distance of each robot in a trial [length unit]; empty if the log
+has none.
+"""
 
 
 def least(key: str, label: str, of: Distances) -> Statistic:
@@ -91,7 +93,7 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return each robot's share of the hold's time inside; None for an incomplete hold."""
+    """Return the fraction of the hold that each robot spent inside; None for an incomplete hold."""
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names

@@ -37,8 +37,9 @@ def error_table(
     scale: float | None = None,
     finest: int = 9,
 ) -> Table:
-    """Return one row per named distribution of errors. Values have as many decimals as show three
-    digits of the least mean, or of `scale`, and at most `finest`."""
+    """Return one row per named distribution of errors. Values have enough decimals for three digits
+    of the least mean, or of `scale`, but at most `finest`.
+    """
     means = [values.mean for _, values in named if values.mean > 0]
     least = min(means, default=0.0) if scale is None else scale
     decimals = lengths(least, finest)

@@ -178,7 +178,7 @@ class Viewers:
 
 
 class _Client:
-    """The subscriptions of one viewer, an id by topic, and the messages that wait for it."""
+    """The subscriptions of one viewer, an id per topic, and its queued messages."""
 
     def __init__(self, link: "_Link") -> None:
         self.subscriptions: dict[str, bytes] = {}
@@ -360,7 +360,7 @@ class ServedRun:
         self._viewers.jump(start.start_unix_ns, self._messages.start())
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Send camera frames; without a viewer, keep only the newest for later ones."""
+        """Send camera frames; without a viewer, keep only the newest for later viewers."""
         for sample in samples if self._viewers.watched else samples[-1:]:
             if self._paced:
                 self._wall.sleep_until(self._began_ns + sample.observation.received_ns)
@@ -379,5 +379,5 @@ class ServedRun:
         self._viewers.publish([self._messages.note(note)])
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Send the message on how the trial ended."""
+        """Send the message about how the trial ended."""
         self._viewers.publish(self._messages.stop(stop, result))

@@ -143,7 +143,9 @@ class _Handler(BaseHTTPRequestHandler):
         converse(self.connection, f"{line}{head}\r\n".encode("latin-1"))
 
     def _let_in(self, token: str) -> bool:
-        """Return whether a request has our `Host` and, compared in constant time, the token."""
+        """Return whether a request has this server's `Host` and, compared in constant time, its
+        token.
+        """
         ours = (f"{ADDRESS}:{self._site.port}", f"localhost:{self._site.port}")
         right = hmac.compare_digest(token.encode(), self._site.token.encode())
         return right and self.headers.get("Host") in ours

@@ -133,9 +133,8 @@ def _speed(drives: Drives, fitted: Fitted, robot: int) -> tuple[SampleInterval, 
     camera's noise at its ends and a random walk.
     """
     x, y, _ = (column[:, robot] for column in fitted.turns.motion(fitted.best))
-    length = np.hypot(
-        x, y
-    )  # `shown` is the factor by which heading noise shortens the mean displacement
+    length = np.hypot(x, y)
+    # heading noise shortens the mean displacement by this factor
     shown = np.exp(-(fitted.noises[robot].measured ** 2) / 2)
     usable = drives.intervals.usable[:, robot] & (length > 0)
     way = np.column_stack([x, y]) / (length + 1e-300)[:, None]

@@ -67,7 +67,7 @@ class Projection:
 
 
 class Canvas:
-    """Character cells of braille dots with one style each; a later drawing replaces an earlier one."""
+    """Character cells of braille dots with one style each; later drawing covers earlier drawing."""
 
     def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
         self.width, self.height = width, height

@@ -88,9 +88,9 @@ def rewrite(
             plain = {k: v for k, v in record.metadata.items() if k not in own}
             plain = facts(record.name, plain)
             if record.name == RESULT:
-                sink.last_metadata(record.name, plain)
+                sink.metadata(record.name, plain, DIGEST)
             elif record.name == TIMING and HOST_DIGEST in record.metadata:
-                sink.last_host_metadata(record.name, plain)
+                sink.metadata(record.name, plain, HOST_DIGEST)
             else:
                 sink.copy_metadata(record.name, add_checksum(plain))
     sink.close(complete=True)

@@ -18,17 +18,8 @@ from tetractl.core.cache import digest as cache_name
 from tetractl.core.errors import printable
 from tetractl.core.version import __version__
 
-PACKAGES = (
-    "numpy",
-    "numba",
-    "llvmlite",
-    "scipy",
-    "pydantic",
-    "pyyaml",
-    "mcap",
-    "zstandard",
-    "protobuf",
-)
+COMPUTING = ("numpy", "numba", "llvmlite", "scipy")
+PACKAGES = (*COMPUTING, "pydantic", "pyyaml", "mcap", "zstandard", "protobuf")
 """Packages whose version may change a result or its log."""
 
 VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty", *PACKAGES})
@@ -44,6 +35,7 @@ PLUGIN = "package."
 TRIAL_CODE = ("core", "experiment", "model", "control", "plant", "run", "log/format", "log/write")
 """The parts of tetractl that determine the content of a simulated trial's log."""
 
+HERE = Path(__file__).parents[1]
 DIFF_LIMIT = 50_000  # largest number of characters of the local changes
 UNTRACKED_LIMIT = 200  # largest number of untracked files listed
 _GIT_TIMEOUT_S = 5.0
@@ -59,16 +51,23 @@ def host() -> dict[str, str]:
     """Return name, system and processor of this machine, and the settings that select compiled
     code.
     """
+    from llvmlite import binding  # slow to import, but loaded anyway if anything is computed
+    from numpy._core._multiarray_umath import __cpu_features__ as numpy_uses  # not public in numpy
+
     return {
         "host": socket.gethostname(),
         "os": platform.platform(),
         "cpu": _cpu(),
-        "cpu_target": _cpu_target(),
-        "cpu_features": _cpu_features(),
+        "cpu_target": binding.get_host_cpu_name(),
+        "cpu_features": _present(binding.get_host_cpu_features()),  # differ for the same name
         "numba_settings": compiler_settings(),
-        "numpy_dispatch": _numpy_dispatch(),
+        "numpy_dispatch": _present(numpy_uses),
         "cpus": str(os.cpu_count() or 0),
     }
+
+
+def _present(features: Mapping[str, bool]) -> str:
+    return " ".join(sorted(name for name, present in features.items() if present))
 
 
 def processor(host: Mapping[str, str]) -> str:
@@ -96,7 +95,7 @@ def versions() -> dict[str, str]:
     and `git_dirty` are left out if tetractl does not run from a git checkout or git is not
     installed.
     """
-    sources = [file for part in ("control", "model") for file in (_here() / part).rglob("*.py")]
+    sources = [file for part in ("control", "model") for file in (HERE / part).rglob("*.py")]
     found = {
         "python": platform.python_version(),
         "tetractl": __version__,
@@ -113,8 +112,8 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     They cover the source files of TRIAL_CODE, the versions of numerical libraries, and `packages`:
     name and version of each package that provides a kind used by the spec.
     """
-    sources = [file for part in TRIAL_CODE for file in (_here() / part).rglob("*.py")]
-    computing = [(name, metadata.version(name)) for name in ("numpy", "numba", "llvmlite", "scipy")]
+    sources = [file for part in TRIAL_CODE for file in (HERE / part).rglob("*.py")]
+    computing = [(name, metadata.version(name)) for name in COMPUTING]
     return cache_name(sources, repr([*computing, *packages]))
 
 
@@ -158,10 +157,6 @@ def environment() -> str:
     return json.dumps(found, indent=1) + "\n"
 
 
-def _here() -> Path:
-    return Path(__file__).parents[1]
-
-
 def _git_state() -> dict[str, str]:
     if _git("ls-files", "--error-unmatch", "__init__.py") is None:
         return {}  # not a checkout, or the checkout of another project around an installed package
@@ -175,7 +170,7 @@ def _git(*arguments: str) -> str | None:
     """Return the output of git in tetractl's own folder, None if it fails."""
     try:
         done = subprocess.run(
-            ["git", "-C", str(_here()), *arguments],
+            ["git", "-C", str(HERE), *arguments],
             capture_output=True,
             text=True,
             errors="replace",
@@ -185,30 +180,6 @@ def _git(*arguments: str) -> str | None:
     except (OSError, subprocess.SubprocessError):
         return None
     return done.stdout
-
-
-def _cpu_target() -> str:
-    """Return LLVM's name of this processor, for which code is compiled."""
-    from llvmlite import binding  # slow to import, but loaded anyway if anything is computed
-
-    return binding.get_host_cpu_name()
-
-
-def _cpu_features() -> str:
-    """Return the processor features that LLVM may use; they may differ for the same name."""
-    from llvmlite import binding
-
-    features = binding.get_host_cpu_features()
-    return " ".join(sorted(name for name, present in features.items() if present))
-
-
-def _numpy_dispatch() -> str:
-    """Return the instruction sets that numpy found and uses."""
-    from numpy._core._multiarray_umath import (  # not public in numpy
-        __cpu_features__ as features,
-    )
-
-    return " ".join(sorted(name for name, present in features.items() if present))
 
 
 def _cpu() -> str:

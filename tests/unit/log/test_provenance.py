@@ -17,7 +17,7 @@ def checkout(tmp_path, monkeypatch):
     package = tmp_path / "tetractl"
     (package / "log").mkdir(parents=True)
     (package / "__init__.py").write_text("")
-    monkeypatch.setattr(provenance, "__file__", str(package / "log" / "provenance.py"))
+    monkeypatch.setattr(provenance, "HERE", package)
     for cached in (provenance.versions, provenance.environment):
         cached.cache_clear()
     yield tmp_path

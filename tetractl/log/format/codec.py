@@ -1,8 +1,7 @@
 """Converts the records of a trial to tetractl's protobuf messages and back, bit for bit."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +15,7 @@ from tetractl.log.format import tetractl_pb2 as pb
 STOPPED = 60  # largest number of characters read of the reason why a search stopped
 
 
-@dataclass(frozen=True, slots=True)
-class Frames:
+class Frames(NamedTuple):
     """M camera frames of N robots, stored as arrays.
 
     `numbers`, `sampled_ns` and `received_ns` are (M,), `poses` and `truth` (M, N, 3) and `valid`
@@ -38,14 +36,10 @@ class Frames:
         times = [(one.frame, one.sampled_ns, one.received_ns) for one in seen]
         truth = [sample.truth for sample in samples if sample.truth is not None]
         numbers, sampled_ns, received_ns = np.array(times, dtype=np.int64).reshape(-1, 3).T
-        return cls(
-            numbers,
-            sampled_ns,
-            received_ns,
-            _columns([one.poses for one in seen], robots),
-            np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots),
-            _columns(truth, robots) if len(truth) == len(seen) else None,
-        )
+        poses = _columns([one.poses for one in seen], robots)
+        valid = np.array([one.valid for one in seen], dtype=np.bool_).reshape(-1, robots)
+        known = _columns(truth, robots) if len(truth) == len(seen) else None
+        return cls(numbers, sampled_ns, received_ns, poses, valid, known)
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
@@ -55,25 +49,15 @@ class Frames:
             lost = [np.full_like(one.poses, np.nan) for one in parts]
             pairs = zip(parts, lost, strict=True)
             known = [nan if one.truth is None else one.truth for one, nan in pairs]
-        return cls(
-            np.concatenate([one.numbers for one in parts]),
-            np.concatenate([one.sampled_ns for one in parts]),
-            np.concatenate([one.received_ns for one in parts]),
-            np.concatenate([one.poses for one in parts]),
-            np.concatenate([one.valid for one in parts]),
-            np.concatenate(known) if known else None,
-        )
+        columns: list[Any] = [
+            np.concatenate(arrays) for arrays in zip(*(one[:-1] for one in parts), strict=True)
+        ]
+        return cls(*columns, truth=np.concatenate(known) if known else None)
 
     def part(self, rows: slice | Integers) -> "Frames":
         """Return the frames in a slice of rows."""
-        return Frames(
-            self.numbers[rows],
-            self.sampled_ns[rows],
-            self.received_ns[rows],
-            self.poses[rows],
-            self.valid[rows],
-            None if self.truth is None else self.truth[rows],
-        )
+        columns: list[Any] = [None if one is None else one[rows] for one in self]
+        return Frames(*columns)
 
 
 def _columns(poses: Sequence[Poses], robots: int) -> Floats:

@@ -15,13 +15,7 @@ from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import FORMAT_VERSION, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST, ContentDigest
-from tetractl.log.format.metadata import (
-    FORMAT,
-    WARNINGS,
-    RunRecord,
-    read_damage,
-    read_run,
-)
+from tetractl.log.format.metadata import FORMAT, WARNINGS, RunRecord, read_damage, read_run
 from tetractl.log.read.limits import FACTOR, Budget, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
@@ -60,22 +54,16 @@ class RawLog:
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
         """The attachments by name; of two with the same name, the first."""
-        found: dict[str, Attachment] = {}
-        for record in self.records:
-            if isinstance(record, Attachment):
-                found.setdefault(record.name, record)
-        return found
+        found = [one for one in self.records if isinstance(one, Attachment)]
+        return {one.name: one for one in found} | {one.name: one for one in reversed(found)}
 
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
         """The items of each metadata record by its name, as written; of two with the same name, the
         first.
         """
-        found: dict[str, dict[str, str]] = {}
-        for record in self.records:
-            if isinstance(record, Metadata):
-                found.setdefault(record.name, record.metadata)
-        return found
+        found = [one for one in self.records if isinstance(one, Metadata)]
+        return {one.name: one.metadata for one in reversed(found)}
 
     @cached_property
     def run(self) -> RunRecord:
@@ -101,19 +89,14 @@ class RawLog:
     @property
     def result(self) -> Result | None:
         """The result stated in the log, None if it cannot be read."""
-        return self._result[0]
-
-    @property
-    def result_problem(self) -> str:
-        """The reason why the result cannot be read, "" if it can."""
-        return self._result[1]
+        return self.result_read[0]
 
     @cached_property
-    def _result(self) -> tuple[Result | None, str]:
+    def result_read(self) -> tuple[Result | None, str]:
+        """The result, None if it cannot be read, and the reason for that."""
         items = self.metadata.get(channels.RESULT)
         if items is None:
-            why = "the log has no result: the run was cut short or the log's end is lost"
-            return None, why
+            return None, "the log has no result: the run was cut short or the log's end is lost"
         try:
             timing, run = self.metadata.get(channels.TIMING), self.run
             return stated_result(items, timing, len(run.robots), run.items["unit"]), ""
@@ -148,14 +131,17 @@ class RawLog:
     @cached_property
     def host(self) -> dict[str, str]:
         """Machine and time of the run."""
-        items = self.metadata.get(channels.HOST, {})
-        return {k: v for k, v in items.items() if k != CHECKSUM and not provenance.is_version(k)}
+        return self._host(versions=False)
 
     @cached_property
     def versions(self) -> dict[str, str]:
         """Versions of the code that ran the trial."""
-        items = self.metadata.get(channels.HOST, {})
-        return {key: value for key, value in items.items() if provenance.is_version(key)}
+        return self._host(versions=True)
+
+    def _host(self, versions: bool) -> dict[str, str]:
+        items = self.metadata.get(channels.HOST, {}).items()
+        chosen = {key: value for key, value in items if provenance.is_version(key) == versions}
+        return {key: value for key, value in chosen.items() if key != CHECKSUM}
 
     def text(self, name: str) -> str | None:
         """Return the attachment `name` as text, None if it is lost."""

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
-from foxglove_schemas_protobuf.Log_pb2 import Log
 from google.protobuf.message import DecodeError
 
 from tetractl.core.commands import Command, Note, Sample, Verdict
@@ -20,21 +20,13 @@ from tetractl.experiment.load import parse_spec, spec_hash
 from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
-from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.scene import decode_note
-from tetractl.log.read import limits
+from tetractl.log.read import limits, validate
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
-from tetractl.log.read.validate import (
-    check_command,
-    check_frames,
-    check_note,
-    check_run,
-    check_step,
-)
 from tetractl.model.path_check import check_path
 
 
@@ -105,7 +97,7 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
     problems = [*(before.problems if before else ()), *contents.problems]
     lost = [*(before.lost if before else ()), *contents.lost]
     if contents.result is None:
-        problems.append(contents.result_problem)
+        problems.append(contents.result_read[1])
         lost.append(f"the result and everything after {until_s:.3f} s")
     return Damage(tuple(problems), tuple(lost)) if problems else None
 
@@ -200,7 +192,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     try:
         experiment, own_hash = _resolved(resolved)
         hashed = run.items["spec_hash"] if own_hash is None else own_hash
-        check_run(run, len(experiment.robots))
+        validate.check_run(run, len(experiment.robots))
     except (SpecError, KeyError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
@@ -247,24 +239,22 @@ def _frames(contents: RawLog, robots: int) -> Frames:
         found = _frames_1(contents, robots)
     else:
         parts = [Frames.of((), robots)]
-        for message in map(pb.CameraFrames.FromString, _messages(contents, channels.FRAMES)):
+        for message in _messages(contents, channels.FRAMES):
             _spend_frames(contents, robots, len(message.frame))
             parts.append(codec.decode_frames(message, robots))
         found = Frames.joined(parts)
-    check_frames(found)
+    validate.check_frames(found)
     return found
 
 
 def _frames_1(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of format 1, which has one message per frame."""
-    truth = {
-        message.frame: codec.decode_poses(message, robots)
-        for message in map(pb.Truth.FromString, _messages(contents, channels.TRUTH))
-    }
+    true = _messages(contents, channels.TRUTH)
+    truth = {message.frame: codec.decode_poses(message, robots) for message in true}
     lost = Poses.of(np.full((robots, 3), np.nan))
-    data = _messages(contents, channels.MOCAP)
-    _spend_frames(contents, robots, len(data))
-    seen = (codec.decode_observation(pb.MocapSample.FromString(one), robots) for one in data)
+    _spend_frames(contents, robots, len(contents.by_topic[channels.MOCAP]))
+    measured = _messages(contents, channels.MOCAP)
+    seen = (codec.decode_observation(message, robots) for message in measured)
     return Frames.of([Sample(one, truth.get(one.frame, lost)) for one in seen], robots)
 
 
@@ -274,19 +264,17 @@ def _spend_frames(contents: RawLog, robots: int, count: int) -> None:
 
 def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
     """Decode the commands to `robots` robots."""
-    for message in map(pb.WheelCommand.FromString, _messages(contents, channels.COMMANDS)):
+    for message in _messages(contents, channels.COMMANDS):
         command = codec.decode_command(message)
-        check_command(command, robots)
+        validate.check_command(command, robots)
         yield command
 
 
 def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
     """Decode the control steps of N robots, with their solve times and estimates."""
-    data = _messages(contents, channels.HOST_TIMING)
-    timings = {m.k: m for m in map(pb.StepTiming.FromString, data)}
-    data = _messages(contents, channels.ESTIMATE)
-    estimates = {m.k: m for m in map(pb.Estimate.FromString, data)}
-    for message in map(pb.ControllerStep.FromString, _messages(contents, channels.STEP)):
+    timings = {message.k: message for message in _messages(contents, channels.HOST_TIMING)}
+    estimates = {message.k: message for message in _messages(contents, channels.ESTIMATE)}
+    for message in _messages(contents, channels.STEP):
         searches = message.searches
         numbers = sum(len(search.signals) + len(search.history) for search in searches)
         numbers += len(message.signals) + 3 * len(message.path_x)
@@ -294,21 +282,22 @@ def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
         contents.budget.spend(cost, "very many searches")
         k = message.k
         step = codec.decode_step(message, timings.get(k), estimates.get(k), robots)
-        check_step(step)
+        validate.check_step(step)
         yield step
 
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
     """Decode the operator messages; unprintable characters in them are escaped."""
-    for data in _messages(contents, channels.LOG):
-        note = decode_note(Log.FromString(data), start_unix_ns)
-        check_note(note)
+    for message in _messages(contents, channels.LOG):
+        note = decode_note(message, start_unix_ns)
+        validate.check_times([note.t_ns])
         yield replace(note, text=printable(note.text, channels.TEXT))
 
 
-def _messages(contents: RawLog, topic: str) -> list[bytes]:
+def _messages(contents: RawLog, topic: str) -> Iterator[Any]:
+    """Decode the messages of a topic."""
     found = [entry.data for entry in contents.by_topic[topic]]
     longest = max(map(len, found), default=0)
     if longest > limits.MESSAGE:
         raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
-    return found
+    return map((channels.CHANNELS_1 | channels.CHANNELS)[topic].FromString, found)

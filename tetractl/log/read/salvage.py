@@ -91,7 +91,6 @@ class _Scan:
             self._problems.append(problem)
         self._found: dict[int, Verified] = {}  # by offset in the file
         self._messages: dict[int, list[RawMessage]] = {}  # of the chunk at an offset
-        self._topics: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._read = 0  # bytes
@@ -118,12 +117,7 @@ class _Scan:
         self._read_index(channels=False)
         if self._problems or not self._sealed():
             return None
-        try:
-            for offset, opcode in self._indexed:
-                self._verify(offset, opcode)
-        except TooMuchError:
-            raise
-        except Exception:  # as in _walk; the caller will scan
+        if any(self._verify(offset, opcode) for offset, opcode in self._indexed):
             return None
         self._collect()
         return self._result
@@ -159,7 +153,6 @@ class _Scan:
             self._spend(limits.RECORD_COST, "very many records in its index")
             if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
-                self._topics[channel.id] = channel.topic
                 self._channels[channel.id] = channel  # the chunk that holds it may be lost
             elif opcode == Opcode.SCHEMA and channels:
                 schema = Schema.read(self._stream(offset + _HEAD))
@@ -186,27 +179,17 @@ class _Scan:
                 if stated and stated != self._crc(0, offset):
                     self._problems.append("the checksum of the data section does not match")
                 return
-            try:
-                self._verify(offset, opcode)
-            except TooMuchError:
-                raise
-            except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other common base
-                why = str(error).splitlines()[0] if str(error) else type(error).__name__
-                if len(self._problems) < limits.PROBLEMS:
-                    self._problems.append(f"the record at byte {offset} is damaged: {why}")
+            why = self._verify(offset, opcode)
+            if why and len(self._problems) < limits.PROBLEMS:
+                self._problems.append(f"the record at byte {offset} is damaged: {why}")
             offset = end
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
     def _search(self) -> None:
         """Find records by typical bytes in them, whatever the bytes around them are."""
         for offset, opcode in self._traces():
-            if offset >= 0 and offset not in self._found:
-                try:
-                    self._verify(offset, opcode)
-                except TooMuchError:
-                    raise
-                except Exception:  # damaged, or bytes that only look like a record
-                    continue
+            if offset >= 0 and offset not in self._found:  # else bytes that look like a record
+                self._verify(offset, opcode)
 
     def _traces(self) -> Iterator[tuple[int, int]]:
         """Yield where a record may begin, and its opcode."""
@@ -226,17 +209,21 @@ class _Scan:
             yield at
             at = self._data.find(trace, at + 1)
 
-    def _verify(self, offset: int, opcode: int) -> None:
-        """Decode and keep the record at an offset; raise if its checksum does not match."""
+    def _verify(self, offset: int, opcode: int) -> str:
+        """Decode and keep the record at an offset; return why that is not possible, or ""."""
         self._spend(limits.RECORD_COST, "very many records")
         if self._read > limits.OVERLAP * len(self._data):
-            raise ValueError("too many records claim the same bytes")
-        _, end = self._head(offset)
+            return "too many records claim the same bytes"
         stream = self._stream(offset + _HEAD)
         try:
-            self._keep(offset, opcode, stream, end)
+            self._keep(offset, opcode, stream, self._head(offset)[1])
+        except TooMuchError:
+            raise
+        except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other common base
+            return str(error).splitlines()[0] if str(error) else type(error).__name__
         finally:
             self._read += _HEAD + stream.count
+        return ""
 
     def _keep(self, offset: int, opcode: int, stream: ReadDataStream, end: int) -> None:
         size = end - offset
@@ -244,24 +231,20 @@ class _Scan:
             schemas, channels, messages = self._unpack(Chunk.read(stream))
             self._schemas |= {item.id: item for item in schemas}
             self._channels |= {item.id: item for item in channels}
-            self._topics |= {item.id: item.topic for item in channels}
             self._messages[offset] = messages
             self._found[offset] = len(messages)
         elif opcode == Opcode.ATTACHMENT:
             if size > limits.ATTACHMENT:
                 raise ValueError(f"an attachment of {size} bytes is more than tetractl reads")
             attachment = Attachment.read(stream)
-            if self._data[end - 4 : end] != self._crc(offset + _HEAD, end - 4).to_bytes(
-                4, "little"
-            ):
+            stated = int.from_bytes(self._data[end - 4 : end], "little")
+            if stated != self._crc(offset + _HEAD, end - 4):
                 raise ValueError("its checksum does not match")
             self._spend(size, "very large attachments")
             self._found[offset] = attachment
         elif opcode == Opcode.METADATA:
-            if size > limits.TIMING:
-                raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
-            metadata = Metadata.read(stream)
-            if size > limits.METADATA and metadata.name != TIMING:
+            metadata = Metadata.read(stream) if size <= limits.TIMING else None
+            if not metadata or (size > limits.METADATA and metadata.name != TIMING):
                 raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
             items = metadata.metadata
             if len(items) > limits.KEYS or max(map(len, [metadata.name, *items])) > limits.KEY:
@@ -296,18 +279,19 @@ class _Scan:
         """Sort the records found into file order, and count the messages that are missing."""
         result = self._result
         found = {one.name: one for one in self._found.values() if isinstance(one, Metadata)}
-        if not self._topics and RUN in found:  # the first chunk and the index are lost
+        topics = {number: channel.topic for number, channel in self._channels.items()}
+        if not topics and RUN in found:  # the first chunk and the index are lost
             first = found[RUN].metadata.get(FORMAT) == "1"
-            self._topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
+            topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
                 continue  # it may be damaged, or another program's, without a checksum
             if isinstance(record, int):
                 result.chunks += 1
                 result.records += [
-                    Entry(self._topics[channel], log_ns, publish_ns, data)
+                    Entry(topics[channel], log_ns, publish_ns, data)
                     for channel, log_ns, publish_ns, data in self._messages.pop(offset)
-                    if channel in self._topics
+                    if channel in topics
                 ]
             else:
                 result.records.append(record)

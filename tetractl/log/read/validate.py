@@ -7,11 +7,11 @@ value that no trial can have.
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.commands import Command, Sample
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
@@ -55,23 +55,23 @@ def check_frames(frames: Frames) -> None:
     if frames.truth is not None:
         _poses("a true pose", frames.truth[~np.isnan(frames.truth).all(axis=2)])
     for times in (frames.numbers, frames.sampled_ns, frames.received_ns):
-        _times(times)
+        check_times(times)
 
 
 def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
     if command.direction is not None:
         _within("a direction", [command.direction], -ANGLE_MAX, ANGLE_MAX)
-    _times([command.sent_ns])
+    check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
     for wheel in (command.left, command.right):
-        if wheel is not None:
-            if len(wheel) != robots:
-                raise ValueError(
-                    f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
-                )
-            _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
+        if wheel is None:
+            continue
+        if len(wheel) != robots:
+            text = f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
+            raise ValueError(text)
+        _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
 
 
 def check_step(step: Step) -> None:
@@ -103,19 +103,10 @@ def check_step(step: Step) -> None:
 
 
 def _check_estimate(estimate: Estimate) -> None:
-    for name in ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"):
-        values = getattr(estimate, name)
-        if values is not None:
-            _within(f"an estimated {name}", values, -LENGTH_MAX, LENGTH_MAX)
-    for name in ("dead_time", "dead_time_std"):
-        value = getattr(estimate, name)
-        if value is not None:
-            _within(f"an estimated {name}", [value], -TIME_MAX_NS / 1e9, TIME_MAX_NS / 1e9)
-
-
-def check_note(note: Note) -> None:
-    """Check an operator message."""
-    _times([note.t_ns])
+    for one in fields(estimate):
+        if (value := getattr(estimate, one.name)) is not None:
+            most = TIME_MAX_NS / 1e9 if one.name.startswith("dead_time") else LENGTH_MAX
+            _within(f"an estimated {one.name}", np.atleast_1d(value), -most, most)
 
 
 def stated_result(
@@ -158,7 +149,8 @@ def _poses(what: str, poses: Floats) -> None:
     _within(what, poses[..., 2], -ANGLE_MAX, ANGLE_MAX)
 
 
-def _times(values: Iterable[int]) -> None:
+def check_times(values: Iterable[int]) -> None:
+    """Check times since the trial began [ns], or numbers of frames."""
     found = np.asarray(values)
     if ((found < -TIME_MAX_NS) | (found > TIME_MAX_NS)).any():
         raise ValueError(f"a time or number exceeds {TIME_MAX_NS}")

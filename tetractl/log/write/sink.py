@@ -68,7 +68,7 @@ class Sink:
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
-        self._digest, self._host_digest = ContentDigest(), ContentDigest(host=True)
+        self._digests = {DIGEST: ContentDigest(), HOST_DIGEST: ContentDigest(host=True)}
         self._file: BinaryIO | None = None
         # when the oldest message of the open chunk was added
         self._chunk_since: float | None = None
@@ -106,47 +106,40 @@ class Sink:
         """Add messages."""
         self._chunk_since = self._chunk_since or time.monotonic()
         for entry in entries:
-            self._digest.message(entry)
-            self._host_digest.message(entry)
+            for digest in self._digests.values():
+                digest.message(entry)
             topic, log_ns, publish_ns, data = entry
             self._mcap.add_message(self._channels[topic], log_ns, data, publish_ns)
 
     @_while_open
-    def metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add a metadata record with its checksum, after all messages so far."""
-        self._metadata(name, items, {})
+    def metadata(self, name: str, items: Mapping[str, str], last: str = "") -> None:
+        """Add a metadata record with its checksum, after all messages so far.
 
-    @_while_open
-    def last_host_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the last host record, with the digest of all host records including this one."""
-        self._metadata(name, items, {HOST_DIGEST: self._host_digest})
-
-    @_while_open
-    def last_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Add the last metadata record, with the content digest of all records."""
-        self._metadata(name, items, {DIGEST: self._digest})
+        The last record states the content digest of all records (`last` is DIGEST), the last host
+        record that of all host records (HOST_DIGEST); both digests include the record itself.
+        """
+        self._flushed(name, items)
+        stated = {last: self._digests[last].hexdigest()} if last else {}
+        self._mcap.add_metadata(name, add_checksum({**items, **stated}))
 
     @_while_open
     def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
         """Copy a metadata record of another log, including its checksum and digest."""
-        self._metadata(name, items, None)
-
-    def _metadata(
-        self, name: str, items: Mapping[str, str], stated: Mapping[str, ContentDigest] | None
-    ) -> None:
-        self.flush()
-        self._digest.metadata(name, items)
-        self._host_digest.metadata(name, items)
-        if stated is not None:
-            items = add_checksum({**items, **{key: it.hexdigest() for key, it in stated.items()}})
+        self._flushed(name, items)
         self._mcap.add_metadata(name, dict(items))
+
+    def _flushed(self, name: str, items: Mapping[str, str]) -> None:
+        """End the chunk before a metadata record, and add the record to the digests."""
+        self.flush()
+        for digest in self._digests.values():
+            digest.metadata(name, items)
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment after all messages so far."""
         self.flush()
-        self._digest.attachment(name, media_type, data)
-        self._host_digest.attachment(name, media_type, data)
+        for digest in self._digests.values():
+            digest.attachment(name, media_type, data)
         self._mcap.add_attachment(0, unix_ns, name, media_type, data)
 
     @_while_open
@@ -159,11 +152,8 @@ class Sink:
     @_while_open
     def sync(self) -> None:
         """Wait until the disk has every record so far, and check that the file still exists."""
-        assert self._file is not None
         self.flush()
-        _sync_data(self._file.fileno())
-        self._dirty_since = None
-        self._check_exists()
+        self._sync_written()
 
     def flush_if_due(self) -> float | None:
         """Flush and sync every CHUNK_S and SYNC_S; return the time until the next is due [s]."""

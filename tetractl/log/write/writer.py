@@ -1,5 +1,6 @@
 """The log writer: an observer that stores a trial in an MCAP file."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
@@ -11,6 +12,7 @@ from tetractl.core.worker import Worker
 from tetractl.log import provenance
 from tetractl.log.format import channels, layout
 from tetractl.log.format.codec import Frames
+from tetractl.log.format.digest import DIGEST, HOST_DIGEST
 from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
 from tetractl.log.write.messages import Messages
 from tetractl.log.write.sink import Sink
@@ -89,10 +91,9 @@ class Encoder:
         self.flush_frames()
         self._sink.messages(self._messages.stop(stop, result))
         timing = timing_metadata(result) | {"ended": provenance.now()}
-        self._sink.last_host_metadata(channels.TIMING, timing)
-        self._sink.last_metadata(
-            channels.RESULT, result_metadata(result, self._unit, self._messages.warnings)
-        )
+        self._sink.metadata(channels.TIMING, timing, HOST_DIGEST)
+        stated = result_metadata(result, self._unit, self._messages.warnings)
+        self._sink.metadata(channels.RESULT, stated, DIGEST)
 
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if its trial time is over at `trial_ns`."""
@@ -136,34 +137,30 @@ class LogWriter:
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
         )
-        self._worker.put(self._encoder.start, start)
+        self._put(Encoder.start, start)
         self._worker.drain()  # no robot moves before the start of the log is on the disk
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Queue camera frames."""
-        if self._worker:
-            self._worker.put(self._encoder.samples, samples)
+        self._put(Encoder.samples, samples)
 
     def on_command(self, command: Command) -> None:
         """Queue a command sent outside the control steps."""
-        if self._worker:
-            self._worker.put(self._encoder.command, command)
+        self._put(Encoder.command, command)
 
     def on_note(self, note: Note) -> None:
         """Queue an operator message."""
-        if self._worker:
-            self._worker.put(self._encoder.note, note)
+        self._put(Encoder.note, note)
 
     def on_step(self, step: Step) -> None:
         """Queue a control step."""
-        if self._worker:
-            self._worker.put(self._encoder.step, step)
+        self._put(Encoder.step, step)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, wait until the disk has them, and rename the log."""
+        self._put(Encoder.stop, stop, result)
+        self._close(complete=True)
         if self._worker:
-            self._worker.put(self._encoder.stop, stop, result)
-            self._close(complete=True)
             self._worker.check()
 
     def close(self) -> None:
@@ -180,6 +177,10 @@ class LogWriter:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _put(self, call: Callable[..., None], *records: object) -> None:
+        if self._worker:
+            self._worker.put(call, self._encoder, *records)
 
     def _close(self, complete: bool) -> None:
         """Process the calls in the queue, finish the file and end the thread."""

@@ -1,10 +1,9 @@
 """The results of reading a log: a whole trial, or only its result."""
 
-import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-
-import numpy as np
+from itertools import islice, pairwise
 
 from tetractl.core.clock import SECOND, seconds
 from tetractl.core.commands import EMULATED, Command, PlantInfo
@@ -98,7 +97,7 @@ class TrialLog(TrialRecords):
         are lost, it is computed from the control period; without directions it is 0.
         """
         directed = (one.sent_ns for one in self.commands if not one.stops)
-        sent = [*itertools.islice(directed, 1)]  # commands are in the order of sending
+        sent = [*islice(directed, 1)]  # commands are in the order of sending
         if self.steps:
             first = self.steps[0]
             before = round(first.k * self.start.setup.period_s * SECOND)
@@ -173,33 +172,24 @@ class Gap:
         return f"{self.what}{plural} {numbers}, {when}"
 
 
+def _gaps(what: str, numbers: Sequence[int], times: Sequence[float]) -> list[Gap]:
+    pairs = zip(pairwise(numbers), pairwise(times), strict=True)
+    return [Gap(what, a + 1, b - 1, *span) for (a, b), span in pairs if b - a > 1]
+
+
 def frame_gaps(log: TrialLog) -> list[Gap]:
     """Return the gaps in the numbers of a log's camera frames."""
-    numbers, times = log.frames, (log.mocap_ns - log.began_ns) / SECOND
-    return [
-        Gap(
-            "camera frame",
-            int(numbers[i]) + 1,
-            int(numbers[i + 1]) - 1,
-            float(times[i]),
-            float(times[i + 1]),
-        )
-        for i in np.flatnonzero(np.diff(numbers) > 1)
-    ]
+    times = (log.mocap_ns - log.began_ns) / SECOND
+    return _gaps("camera frame", log.frames.tolist(), times.tolist())
 
 
 def step_gaps(log: TrialLog) -> list[Gap]:
     """Return the gaps in the numbers of a log's control steps, including those at its start and
     end.
     """
-    ks = [step.k for step in log.steps]
-    sent = [log.elapsed_s(step.command.sent_ns) for step in log.steps]
-    if log.result and log.result.steps > (ks[-1] + 1 if ks else 0):
+    ks = [-1, *(step.k for step in log.steps)]
+    sent = [0.0, *(log.elapsed_s(step.command.sent_ns) for step in log.steps)]
+    if log.result and log.result.steps > ks[-1] + 1:
         ks.append(log.result.steps)
         sent.append(log.result.duration_s)
-    pairs = zip([-1, *ks], ks, [0.0, *sent], sent, strict=False)
-    return [
-        Gap("control step", before + 1, k - 1, since, until)
-        for before, k, since, until in pairs
-        if k - before > 1
-    ]
+    return _gaps("control step", ks, sent)

@@ -1,1 +1,1 @@
-"""Model predictive control, Algorithm 2, and the optimisers it can use, Algorithm 1 among them."""
+"""Controllers: model predictive control (Algorithm 2), its optimisers, and simpler methods."""

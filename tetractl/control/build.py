@@ -11,21 +11,22 @@ ANNOUNCE_AFTER_S = 1.0  # longer than loading from the cache takes [s]
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
-    """Return the controller of one trial; `key` is the root of its random draws."""
+    """Return the controller of one trial; `key` seeds its random numbers."""
     return experiment.controller.build(experiment.setup, key)
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
-    """Compile the functions that the controller runs, or load them from the cache; `announce` is
-    called if that takes long.
+    """Compile the functions that the controller runs, or load them from the cache.
 
-    Compiled code is kept on disk for all specs that name the same kinds.
+    If that takes longer than ANNOUNCE_AFTER_S, `announce` is called with a message when it is
+    noticed and when it is done. Compiled code is cached on disk, for all specs with the same kinds
+    of controller, optimiser, motion and obstacles.
     """
     began_s, said = time.monotonic(), list[str]()
 
     def say() -> None:
         said.append(compiled_for(experiment))
-        announce(f"compiling for {said[0]}, some 10 to 40 s; kept for the next time ...")
+        announce(f"compiling for {said[0]}: 10 to 40 s, cached for later runs ...")
 
     notice = Timer(ANNOUNCE_AFTER_S, say)
     notice.daemon = True
@@ -39,7 +40,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
 
 
 def compiled_for(experiment: Experiment) -> str:
-    """Return the kinds of a spec for which code is compiled: "mpc, multistart, exact, circle"."""
+    """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact, circle"."""
     control = experiment.controller
     optimizer = getattr(getattr(control, "optimizer", None), "type", None)
     shapes = sorted({obstacle.type for obstacle in experiment.obstacles})

@@ -12,9 +12,11 @@ the other motions in `tetractl.model.motion`. In two extensions of the paper, P 
 pair of robots that is nearer than the `separation` at a predicted position, and if robots have to
 stay `within` R of their targets,
 
-    f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d > 1) = 1 + STRAY (d - 1),
+    f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d) = 1 + STRAY (d - 1) if d > 1,
+                                                             else 0,
 
-which is R times the sum of the robots' shares of time outside, plus a small cost of the distance.
+which is R times the sum of the robots' fractions of time outside, plus a small cost of the
+distance.
 """
 
 from dataclasses import dataclass
@@ -28,7 +30,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost of a distance of one hold radius outside, relative to a cost of 1 for being outside."""
+"""Cost of each further radius R of distance, relative to a cost of 1 for being outside R."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +44,8 @@ class Costs:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """Prediction for a sequence of L signals: poses (L + 1, N, 3), the start first; f and P."""
+    """Prediction for a sequence of L signals: poses (L + 1, N, 3), beginning with the start, and
+    the costs f and P."""
 
     path: Floats
     target: float
@@ -50,14 +53,14 @@ class Foreseen:
 
 
 def foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return the prediction for a sequence (L,); raises the error of `evaluate`."""
+    """Return the prediction for a sequence (L,); ControlError if its cost is not finite."""
     path = predict(problem, signals)
     costs = costs_along(problem, path[:, None])
     return Foreseen(path, float(costs.target[0]), float(costs.obstacle[0]))
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
-    """Predict the poses under sequences (..., L); returns (L + 1, ..., N, 3), the start first."""
+    """Predict the poses under sequences (..., L): (L + 1, ..., N, 3), beginning with the start."""
     motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))
@@ -76,7 +79,8 @@ def predict(problem: Problem, signals: Floats) -> Floats:
 
 
 def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> None:
-    """Fill a path (L + 1, ..., N, 3) after its first poses, under directions (L, ..., 1 or N)."""
+    """Fill in a path (L + 1, ..., N, 3), of which path[0] is given, for robots that follow the
+    directions `every` (L, ..., 1 or N) [rad]."""
     x, y, heading = path[..., 0], path[..., 1], path[..., 2]
     shape = path.shape[1:-1]
     if motion.turn is None or motion.strides is None:
@@ -96,20 +100,21 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
         sums[0] = along[0]
         for i, term in enumerate(terms):
             sums[1 + i :: len(terms)] = term
-        # adds in the same order as step by step
+        # the same order of additions as step by step, hence the same rounding
         along[:] = np.add.accumulate(sums)[:: len(terms)]
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Evaluate (7)-(9) for B sequences, shape (B, L).
 
-    Raises ControlError if a cost is not finite, since costs could not be compared.
+    Raises ControlError if a cost is not finite, because such costs cannot be compared.
     """
     return costs_along(problem, predict(problem, signals))
 
 
 def costs_along(problem: Problem, path: Floats) -> Costs:
-    """Evaluate (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); raises as `evaluate`."""
+    """Evaluate (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); ControlError if a cost is
+    not finite."""
     x, y = path[..., 0], path[..., 1]
     if problem.within is None:
         miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])

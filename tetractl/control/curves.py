@@ -24,8 +24,8 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
 
 def places(count: int, length: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return the index of the knot before each signal, and the fraction of the way to the next
-    knot, (length,) each.
+    """Return, for each of `length` signals, the index of the knot before it and its fraction of
+    the distance to the next knot, for `count` evenly spread knots.
     """
     at = np.linspace(0, count - 1, length)
     below = np.minimum(at.astype(np.int64), max(count - 2, 0))

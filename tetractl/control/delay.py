@@ -11,8 +11,8 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.registries import MOTIONS
 
 Held = tuple[int, int, Floats]
-"""The times [ns] from and until which directions act, and the directions u (N,) [rad], NaN for a
-robot that stands still."""
+"""The begin and end [ns] of an interval, and the direction u (N,) [rad] that each robot follows in
+it, NaN for a robot that stands still."""
 
 
 @dataclass(slots=True)
@@ -82,7 +82,7 @@ def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
 def driven(
     problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and heading (..., N) after times `seconds` (..., 1), or one, from `start`.
+    """Return x, y and heading (..., N) of robots from `start` after `seconds`, one or (..., 1).
 
     Robots follow `direction` (N,) [rad], NaN for a robot that stands still.
     """

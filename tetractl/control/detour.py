@@ -1,11 +1,11 @@
 """Chooses between a detour and a stop if the plan no longer ends at the targets.
 
-Algorithm 2 shortens its sequence from step to step. With few signals left, a late disturbance
-cannot be corrected any more: three robots have six coordinates. If no sequence of length H - 1, H
-or H + 1 ends within an accepted total error, longer ones are searched from scratch, which lead the
-robots away and back. The trial ends if stopping at the best moment of the coming control period is
-as good as any plan. It also ends if a robot is about to enter an obstacle, and neither a
-collision-free plan nor a way out of the corner was found.
+Algorithm 2 shortens its sequence from step to step. A few remaining signals cannot correct a late
+disturbance: three robots have six coordinates. If no sequence of length H - 1, H or H + 1 ends
+within an accepted total error, longer ones are searched from scratch; these lead the robots away
+and back. The trial ends if stopping at the best moment of the coming control period is as good as
+any plan. It also ends if a robot is about to enter an obstacle, and neither a collision-free plan
+nor a way out of the corner was found.
 """
 
 from collections.abc import Iterator
@@ -21,14 +21,15 @@ from tetractl.core.clock import SECOND
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, wrap
 
-ENOUGH = 0.1  # the search for a longer sequence ends at this share of the accepted error
-ACCEPT_GROWTH = 0.1  # share by which the accepted error grows with each detour
-LATE_FROM, LATE_GROWTH = 0.5, 4.0  # from this part of the steps on it grows up to this factor
-LAST_S = 0.7  # last part of a plan, per robot, in which a detour raises the accepted error [s]
-LAST_LEAST_S = 2.0  # least duration of that last part [s]
+ENOUGH = 0.1  # the search for a detour ends at a cost of this fraction of the accepted error
+ACCEPT_GROWTH = 0.1  # fraction by which the accepted error grows with each detour
+# after a fraction LATE_FROM of the steps the accepted error grows, up to LATE_GROWTH times
+LATE_FROM, LATE_GROWTH = 0.5, 4.0
+LAST_S = 0.7  # time per robot before a plan's end in which a detour raises the accepted error [s]
+LAST_LEAST_S = 2.0  # least value of that time, for all robots together [s]
 OUT_SIGNALS = 8  # number of signals of a way out of a corner
-OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # their first directions [rad]
-OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of their directions [rad/s]
+OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
+OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
 FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
 MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
 
@@ -50,14 +51,14 @@ def longer(count: int, most: int) -> Iterator[int]:
 
 
 def growth(problem: Problem, count: int) -> float:
-    """Return the factor on the accepted error of a detour with `count` signals left."""
+    """Return the factor by which a detour with `count` signals left raises the accepted error."""
     nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
     return 1 + ACCEPT_GROWTH if nearly_done else 1.0
 
 
 def late(part: float) -> float:
-    """Return the factor on the accepted error when `part` of the steps, 0 to 1, is over, so that a
-    trial ends by a good stop before its last step.
+    """Return the factor on the accepted error after a fraction `part` of the steps. It grows, so
+    that a trial ends with a good stop before its last step.
     """
     return LATE_GROWTH ** (max(part - LATE_FROM, 0) / (1 - LATE_FROM))
 

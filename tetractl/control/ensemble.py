@@ -1,13 +1,13 @@
-"""Feedback Ensemble Control (section I of the paper): the field rotates or is off, by turns.
+"""Feedback Ensemble Control (section I of the paper): the field alternately rotates and is off.
 
-It has two modes. While the field rotates, the robots follow it, each with a lag that depends on its
-a, until for their headings the control Lyapunov function
+While the field rotates, the robots follow it, each with a lag that depends on its turning rate a.
+When their headings are such that the control Lyapunov function
 
     V = sum_i || s_i - tar_i ||
 
-would fall without a field. The field is then switched off, and the robots drive straight until V
-would rise. The paper describes this earlier algorithm of its authors without parameters; those here
-are chosen by this module. Obstacles are ignored.
+would fall without a field, the field is switched off, and the robots drive straight until V would
+rise. The paper gives no parameters of this earlier algorithm of its authors; the defaults here are
+this module's choice. Obstacles are ignored.
 """
 
 import time
@@ -35,8 +35,9 @@ from tetractl.model.obstacles import Obstacles
 
 
 class EnsembleSection(ControllerSection):
-    """Feedback Ensemble Control: the field rotates until the sum of distances to the targets can
-    fall, then is off as long as the sum falls. Obstacles are not avoided; simulations only.
+    """Feedback Ensemble Control: the field rotates until the sum of distances to the targets would
+    fall without it; then it is off as long as the sum falls. It does not avoid obstacles, and works
+    in simulations only.
     """
 
     switches_field: ClassVar[bool] = True
@@ -51,8 +52,8 @@ class EnsembleSection(ControllerSection):
     fall.
     """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """Turns of the field for which it is not switched off, after which the trial ends at the least
-    sum of distances during a turn.
+    """Number of turns of the field without switching off after which the trial ends, at the next
+    step in which the sum of distances would not fall.
     """
 
     def problem(self, setup: Setup) -> Problem:
@@ -71,13 +72,13 @@ class EnsembleSection(ControllerSection):
 
 
 class Ensemble:
-    """The controller of one trial; `key` is the root of the logged keys of its steps."""
+    """The controller of one trial; the keys logged for its steps are derived from `key`."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
         self._problem = section.problem(setup)
         self._delay_ns = round(section.dead_time * SECOND)
-        # directions u [rad], None without a field, and when they act [ns]
+        # times from which directions act [ns], and the directions u [rad], None for no field
         self._acting: deque[tuple[int, float | None]] = deque()
         # direction of the rotating field [rad], None while it is off
         self._phase: float | None = None
@@ -117,7 +118,7 @@ class Ensemble:
         return plan
 
     def _turn(self, problem: Problem) -> None:
-        """Switch the field on, in the robots' mean heading."""
+        """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
         step = self.section.rate * float(problem.a.min()) * self.section.period
         if self._phase is None:
             heading = problem.poses.heading
@@ -149,7 +150,7 @@ class Ensemble:
         while len(self._acting) > 1 and self._acting[1][0] <= now:
             self._acting.popleft()
         ends = [since for since, _ in self._acting][1:]
-        for (since, u), end in zip(self._acting, [*ends, until], strict=False):  # none at first
+        for (since, u), end in zip(self._acting, [*ends, until], strict=False):
             seconds = (end - max(since, now)) / SECOND
             if seconds > 0:
                 poses = _ahead(self._problem, poses, u, seconds)
@@ -168,5 +169,5 @@ def _ahead(problem: Problem, poses: Poses, u: float | None, seconds: float) -> P
 
 
 def _sum(problem: Problem, poses: Floats) -> float:
-    """Return V of poses (N, 3) [length unit]."""
+    """Return V, the sum of the distances to the targets, for poses (N, 3) [length unit]."""
     return float(np.hypot(*(poses[:, :2] - problem.targets).T).sum())

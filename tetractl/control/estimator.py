@@ -1,8 +1,8 @@
 """Estimates the robots' state at a control step from frames and commands.
 
-From all frames and commands of a trial, in order, it predicts the robots' poses when the direction
-decided now acts: from the newest frame with the spec's values, or with values that a bank of
-filters identifies while the robots drive.
+It predicts the poses that robots will have when the direction decided now acts. The prediction
+starts at the newest frame and uses the spec's values of the motion, or those that a bank of filters
+identifies from all frames and commands while the robots drive.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,9 +25,9 @@ REMEMBERED = SECOND  # time for which commands are kept after they stopped actin
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
-    `problem` has a and speed of the spec. With a `prior` both are identified; if the robots
-    `drive_first` in a square, identification starts when the first direction acts. Robots that are
-    lost by the `loss` rule, `losses.lost`, are left out of every result.
+    `problem` has the spec's values of a and speed; with a `prior` both are identified. If the
+    robots `drive_first` in a square, identification starts when the first direction acts. Robots
+    that the `loss` rule counts as lost (`losses.lost`) are left out of every result.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class StateEstimator:
 
     @property
     def dead_time_s(self) -> float:
-        """The identified dead time, or else that of the controller's section [s]."""
+        """The identified dead time, or the spec's if none is identified [s]."""
         known = None if self.estimate is None else self.estimate.dead_time
         return self.predictor.dead_time_s if known is None else known
 
@@ -61,7 +61,7 @@ class StateEstimator:
 
     @property
     def known(self) -> Estimate | None:
-        """The latest estimate of the robots that are not lost, None without one."""
+        """The latest estimate for the robots that are not lost; None if nothing is identified."""
         return self.estimate and self.estimate.only(self.left)
 
     def seen(
@@ -125,9 +125,10 @@ class StateEstimator:
     def acts(self, observation: Observation) -> int:
         """Return the time at which a direction decided on a frame acts [ns].
 
-        A given dead time counts from the exposure of the frame. An identified dead time counts from
-        the sending: a control period after the previous sending, or when the frame is received;
-        times for planning or for a late frame are left out.
+        The spec's dead time counts from the exposure of the frame. An identified dead time counts
+        from the sending of the direction. It is assumed to be sent one control period after the
+        previous one, or at the frame's reception if that time is past or more than 1.5 periods
+        away; the time for planning is neglected.
         """
         if self.filter is None:
             return observation.sampled_ns + self.predictor.delay_ns

@@ -29,7 +29,7 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
 
 
 def compiled_path(problem: Problem, signals: Floats) -> Floats:
-    """Return the poses (L + 1, N, 3) under a sequence (L,): the twin of `cost.predict`."""
+    """Return the poses (L + 1, N, 3) under a sequence (L,), as `cost.predict` but compiled."""
     from tetractl.control.kernels.motion import constants
     from tetractl.control.kernels.prediction import predict
 
@@ -49,7 +49,7 @@ def compiled_path(problem: Problem, signals: Floats) -> Floats:
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
-    """Return the prediction for a sequence (L,): the twin of `cost.foresee`."""
+    """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
     from tetractl.control.kernels.rollout import costs, lay_out
 
     rollout, total = lay_out(problem, 1), np.empty(1)

@@ -21,11 +21,11 @@ lost, and that it is stuck and stands still. A pose that fits no hypothesis is a
 some time without a fit, the filter restarts from the camera's pose.
 
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
-robots. Each filter of a bank has one tau of a grid; their likelihoods weight them, and the grid
-becomes finer around the likely ones. The filter uses frames about 30 ms apart, and each control
-step's newest frame: wheels whose lag is not given respond over tens of milliseconds, and at shorter
+robots. A bank has one filter for each tau of a grid, weighted by its likelihood; the grid is
+refined around likely values. The filter uses frames about 30 ms apart, and each control step's
+newest frame: wheels whose lag is not given respond over tens of milliseconds, and at shorter
 intervals the start of the response would bias dead time and a to smaller values. If the lag T is
-given, turning rate and speed approach those of a direction with the time constant T, and the
+given, turning rate and speed approach the commanded ones with the time constant T, and the
 direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
 """
 
@@ -41,18 +41,18 @@ from tetractl.core.commands import Command
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
-GRID_STEP_S = 0.02  # spacing of the dead times at first
-FINEST_S = 0.005  # least spacing after refinement
-REACH = 3.0  # half width of the grid, in standard deviations of the prior
+GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
+FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
+REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
 UNLIKELY = 25.0  # difference of the ln of a likelihood by which a dead time is dropped
 KEPT = 64  # number of commands kept after they acted
-POSITION_NOISE_S = 0.005  # noise of a measured position as time of travel, if not given [s]
-HEADING_NOISE = 0.01  # noise of a measured heading, if not given [rad]
-SLIP = 0.02  # random walk of the position, as a share of the speed [1/sqrt(s)] ...
-WALK = 0.1  # ... and initially of the heading [rad/sqrt(s)]
+POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
+HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
+SLIP = 0.02  # random walk of the position, over the speed [sqrt(s)]
+WALK = 0.1  # initial random walk of the heading [rad/sqrt(s)]
 DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
 SPACING_S = 0.03  # least time between two frames used [s]
-FLOW_DRIFT = 0.05  # random walk of the flow, as a fraction of its prior deviation
+FLOW_DRIFT = 0.05  # random walk of the flow, over its prior deviation [1/sqrt(s)]
 
 
 class Prior(NamedTuple):
@@ -129,7 +129,8 @@ class FilterBank:
         self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix, prior.lag)
         self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
         self._last: Observation | None = None  # the last frame used
-        self._from_ns: int | None = None if drive_first else 0  # the filters start here
+        # time at which the filters start [ns]; None if it depends on the first direction
+        self._from_ns: int | None = None if drive_first else 0
         self._noisy = False  # whether standing robots were measured at different poses
         low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
         high = prior.dead_time + REACH * prior.dead_time_std
@@ -183,7 +184,7 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Update the filters by a frame and by earlier frames at intervals of SPACING_S."""
+        """Update the filters by a frame and by `earlier` ones at least SPACING_S apart."""
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
@@ -228,8 +229,8 @@ class FilterBank:
         same = (last == now).all(axis=1)
         if not len(self._when) and frame.valid.any() and not same.all():
             self._noisy = True
-        frozen = len(same) > 1 and same.all()  # not driving robots: a repeated frame
-        # measurement noise makes two poses differ
+        frozen = len(same) > 1 and same.all()  # the camera has repeated its last frame
+        # measurements with noise differ, so an equal pose is a repeated one
         seen = frame.valid & ~(same & (self._noisy | frozen))
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
@@ -260,8 +261,8 @@ class FilterBank:
         self._bank = self._around(best, tau)
 
     def _around(self, best: int, tau: Floats):
-        """Return a bank with the dead times `tau` [s], each filter a copy of the nearest present
-        one.
+        """Return a bank with the dead times `tau` [s]. Each filter is a copy of the one whose dead
+        time is nearest in the present bank.
         """
         bank = self._bank
         source = [int(np.argmin(np.abs(bank.tau - one))) for one in tau]
@@ -278,8 +279,8 @@ class FilterBank:
         return mean, math.sqrt(float(weight @ (bank.tau - mean) ** 2) + (self._step / 4) ** 2)
 
     def _likely(self) -> tuple[int, Floats, Floats, Floats]:
-        """Return the index of the likeliest filter, and of each robot's likeliest hypothesis the
-        state (N, SIZE), covariance and direction (N,).
+        """Return the index of the likeliest filter and, of each robot's likeliest hypothesis in it,
+        the state (N, STATE), the covariance (N, SIZE, SIZE) and the direction (N,) [rad].
         """
         bank = self._bank
         best = int(np.argmax(bank.score))

@@ -1,5 +1,5 @@
-"""Shared by controllers: the problem of the logged cost without a search, search records of given
-signals, and making plans.
+"""Functions that controllers share: the problem whose cost is logged by controllers that do not
+search, search records of given signals, and plans from search records.
 """
 
 from collections.abc import Callable

@@ -1,4 +1,4 @@
-"""Searches directions that keep robots which cannot stand still near their targets.
+"""Searches directions that keep robots near their targets if they cannot stand still.
 
 A field that rotates at W, below the least a, keeps each robot on a circle of radius v / W; a field
 turned by pi makes robots drive back. The search minimises the time outside `Problem.within`: it
@@ -19,8 +19,8 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.controller import OptimizerSection
 
 AHEAD_S = 4.0  # duration of the plan: one or two circles
-PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first direction of a rotation
-# rates of rotations, in units of the least a
+PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
+# angular velocities of rotations, in units of the least a
 RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
 SAMPLES, ROUNDS = 128, 6
 SPREAD, SHRINK = 0.6, 0.8  # initial deviation of a step [rad], and its ratio from round to round
@@ -46,7 +46,8 @@ class CircleSearch(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; `warm` is extended with its last rate of change."""
+        """Search sequences of `length` signals; the previous plan `warm` is extended at its last
+        rate of change."""
         progress, times = Progress(length, limits), problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)

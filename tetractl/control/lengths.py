@@ -15,13 +15,13 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""With a limit of evaluations, each horizon of step 0 gets this multiple of the least evaluations
-of a search.
+"""If evaluations are limited, each length of step 0 gets this multiple of the smallest number of
+evaluations that a search can do.
 """
-GROWTH = 1.2  # ratio of successive lengths after step 0 ...
-SPREAD = 1.3  # ... and at step 0
+GROWTH = 1.2  # ratio of successive lengths tried for a detour
+SPREAD = 1.3  # ratio of successive lengths tried at step 0
 FINE = 0.05  # precision of the shortest good length, as a fraction of it
-SIGNALS = 6  # least number of signals per robot for several robots
+SIGNALS = 6  # least number of signals per robot in a plan for several robots
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
 """Number of lengths searched thoroughly at step 0 if no other length is good enough, and the ratio
 of each length to the one before.
@@ -35,7 +35,8 @@ Candidate = tuple[int, Floats | None]
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
-    """Yield each (length, u_gb^0): lines 2-4 at step 0, if `warm` is None, then lines 10-20."""
+    """Yield the (length, u_gb^0) to try, by Algorithm 2: lines 2-4 at step 0, where `warm` is None,
+    and lines 10-20 after it."""
     if warm is None:  # Part I
         for length in range(1, horizon_max + 1):
             yield length, None
@@ -49,7 +50,8 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Reduce the candidates to `searches`: evenly spread at step 0, later those nearest to H."""
+    """Reduce the candidates to what `searches` of the smallest size allow: to evenly spread lengths
+    at step 0, later to those nearest to the present one."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -85,7 +87,7 @@ def least_length(problem: Problem) -> int:
 
 
 def always(_: Floats) -> bool:
-    """Return True; the default of `safe`."""
+    """Return True: the default test of whether a plan is safe, which accepts all."""
     return True
 
 
@@ -192,7 +194,8 @@ class Searcher:
     def search_thoroughly(self, problem: Problem, most: int, good_enough: float) -> Problem:
         """Search THOROUGH lengths thoroughly until a cost is good enough.
 
-        The searches use `problem`, of the same robots. Returns the problem of the least cost found.
+        The searches use `problem`, which has the same robots as the searcher's own problem. Returns
+        the one of the two problems in which the least cost was found.
         """
         robots, posed, before = len(problem.a), self._problem, len(self.found)
         least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)

@@ -1,19 +1,19 @@
 """The distances that a plan keeps to obstacles and walls, and between robots.
 
-A robot deviates from its plan by the uncertainty of its state. The margin is the sum of its radius,
-the spec's margin and, if the margin is adaptive, the greatest deviation of the fastest robot,
+A robot can deviate from its plan because its state is uncertain. The margin is the sum of its
+radius, the spec's margin and, if the margin is adaptive, the greatest deviation of any robot,
 
-    LOST v T + SIGMAS (v sigma_tau + v sigma_a/a tau + sigma_v tau),
+    LOST v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
 
 with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
-identified values: the terms are a lost command, which acts for a period, and uncertain values,
-which act for a dead time. Two robots keep their separation and twice that deviation.
+identified values. The first term is due to a lost command, the others to uncertain values. Two
+robots keep their separation and twice that deviation.
 
-If a robot or a target is already nearer to an obstacle, the margin is its present distance, because
-no plan could start or end inside a margin and keep it.
+If a robot or a target is already nearer to an obstacle, the margin is reduced to its distance,
+because no plan could keep the full margin.
 
-Robots that receive no command for a while keep their direction. For each signal of a plan it is
-tested whether they would stay clear.
+Robots that receive no command for a while keep their direction. The signals of a plan are tested
+for whether robots would then stay clear.
 """
 
 import math
@@ -48,7 +48,8 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 
 class Margins:
-    """The margins of a trial: around `shapes`, the walls of an arena if given, and N targets."""
+    """The margins of a trial around the obstacles `shapes` and, if given, the walls of the arena;
+    a grown obstacle contains none of the N targets."""
 
     def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
         self._bare = Obstacles.of(shapes, 0.0, walls)
@@ -65,8 +66,8 @@ class Margins:
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
 
     def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether a robot outside of all shapes touches one, without margin, on its straight
-        path to x, y (N,).
+        """Return whether a robot that is outside all obstacles would touch one, without margins, on
+        a straight path to x, y (N,).
         """
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())

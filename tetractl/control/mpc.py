@@ -9,8 +9,8 @@ Where each line of Algorithm 2 is:
     9, 26   for k = 1 ... k_max                                           plan, by run.trial
     10      H = length of u_(warm)                                        lengths.candidates
     11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
-            H first if the optimiser has a tolerance                   Searcher.search_all
-    12      feedback of the robots, once per step                           plan
+            H first if the optimiser has a tolerance                      Searcher.search_all
+    12      feedback of the robots, once per step                         plan
     13-15   break if the robots are close enough to their targets         plan
     16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
@@ -59,11 +59,11 @@ UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""Outcomes of a leg after which the next leg starts."""
+"""Outcomes of the part of a trial up to a way-point after which the next part starts."""
 
 
 class Mpc:
-    """The controller of one trial; `key` is the root of all its random draws.
+    """The controller of one trial; `key` seeds all its random numbers.
 
     `timer` [ns] is read only if the section sets a deadline.
     """
@@ -139,25 +139,25 @@ class Mpc:
 
     @property
     def last_leg(self) -> int:
-        """Number of the leg that ends the trial: that to the targets, or the hold."""
+        """Index of the last leg: the one to the targets, or the hold at the targets after it."""
         return len(self.legs) - (self.hold is None)
 
     @property
     def accept(self) -> float:
-        """Total error accepted at present."""
+        """Total error accepted at present [length unit]."""
         return self.accepted * late(self.k / self.section.steps_max)
 
     def _begin_leg(self) -> None:
         """Start planning to the next way-points or targets, for the robots that are not lost."""
-        self.left = self.estimator.left  # robots, (N,)
+        self.left = self.estimator.left  # True for each robot that is not lost, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
         self.margins = Margins(self.setup.obstacles, walls, targets)
-        self.accepted = self.section.accept_error  # total error, before the time runs out
+        self.accepted = self.section.accept_error  # total error, without the factor `late`
         self.warm: Floats | None = None  # u_(warm), None before the first plan
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide how robots keep within the hold's radius, until its time is over."""
+        """Decide how robots stay within the hold's radius of their targets, until its time ends."""
         assert self.hold is not None
         assert self.held is not None
         since, outcome = self.held
@@ -233,8 +233,8 @@ class Mpc:
         return plan
 
     def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan that stops all robots, so that the next plan is for standing robots; it
-        logs the searches in `found`."""
+        """Return the plan that stops all robots, so that the next plan is for standing robots; the
+        searches of the plan `found` are logged with it."""
         step_key = mix(self.key, self.k)
         if found is None:
             found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
@@ -271,8 +271,8 @@ class Mpc:
         """Return how the trial ends now, because the sequence is completed or stopping is as good
         or safer; None if it goes on.
 
-        `gaps` (N,) are the distances to the targets. No search is used, so the log has all data
-        behind this decision."""
+        `gaps` (N,) are the distances to the targets. The decision uses no search, so all data that
+        it depends on are in the log."""
         if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
             return None
         between = self.section.stop_between and self.leg == self.last_leg  # on the last leg only
@@ -299,9 +299,9 @@ class Mpc:
     def _decide(self, problem: Problem) -> Plan:
         """Search every candidate horizon, and longer ones if necessary, and choose the plan.
 
-        A limit of evaluations is shared equally. If it is too small for all horizons of step 0,
-        fewer are tried, evenly spread, each with WORTHWHILE times the least evaluations of a
-        search."""
+        The horizons share a limit of evaluations equally. If it is too small for all horizons of
+        step 0, fewer, evenly spread ones are tried, each with WORTHWHILE times the evaluations of
+        the smallest search."""
         section, step_key = self.section, mix(self.key, self.k)
         horizon, most = self._signals_left(), section.evaluations_max
         wanted = list(candidates(self.warm, horizon))
@@ -360,10 +360,10 @@ class Mpc:
         return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
-        """Return whether robots keep clear if after any one signal they receive no command for
-        `silence`, or until their watchdog stops them.
+        """Return whether robots keep clear if, after any one of the signals (L,), they receive no
+        command for `silence` or until their watchdog stops them.
 
-        The last UNSURE signals are not tested; of the present plan, only the NEXT signals are."""
+        The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not self.section.collision.silence or count <= 0:

@@ -18,11 +18,11 @@ _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
 
 class Collision(Model):
-    """How the planner's potential (13) decides that a robot is inside an obstacle."""
+    """How the planner decides that a robot collides with an obstacle, a wall or another robot."""
 
     test: Literal["samples", "swept"] = "samples"
-    """`samples` tests the predicted positions as (13) is printed; `swept` tests the whole segment
-    between two of them."""
+    """`samples` tests the predicted positions, as (13) does; `swept` tests the straight segments
+    between them."""
     margin: NonNegative = 0.0
     """Obstacles are grown by this much for the planner [length unit]."""
     walls: bool = False
@@ -35,17 +35,17 @@ class Collision(Model):
     adaptive: bool = False
     """Whether the margin grows by a robot's greatest deviation from its course before the next
     command acts, given the uncertainty of its motion. If a robot or target is within the margin,
-    the margin shrinks to its distance.
+    the margin is reduced to its distance.
     """
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
-    is about to enter one, or no plan within `accept_error` keeps clear; once they stand, a new plan
-    is searched, and the trial ends if no robot can move safely. With an `accept_error` they pause
-    at the end too, and go on if they then stand further from their targets. For robots that can
+    is about to enter one, or if no plan within `accept_error` keeps clear. When they stand, a new
+    plan is searched; the trial ends if no robot can move safely. With an `accept_error`, robots
+    also pause at the end, and drive on if their total error at rest is larger. For robots that can
     stand still."""
     silence: NonNegative = 0.0
-    """Time for which robots may receive no command and keep their direction [s]: plans are
-    preferred that keep clear even if such a time begins after any of their signals.
+    """Time for which robots may receive no command and keep their direction [s]. Plans are
+    preferred in which robots keep clear even if that happens after any one of the signals.
     """
 
 
@@ -113,10 +113,10 @@ class MpcFields(ControllerSection):
     accept_error: NonNegative = 0.0
     """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within this error,
     longer sequences are searched, and the trial ends if stopping leaves at most this error and is
-    as good as any plan. A smaller value makes trials longer. A detour near the end of a plan raises
-    the accepted error by a tenth, from half of the steps on it grows up to fourfold, and without
-    steps for a detour any error is accepted. 0 is Algorithm 2, which ends only with its
-    sequence."""
+    as good as any plan. A smaller value makes trials longer. Each detour near the end of a plan
+    raises the accepted error by a tenth; after half of the steps it grows up to fourfold; when too
+    few steps for a detour are left, any error is accepted. With 0, as in Algorithm 2, a trial ends
+    only at the end of its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -125,10 +125,10 @@ class MpcFields(ControllerSection):
     horizon h = length - 1."""
     initial_lengths: Literal["all", "geometric"] = "all"
     """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2 (with an
-    optimiser that has a tolerance, up to the first length that is good enough); or `geometric`,
-    with such an optimiser: growing lengths from the shortest that could reach the targets until one
-    is good enough, then bisection; if no length is, three lengths are searched for some seconds
-    each.
+    optimiser that has a tolerance, up to the first length that is good enough); or, only with such
+    an optimiser, `geometric`: growing lengths from the shortest that could reach the targets until
+    one is good enough, then bisection. If no length is good enough, three lengths are searched for
+    some seconds each.
     """
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in (7) [length unit]."""
@@ -145,7 +145,7 @@ class MpcFields(ControllerSection):
     def _a_limit_pays_for_a_search(self) -> Self:
         least = self.optimizer.evaluations_min
         if self.evaluations_max is not None and self.evaluations_max < least:
-            message = f"must be at least {least}, which one search by this optimiser needs"
+            message = f"must be at least {least}, as one search by this optimiser needs that many"
             raise inconsistent("evaluations_max", message)
         return self
 
@@ -155,15 +155,15 @@ class MpcFields(ControllerSection):
         return self.optimizer.iterations_max
 
     def bounds(self) -> dict[str, str]:
-        """Return the horizons of step 0 and the evaluations of a search."""
+        """Return horizons of step 0 and evaluations of a search, for display: {name: text}."""
         found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
         if most := self.optimizer.evaluations_max:
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
 
     def signals_within(self, steps: int) -> int:
-        """Return the largest number of signals of a plan with `steps` control steps left; Algorithm
-        2, without `accept_error`, begins plans that it cannot complete."""
+        """Return the largest number of signals of a plan when `steps` control steps are left.
+        Without `accept_error`, as in Algorithm 2, a plan may need more steps than that."""
         return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:

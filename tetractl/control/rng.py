@@ -2,7 +2,7 @@
 
 The generator is SplitMix64 (Steele, Lea and Flood, OOPSLA 2014): draw i of a key is a 64-bit
 mixing of key + (i + 1) * golden ratio. Plans therefore depend on neither threads nor the order
-in which particles are computed, and the compiled kernels draw the very same numbers.
+in which particles are computed, and the compiled kernels draw the same numbers.
 """
 
 import numpy as np
@@ -17,7 +17,7 @@ MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def mix(key: int, index: int) -> int:
-    """Return draw `index` of `key`: 64 random bits. Also derives a new key from a key."""
+    """Return draw `index` of `key`, 64 random bits; they may also serve as a new key."""
     z = (key + (index + 1) * GOLDEN) & MASK
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK

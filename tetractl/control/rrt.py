@@ -2,10 +2,10 @@
 
 The paper names this method (section I, after Kim et al., 2011) as an earlier way to steer one cell
 round obstacles: a tree finds a path, and feedback points the field at the path's next corner. The
-tree grows in the plane: a random point of the arena, or sometimes the target, is drawn, and the
-nearest node grows an edge towards it unless the edge would touch an obstacle. Edges and the
-distance from which a corner counts as passed are in turning radii v/a, the tightest bend a robot
-drives.
+tree grows in the plane: a random point of the arena, or sometimes the target, is drawn, and an edge
+is added from the nearest node towards it unless the edge would touch an obstacle. The length of an
+edge, and the distance from which a corner counts as passed, are in units of v/a, the radius of the
+tightest bend that a robot can drive.
 
 Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
 """
@@ -33,7 +33,7 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
 SHARES = 3  # random numbers per draw: the choice of the target, and a point of the arena
-HEADING_FOR = 0.7  # least cosine of the angle to a target that a robot is about to pass
+HEADING_FOR = 0.7  # a robot heads for a target if the cosine of the angle to it is at least this
 
 
 class RrtSection(ControllerSection):
@@ -44,8 +44,8 @@ class RrtSection(ControllerSection):
     edge: Positive = 8.0
     """Length of an edge of the tree [v/a of the robot]."""
     reach: Positive = 2.5
-    """Distance from which a corner of the path counts as passed [v/a of the robot]; at least what
-    the robot drives in a control period."""
+    """Distance from which a corner of the path counts as passed [v/a of the robot]; if it is less
+    than the robot drives in a control period, that length is used."""
     goal_bias: Fraction = 0.1
     """Share of the draws that are the target instead of a random point."""
     draws_max: int = Field(default=5000, ge=1, le=100_000)
@@ -60,7 +60,7 @@ class RrtSection(ControllerSection):
         return {"nodes of a tree": f"at most {self.draws_max}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Report several robots, and a robot that cannot move."""
+        """Yield an error if there are several robots, or if the robot cannot move."""
         if len(setup.names) > 1:
             message = f"steers one robot, but there are {len(setup.names)}; use mpc for several"
             yield ("type",), message
@@ -84,7 +84,7 @@ class RrtSection(ControllerSection):
 
 
 class Rrt:
-    """The controller of one trial; `key` is the root of all its random draws."""
+    """The controller of one trial; `key` seeds all its random numbers."""
 
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
@@ -121,9 +121,9 @@ class Rrt:
     def _towards(self, problem: Problem, key: int) -> float:
         """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
 
-        Inside an obstacle grown by the margin no path can begin: the robot keeps its path. A robot
-        too near to its target to turn towards it would circle it for ever: it drives straight until
-        it is far enough away.
+        No path can begin inside an obstacle grown by the margin; a robot there keeps its path. A
+        robot that is too near to its target to turn towards it would circle it for ever; it drives
+        straight on until it is far enough away.
         """
         here, region = problem.poses.xy[0], problem.obstacles
         while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:
@@ -142,8 +142,8 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the stop at the moment when the robot passes its target, None if it does not pass
-        it in this step.
+        """Return the end of the trial at the moment when the robot passes its target, None if it
+        does not pass the target in this step.
         """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:

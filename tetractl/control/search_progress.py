@@ -9,8 +9,8 @@ from tetractl.core.poses import Floats
 class Progress:
     """The best sequence of `length` signals so far, and the evaluations spent.
 
-    `history` has one entry per iteration, (z + 1,); `ended` is why the search is over, None while
-    it goes on.
+    `history` holds the least cost after each iteration, (z + 1,); `ended` is the reason why the
+    search ended, None while it goes on.
     """
 
     def __init__(self, length: int, limits: Limits) -> None:
@@ -42,7 +42,7 @@ class Progress:
         self.history.append(self.cost)
 
     def search(self) -> Search:
-        """Return the search's record; the default reason of its end is the number of iterations."""
+        """Return the record of the search. If `ended` is None, all iterations were done."""
         return Search(
             length=self.length,
             signals=self.best,

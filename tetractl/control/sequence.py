@@ -31,7 +31,7 @@ class SequenceSection(ControllerSection):
     directions: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=100_000)]
     """The direction of each control step [rad]; the robots are stopped after the last one."""
     remainder: NonNegative = 0.0
-    """Time for which the last direction is held beyond one control period [s]."""
+    """Time for which the last direction is held in addition to one control period [s]."""
 
     def bounds(self) -> dict[str, str]:
         """Return the number of directions, for display: {name: text}."""
@@ -57,7 +57,7 @@ class SequenceSection(ControllerSection):
 
 
 class SequenceController:
-    """The controller of one trial; `key` is the root of the logged keys of its steps."""
+    """The controller of one trial; the keys logged for its steps are derived from `key`."""
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key

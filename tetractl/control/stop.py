@@ -1,4 +1,4 @@
-"""When a search ends: the paper's criterion (20) and unit-free alternatives."""
+"""Criteria by which a search ends: (20) of the paper, and others that need no logarithms."""
 
 from typing import Annotated, Literal
 
@@ -37,7 +37,7 @@ class TargetStop(Model):
 
 
 class BudgetStop(Model):
-    """Never stop early: always spend every iteration."""
+    """Never stop early: do all iterations."""
 
     type: Literal["budget"]
 
@@ -48,7 +48,8 @@ Stop = Annotated[PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discr
 def stopped(history: Floats, stop: Stop) -> StopReason | None:
     """Return why to stop after iteration z = len(history) - 1, or None to go on.
 
-    history[m] is J(u_gb) after iteration m. Only a target may stop a search before z > 10.
+    history[m] is J(u_gb) after iteration m. Up to z = 10, only the criterion `target` may stop a
+    search.
     """
     match stop:
         case BudgetStop():

@@ -64,7 +64,7 @@ def test_compiling_says_for_what_and_how_long_it_took(monkeypatch):
 
     build.warm_up(SimpleNamespace(controller=Slow(), obstacles=(), setup=None), announce)
     assert said == [
-        "compiling for mpc, pso, exact, some 10 to 40 s; kept for the next time ...",
+        "compiling for mpc, pso, exact: 10 to 40 s, cached for later runs ...",
         "compiled in 0 s",
     ]
     monkeypatch.setattr(build, "ANNOUNCE_AFTER_S", 3600.0)

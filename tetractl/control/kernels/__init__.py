@@ -1,4 +1,4 @@
-"""Compiled twins of the readable code in `control`; tests check each against its readable version.
+"""Compiled versions ("twins") of readable code in `control`; tests check that the two agree.
 
 Particles are contiguous in memory: arrays of signals have shape (L, P), arrays of positions (N, P).
 A kernel is a loop over the particles of one robot that the compiler turns into vector instructions:

@@ -1,8 +1,8 @@
 """Keeps compiled kernels between runs, in place of numba's own cache.
 
 Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
-unpickles any file. Here each file has the SHA-256 of its contents; if that does not match, code is
-compiled again. If a file cannot be written, a note is printed once.
+unpickles any file. Here each file begins with the SHA-256 of its contents; if the sum does not
+match, the code is compiled again. If a file cannot be written, a note is printed once.
 """
 
 import hashlib
@@ -114,8 +114,8 @@ class KernelCache:
 
     def _path(self, key: tuple[Any, ...]) -> Path:
         name = f"{self._function.__module__}.{self._function.__qualname__}"
-        told = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
-        return self._place / f"{self._function.__name__}-{told}.kernel"
+        tag = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
+        return self._place / f"{self._function.__name__}-{tag}.kernel"
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:

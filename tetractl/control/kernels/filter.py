@@ -1,4 +1,4 @@
-"""The filter of `tetractl.control.filter`, compiled; `tests/oracles/filter.py` is its twin.
+"""The compiled part of `tetractl.control.filter`; `tests/oracles/filter.py` is its readable twin.
 
 The state of a robot is (x, y, heading of its course, ln of a and of the speed over the spec's, turn
 bias, marker bias, flow along x and y, helix as sine and cosine), in the order of the indices below.
@@ -28,7 +28,7 @@ LOST = 0.05  # probability that a command does not arrive
 STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # mean time until a robot gets stuck, and mean duration
 GATE = 30.0  # squared deviation above which a measurement is an outlier
 LEAST_WEIGHT = -25.0  # least ln of a hypothesis's weight
-LOST_TRACK_S = 0.3  # time without a fitting hypothesis after which the camera's pose is taken
+LOST_TRACK_S = 0.3  # time without a fitting hypothesis after which the camera's pose is used [s]
 SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which scores of dead times decay
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
@@ -48,7 +48,7 @@ class FilterModel(NamedTuple):
 
 
 class Bank(NamedTuple):
-    """B filters with a dead time each; each robot of each has SLOTS hypotheses."""
+    """B filters, each with its own dead time and SLOTS hypotheses for each of N robots."""
 
     state: Floats  # (B, N, SLOTS, STATE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
@@ -65,8 +65,8 @@ class Bank(NamedTuple):
 def _advance(model, i, z, cov, u, scale, seconds):
     """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule.
 
-    Lagging wheels follow the turning rate that the host sends: that at the heading in which the
-    robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
+    Lagging wheels follow the turning rate that the host sends, computed for the heading in which
+    the robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0
@@ -279,7 +279,7 @@ def _switch(bank, model, b, i, u, step):
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
-    """Exchange probability between the hypotheses that robot i drives and is stuck."""
+    """Exchange probability between the hypotheses that robot i drives and that it is stuck."""
     weight, held = bank.weight[b, i], bank.u[b, i]
     best = _best(weight, FOLLOWS)
     if math.isnan(held[best]):

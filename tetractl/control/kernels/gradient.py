@@ -8,11 +8,11 @@ robot and signal, the partial derivatives of d and of the next heading g:
 (the turn depends on phi alone). The derivative of a later position by an earlier signal follows by
 the chain rule backwards in time, in `backward`.
 
-Only the headings depend on the step before. They are computed first, as cosine and sine; then the
-steps of a robot are independent of each other, and the loop over them is vector code. So arrays
-over the signals are as long as whole vectors, `width` (L); entries beyond the last signal are
-meaningless. Each quantity is a separate array (N, M): in an array of several quantities, the
-compiler could not exclude overlaps and would not vectorise the loop.
+Only the headings depend on the previous step. They are computed first, as cosine and sine; then the
+steps of a robot are independent of each other, and the loop over them is vector code. Arrays over
+the signals are therefore padded to whole vectors, of length `width(L)`; entries beyond the last
+signal are meaningless. Each quantity is a separate array (N, M), because in an array of several
+quantities the compiler could not exclude overlaps and would not vectorise the loop.
 """
 
 from typing import NamedTuple

@@ -8,7 +8,7 @@ damped step is computed from an R x R system:
 
     du = -J' (J J' + lambda I)^-1 r,      J (R, L).
 
-Its readable reference, which must agree with it, is `tests/oracles/levenberg.py`.
+The readable version of this algorithm is `tests/oracles/levenberg.py`; tests compare the two.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Tests positions against obstacles: the twins of `Obstacles.contain` and `Obstacles.cross`.
+"""Compiled tests of whether robots are in obstacles: `Obstacles.contain` and `Obstacles.cross`.
 
 `packs` is a tuple of `PackedShapes`, one per kind, see `tetractl.model.obstacles`; code is compiled
 for each set of their classes. Loops over kinds are unrolled by recursion: a tuple of several types

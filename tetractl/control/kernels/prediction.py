@@ -1,4 +1,4 @@
-"""The predicted path of one sequence: the twin of `tetractl.control.cost.predict`."""
+"""The predicted path of one sequence: `tetractl.control.cost.predict`, compiled."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Algorithm 1 as one kernel: the twin of `tetractl.control.optimizers.pso`."""
+"""Algorithm 1 as one kernel: the compiled version of `tetractl.control.optimizers.pso`."""
 
 import math
 from typing import NamedTuple
@@ -76,8 +76,8 @@ def update_bests(swarm, z):
 
 @compiled(**INLINE_FAST)
 def stop_reason(history, z, rules):
-    """Return the reason to stop after iteration z, or PAUSED: the twin of
-    `tetractl.control.stop`.
+    """Return the reason to stop after iteration z, or PAUSED to go on; `tetractl.control.stop`,
+    compiled.
     """
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
@@ -98,7 +98,7 @@ def stop_reason(history, z, rules):
 
 @compiled(**ENTRY_FAST)
 def iterate(rollout, swarm, rules, z, pause):
-    """Run iterations z + 1, ... until something stops the search or iteration `pause` is done.
+    """Run iterations z + 1, ... until a criterion or limit stops the search or `pause` is reached.
 
     Returns (reason, iterations done).
     """

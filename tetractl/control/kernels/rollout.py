@@ -1,7 +1,7 @@
-"""The cost (7)-(9) of a whole swarm: the twin of `tetractl.control.cost.evaluate`.
+"""The cost (7)-(9) of a whole swarm: `tetractl.control.cost.evaluate`, compiled.
 
-Particles are simulated signal by signal: `begin`, `follow` for each signal, `add_up`. So a swarm's
-signals can be updated one row at a time, while the row is in the processor's cache.
+All particles are simulated together, signal by signal: `begin`, `follow` for each signal, `add_up`.
+A swarm's signals can then be updated one row at a time, while the row is in the processor's cache.
 """
 
 import math
@@ -32,18 +32,17 @@ class Rollout(NamedTuple):
     weight: float
     swept: bool
     separation: float
-    drift: (
-        Floats  # (6, N) cos and sin of the bias, flow in the first period and the others; or (6, 0)
-    )
+    # (6, N): cos and sin of the bias, then x and y of the displacement by the flow in the first
+    # period, then in each other one; (6, 0) without bias and flow
+    drift: Floats
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
-    scratch: (
-        Floats  # (7, P): cos and sin of the direction; x, y before the step; gap; as the first,
-    )
-    # for one robot
+    # (7, P): cos and sin of the signal; x, y before the step; gap; cos and sin of the direction
+    # that one robot turns towards, the signal plus its bias
+    scratch: Floats
 
 
 def aligned(shape: tuple[int, ...]) -> Floats:
-    """Return an array that begins with a cache line: a vector in two lines takes twice the time."""
+    """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
     size, line = math.prod(shape), LINE // 8
     raw = np.empty(size + line)
     first = -raw.ctypes.data // raw.itemsize % line
@@ -88,7 +87,7 @@ def costs(rollout, signals, total):
 
 @compiled(**INLINE_FAST)
 def evaluate(rollout, signals, total):
-    """Do the same as `costs`; for calls by kernels."""
+    """Do the same as `costs`, for a call by another kernel."""
     lanes, scratch = views(rollout)
     begin(rollout, lanes, scratch)
     for j in range(signals.shape[0]):
@@ -108,7 +107,7 @@ def views(rollout):
 
 @compiled(**INLINE_FAST)
 def begin(rollout, lanes, scratch):
-    """Put every particle's robots at their start."""
+    """Set the robots of every particle to their starts."""
     x, y, cos, sin, hits = lanes
     gap, start = scratch[4], rollout.start
     for n in range(gap.size):

@@ -1,1 +1,1 @@
-"""The optimisers: one file each, with its section of the spec and its search."""
+"""The optimisers; each has a file with its section of the spec and its search."""

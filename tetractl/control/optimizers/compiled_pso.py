@@ -1,4 +1,4 @@
-"""Algorithm 1 by the compiled kernels: the twin of `tetractl.control.optimizers.pso.pso`."""
+"""Algorithm 1 by compiled kernels; `tetractl.control.optimizers.pso.pso` is the readable one."""
 
 import numpy as np
 

@@ -1,12 +1,12 @@
 """The recommended optimiser: Levenberg-Marquardt polishes the best of many random starts.
 
 A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
-cost (8) is smooth, its gradient costs about as much as a rollout, and the number of misses (two a
-robot) is small against the number of signals: Levenberg-Marquardt
-(`tetractl.control.kernels.levenberg`) solves it in a few dozen steps from about every third smooth
-random sequence. The global part, such as the side on which to pass an obstacle, is solved by random
-starts and selection: each round scatters many smooth sequences, evaluates them in one vectorised
-rollout and polishes only the most promising.
+cost (8) is smooth, its gradient costs about as much as a rollout, and there are far fewer misses
+(two coordinates per robot) than signals: from about every third smooth random sequence,
+Levenberg-Marquardt (`tetractl.control.kernels.levenberg`) reaches the targets in a few dozen steps.
+Global decisions, such as the side on which to pass an obstacle, are made by random starts and
+selection: each round draws many smooth sequences, evaluates them in one vectorised rollout and
+polishes only the best.
 
 A thorough search hops: it repeatedly moves one of the best few sequences at random, polishes it,
 and keeps it if it is better (basin hopping; Wales and Doye, J. Phys. Chem. A 101 (1997)). For
@@ -31,13 +31,13 @@ from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
 SLACK = 0.01  # clearance of a path pushed out of an obstacle, per step of the fastest robot
-HOPS = 1000  # hops of a thorough search for three robots; grows with the square of the number
+HOPS = 1000  # hops of a thorough search for up to 3 robots; for N robots times (N / 3)^2
 HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search: some seconds
 POOL = 6  # number of sequences from which hops start
 # Levenberg-Marquardt iterations of a hop, and its patience
 HOP_STEPS, HOP_PATIENCE = 60, 12
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
-# cost of a position in an obstacle among hops, as a fraction of the fastest robot's step
+# cost of a position left in an obstacle by a hop, as a fraction of the fastest robot's step
 HIT = 0.25
 NO_LIMIT = 2**62
 
@@ -68,8 +68,8 @@ class Multistart(OptimizerSection):
     only if polishing the start fails.
     """
     grows: bool = True
-    """Whether `knots`, `patience` and `polish_steps` are meant for three robots, and grow with the
-    square of the number of robots.
+    """Whether `knots`, `patience` and `polish_steps` hold for up to three robots, and are
+    multiplied by (N / 3)^2 for N robots.
     """
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
@@ -90,7 +90,7 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor on knots and iterations, 1 for a problem of up to 3 robots."""
+        """Return the factor by which `knots`, `patience` and `polish_steps` are multiplied."""
         return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
@@ -142,7 +142,7 @@ class _PolishedProgress(Progress):
         super().__init__(length, limits)
         self.section, self.problem, self.warm = section, problem, warm
         self.kernels = multistart
-        # made when needed: most warm starts do not need it
+        # compiled rollouts of a round; prepared when needed, as most warm starts do not need them
         self.many: Callable[[Floats], Floats] | None = None
         self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
@@ -175,9 +175,9 @@ class _PolishedProgress(Progress):
     def _scatter(self, key: int) -> None:
         """Draw smooth random sequences, within the bounds of (12).
 
-        Each is linear between `knots` directions drawn uniformly from the circle around the mean
-        bearing of the targets; with a warm start, every other one is the warm start plus such a
-        curve of up to half a radian.
+        Each is linear between `knots` directions drawn uniformly within pi of the mean bearing of
+        the targets; with a warm start, every second one is the warm start plus such a curve of up
+        to half a radian.
         """
         warm = np.empty(0) if self.warm is None else self.warm
         self.kernels.scatter(
@@ -199,12 +199,12 @@ class _PolishedProgress(Progress):
             first += self._polish_some(starts[first:last])
 
     def hop(self, key: int) -> None:
-        """Hop: polish randomly moved copies of the best POOL sequences until one is good enough.
+        """Polish randomly changed copies of the best POOL sequences until one is good enough.
 
-        A hop adds a random curve to all signals or to a span of them, or removes one signal and
-        inserts another elsewhere. Sequences in the pool are compared by the merit of the polish,
-        which measures how deep in an obstacle a path is, and by the number of positions left in
-        obstacles.
+        A change ("hop") adds a random curve to all signals or to a span of them, or removes one
+        signal and inserts another elsewhere. Sequences in the pool are ordered by the merit of the
+        polish, which includes the depths in obstacles, plus a cost for each position that is left
+        in an obstacle.
         """
         pool: list[tuple[float, Floats]] = []
         found, length = self.polished, self.length

@@ -1,4 +1,4 @@
-"""The section `type: pso`, which runs the compiled Algorithm 1 and imports it when it is needed."""
+"""The section `type: pso`; its search imports and runs the compiled Algorithm 1."""
 
 from tetractl.control.optimizers.pso import PsoFields
 from tetractl.core.plan import Limits, Problem, Search

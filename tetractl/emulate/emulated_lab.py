@@ -51,7 +51,8 @@ class Record:
 
 
 class EmulatedLab:
-    """An emulated lab on real wires. `report(event, facts)` is called with events for display.
+    """An emulated lab on real sockets and ports. `report(event, facts)` is called with events for
+    display.
 
     A context manager: leaving it always releases ports and names.
     """

@@ -58,7 +58,7 @@ class CurrentDriver(SerialDevice):
 
     @property
     def status(self) -> DriverStatus:
-        """The driver's present reply."""
+        """The driver's present status flags."""
         return self._core.status(self._now_ms) if self.powered else DriverStatus.SILENT
 
     @property

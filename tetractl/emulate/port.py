@@ -58,7 +58,7 @@ class SerialDevice(ABC):
 
 
 class PluggedDevice:
-    """A device named `what` on a port, that can be unplugged; `wired` reads the port."""
+    """A device named `what` on a port that can be unplugged; `wired` is its end of the line."""
 
     what: ClassVar[str]
     port: "PseudoPort"

@@ -33,7 +33,7 @@ WAIT_S = 0.05
 
 
 class EmulatedNetworkCamera:
-    """Serves http://127.0.0.1:`port`/ ; a context manager.
+    """Serves pictures at http://127.0.0.1:`port`/; a context manager.
 
     `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed k /
     `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or as
@@ -299,7 +299,7 @@ class StreamedCamera(ABC):
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
-        """End the stream; return what to log about it."""
+        """End the stream; return the number of pictures, for the record."""
         if self._opened:
             self.camera.__exit__()
             self._opened = False
@@ -317,7 +317,7 @@ class StreamedCamera(ABC):
             return past[0][1]
         (t0, before), (t1, after) = past[i - 1], past[i]
         part = min(max((when - t0) / (t1 - t0), 0.0), 1.0)
-        # a cell may have divided since
+        # a cell may have divided between the two scenes
         return before + part * (after[..., : before.shape[-1]] - before)
 
     def _remember(self) -> None:

@@ -182,8 +182,8 @@ class _Measured:
     ) -> tuple[Floats, Floats, Floats]:
         """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
 
-        The constants start at `about`, means (N, 12); without these the filter has to estimate them
-        first, with a slightly larger error.
+        The constant states start at `about`, means (N, 12); without it the filter has to estimate
+        them first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth
@@ -244,7 +244,7 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
     axes = np.array([cell.axis - cell.heading for cell in path.seen])[settled]
     sway = math.sqrt(2) * float(np.std((axes + math.pi / 2) % math.pi)) if len(axes) else math.nan
     helix = np.hypot(means[settled, C], means[settled, S])
-    if len(means[settled]):  # path of the helix's axis
+    if len(means[settled]):  # the path of the helix's axis replaces the body's
         way = float(np.nanmean(means[settled, SPEED]) * (path.times[-1] - path.times[0]))
     speed = a = bias = None
     if fit is not None and np.isfinite(fit[0]).all():

@@ -25,7 +25,9 @@ UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
 @dataclass(frozen=True, slots=True)
 class CellPath:
-    """One cell in a film: `times` (K,) [s], `frames` (K,), and the cell's state in each frame."""
+    """One cell in a film: `times` (K,) [s], picture numbers `frames` (K,), and its state in each
+    picture.
+    """
 
     identity: int
     times: Floats
@@ -83,7 +85,7 @@ def follow(
     tracker = CellTracker(scale, field is not None)
     tracker.learn(sample)
     pieces = no_field if field is None else field.pieces
-    shown: list[dict[int, SeenCell]] = []  # one per picture, by track
+    shown: list[dict[int, SeenCell]] = []  # the cells of each picture, by track
     frames: list[int] = []
     doubtful: list[tuple[tuple[int, ...], float]] = []
     lights = []

@@ -15,7 +15,7 @@ from tetractl.lab.cameras.cells.helix import SPEED, A
 from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
-JITTER = 0.4  # deviation of a turn from a quarter turn [rad]
+JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
 BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
 SURE = 0.9  # least probability of the identity of a cell that may be chosen

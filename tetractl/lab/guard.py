@@ -290,7 +290,7 @@ class Guard:
         """Return why a pose of robot i is not accepted, "" if it is.
 
         Motion is compared with commands only while a run may move the robot: after a stop,
-        `standstill` finds robots that still move.
+        `rest_check` finds robots that still move.
         """
         track = self._filters[i]
         before = track.pose

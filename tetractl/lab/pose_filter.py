@@ -22,9 +22,9 @@ SPACING_NS = SECOND // 10  # interval of the poses kept for this comparison, exc
 class MotionLimits:
     """Limits of a robot's motion: the greatest `speed` [length unit/s] and `turning` [rad/s].
 
-    `jump` and `jump_heading` are allowed in addition, once in a window. `lowest` and `highest`
-    bound the height of the body [length unit], `tilt` its angle to the vertical [rad]; `mm` is the
-    number of millimetres per length unit.
+    `jump` [length unit] and `jump_heading` [rad] are allowed in addition to motion at these limits.
+    `lowest` and `highest` bound the height of the body [length unit], `tilt` its angle to the
+    vertical [rad]; `mm` is the number of millimetres per length unit.
     """
 
     speed: float

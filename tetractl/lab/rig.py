@@ -21,7 +21,7 @@ class Rig:
 
     Entering opens the actuator and the camera and starts the inner loop: in a thread or, if
     `threaded` is False, at each call of `loop.step`. `wake` must be the camera's own event.
-    `frames` holds the camera frames that the guard accepted.
+    `frames` are the camera frames that the guard accepted.
     """
 
     def __init__(

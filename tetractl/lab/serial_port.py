@@ -1,7 +1,7 @@
 """A serial port of the lab's devices: opened by one process only, written without waiting.
 
 A write raises AbortError if the port accepts no bytes for 20 ms, and at once if the port has
-disappeared; both failures are final. A thread reads. If another process has the port open,
+disappeared; both failures are final. A separate thread reads. If another process has the port open,
 `stop_beside` stops its robots and ends that process.
 """
 
@@ -45,7 +45,7 @@ class SerialPort:
     """The port `name` at `baud` bits per second; `device` names what is connected to it.
 
     `heard` is called in the reader's thread with received bytes and their time [ns on `clock`], and
-    with no bytes when the port has failed; `hint` is the hint of errors.
+    with no bytes when the port has failed; `hint` is the hint of the errors raised.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class SerialPort:
         self._thread = threading.Thread(target=self._read, name=device, daemon=True)
 
     def open(self, alone: bool = True) -> None:
-        """Open the port and start to read; exclusively if `alone`, else next to another process.
+        """Open the port, exclusively if `alone`, and start to read.
 
         AbortError if the port cannot be opened, PortHeldError if another process has locked it.
         """

@@ -37,12 +37,12 @@ GAINS = (0.8, 1.25)  # least and greatest gain of a robot's own commands
 BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
 CLEAR = 0.01  # least Q_ii - Q_ij [rad^2/s], above the noise of headings
 DISTINCT = 0.1  # least integral of (w_i - w_j)^2 for commands that can be distinguished
-# fraction of this integral by which another robot's commands must fit each robot of a ring better
+# least Q_ii - Q_ij in a ring, as a fraction of the integral of (w_i - w_j)^2
 BETTER = 0.05
 ALONE_NS = SECOND // 2  # time for which a single robot must follow another, twice in a row
 ALONE_GAINS = (-1.25, 1.25)  # gains tried for its own commands, as a wheel may be stuck or inverted
-ALONE_BETTER = 0.25  # fraction by which another's commands must fit a single robot better
-ALONE_CLEAR = 0.06  # this difference per integral of w_j^2; noise and wheels 10 % off reach 0.05
+ALONE_BETTER = 0.25  # the same for a single robot that follows another
+ALONE_CLEAR = 0.06  # least Q_ii - Q_ij per integral of w_j^2, for a single robot
 EXPLAINED = 0.8  # fraction of another robot's commanded turning that must be measured
 TINY = 1e-12
 
@@ -54,7 +54,7 @@ class SwapDetector:
         self._names = tuple(names)
         self._times: list[int] = []  # times of the turning rates in `_sent` [ns]
         self._sent: list[Floats] = []
-        self._shared: tuple[tuple[int, int], Floats] | None = None  # commanded turning of a frame
+        self._shared: tuple[tuple[int, int], Floats] | None = None  # a frame's commands
         self.restart()
 
     def restart(self) -> None:
@@ -234,6 +234,6 @@ class IdentityWatch:
                 self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
 
     def forget(self, i: int) -> None:
-        """Start again: another cell is robot i."""
+        """Forget the identity of robot i, which is another cell from now on."""
         self._since_ns.pop(i, None)
         self.unknown.pop(i, None)

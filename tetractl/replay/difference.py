@@ -41,7 +41,7 @@ class Tolerance:
         """Return which elements of two arrays of the same shape differ."""
         if ours.dtype != np.float64 or logged.dtype != np.float64:
             return np.asarray(ours != logged)
-        with np.errstate(invalid="ignore"):  # inf - inf
+        with np.errstate(invalid="ignore"):  # inf - inf is NaN
             if self.relative or self.absolute:
                 larger = np.maximum(np.abs(ours), np.abs(logged))
                 near = np.abs(ours - logged) <= self.relative * larger + self.absolute

@@ -10,7 +10,7 @@ from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
 PIXELS_MAX = 8192  # longest side of a picture [px]
-SHOWN = 720  # longer side as shown [px]
+SHOWN = 720  # longer side of a picture as shown [px]
 QUALITY = 60  # JPEG quality, 1 to 100
 MOST = 120  # largest number of pictures per trial in a report
 

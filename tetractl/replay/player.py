@@ -189,9 +189,10 @@ class Player:
     """Plays a span [ns] of a recording: a state machine over a `PlayerClock`.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
-    resumes, and at the end plays again from the start; "left" and "right" seek 1 s, "home" and
-    "end" the ends of the span; "." and "," seek the next and the previous control step, "e" and "E"
-    the next and the previous event, and pause; "+" and "-" double and halve the rate, "q" quits.
+    resumes, and at the end plays again from the start; "left" and "right" seek 1 s back and
+    forward, "home" and "end" the ends of the span; "." and "," seek the next and the previous
+    control step, "e" and "E" the next and the previous event, and pause; "+" and "-" double and
+    halve the rate, "q" quits.
     """
 
     def __init__(

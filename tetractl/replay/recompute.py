@@ -96,7 +96,7 @@ class Rerun:
         return _Repeated(optimizer, self)
 
     def next(self) -> tuple[int, Search]:
-        """Return the index in its step of the next logged search, and the search."""
+        """Return the index of the next logged search in its step, and the search."""
         if not self._left:
             raise NoSearchError
         return self._left.pop(0)
@@ -132,10 +132,8 @@ class _Repeated:
             self._rerun.start()
         if logged.stopped != StopReason.DEADLINE:
             return found_with(never)
-        few, many = (
-            1,
-            2,
-        )  # bounds of the least number of readings that is enough
+        # bounds of the least number of readings for the logged evaluations
+        few, many = 1, 2
         while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
             if found.stopped != StopReason.DEADLINE:
                 return found  # the search ended before the deadline

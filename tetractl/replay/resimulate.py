@@ -117,7 +117,7 @@ class _Ending:
 
     @property
     def delay_ns(self) -> int:
-        """Time from now until the stop was decided [ns]."""
+        """Time from now until the logged stop was decided [ns]."""
         now = self.clock.now()
         if self.plans:  # the delay of the stop is random: a copy of the plant draws it
             now = copy.deepcopy(self.plant).stop().sent_ns
@@ -158,7 +158,7 @@ class _Recorder(Recorder):
 
     def __init__(self, log: TrialLog, ending: _Ending) -> None:
         self._log, self._ending = log, ending
-        self._left = len(log.commands) - 1  # without the stop
+        self._left = len(log.commands) - 1  # commands still to come, without the stop
 
     def on_step(self, step: Step) -> None:
         """Keep a control step."""

@@ -124,7 +124,7 @@ def _header(title: str, groups: Sequence[Group]) -> str:
 
 
 def _cards(group: Group) -> str:
-    """Return the HTML of a group's mean total error and of its number of trials in obstacles."""
+    """Return the HTML of a group's mean total error and of its trials that entered an obstacle."""
     total, show = group.total, lengths(group.total.mean)
     interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
     return (
@@ -136,7 +136,7 @@ def _cards(group: Group) -> str:
 
 
 def _overview(groups: Sequence[Group]) -> Table:
-    """Return the table of the mean total error and the trials in obstacles of several groups."""
+    """Return the table of mean total errors, and of trials that entered an obstacle, of groups."""
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
     return Table(

@@ -51,9 +51,9 @@ class Group:
     """A batch of trials of N robots, with a name; lengths in `unit`.
 
     `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
-    outcome the controller decided. `statistics` are the values of `results.kinds`, over all trials.
-    `published` and `scaled` are None if the spec requests none; `scaled` is also None for a
-    simulation without disturbances and for an emulated lab.
+    outcome the controller decided. `statistics` are the values of all registered statistics, over
+    all trials. `published` and `scaled` are None if the spec requests none; `scaled` is also None
+    for a simulation without disturbances and for an emulated lab.
     """
 
     name: str

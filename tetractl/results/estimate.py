@@ -70,8 +70,8 @@ class Tail:
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
-    otherwise the bound is 10 medians. Without values, or with a median that is not positive, the
-    fields are None.
+    otherwise the bound is 10 medians. Without values, or with a median that is not positive,
+    `bound` is NaN.
     """
 
     bound: float
@@ -103,7 +103,7 @@ class Distribution:
     """Summary of n values: mean, standard deviation (n - 1), median, range, confidence interval of
     the mean, and the number of values above a bound.
 
-    With n = 0 every field is NaN; with n = 1 only the standard deviation is NaN.
+    With n = 0 mean, deviation, median and range are NaN; with n = 1 only the deviation is.
     """
 
     n: int

@@ -147,7 +147,7 @@ def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
 def trial(result: ResultSummary) -> Table:
     """Return the one row of a trial: its plant, errors, outcome and statistics."""
     found = trials_table(Batch.of([result]))
-    left_out = ("path", "trial")  # `log` and `trial` come first
+    left_out = ("path", "trial")  # `of_log` adds `log` and `trial`
     return Table("trials", tuple(c for c in found.columns if c.name not in left_out))
 
 

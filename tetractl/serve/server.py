@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 ADDRESS = "127.0.0.1"
 TOKEN_BYTES = 12  # 96 random bits; a link fits next to the arena on a terminal of 80 columns
 FOXGLOVE = "https://app.foxglove.dev"
-"""Foxglove in the browser."""
+"""Address of Foxglove in the browser."""
 BLOCK_BYTES = 1 << 16
 
 

@@ -51,7 +51,7 @@ RC: dict[str, Any] = {
     "savefig.dpi": 300,
     "pdf.fonttype": 42,  # embeds fonts, so that text can be searched
     "svg.fonttype": "none",
-    "svg.hashsalt": "tetractl",  # the same file from the same log
+    "svg.hashsalt": "tetractl",  # the same log gives the same file
 }
 _METADATA: dict[str, dict[str, Any]] = {
     "png": {"Software": None},

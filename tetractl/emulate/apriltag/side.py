@@ -26,12 +26,12 @@ from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, Rob
 
 @dataclass(frozen=True, slots=True)
 class Optics:
-    """A pinhole camera that looks from `position` at `target` [m, z up], and its faults.
+    """A pinhole camera that looks from `position` at `target` [m, z up], and its imperfections.
 
-    `up` is the direction on the floor that is up in the picture [rad]. `distortion` holds OpenCV's
-    k1, k2, p1, p2 and, optionally, k3. `blur_px` is the lens's Gaussian blur, `exposure_s` the time
-    during which motion smears, `gain` multiplies the light, `noise` is the standard deviation of
-    each pixel in grey levels at gain 1.
+    `up` is the direction on the floor that is up in the picture [rad]. `distortion` contains
+    OpenCV's k1, k2, p1, p2 and, optionally, k3. `blur_px` is the lens's Gaussian blur, `exposure_s`
+    the time during which motion smears, `gain` multiplies the light, `noise` is the standard
+    deviation of each pixel in grey levels at gain 1.
     """
 
     width: int

@@ -113,7 +113,7 @@ def _speck(random: np.random.Generator, span: float) -> RenderedSpeck:
 
 @dataclass(slots=True)
 class DishPainter:
-    """Draws pictures with one look; the same seed gives the same pictures."""
+    """Draws pictures with the properties `look`; the same seed gives the same pictures."""
 
     look: PictureLook
     seed: int = 0
@@ -125,7 +125,7 @@ class DishPainter:
         self._random = np.random.default_rng(self.seed)
 
     def change(self, **values: Any) -> None:
-        """Change values of the look."""
+        """Replace values of `look`."""
         self.look, self._still = replace(self.look, **values), None
 
     def picture(
@@ -240,7 +240,8 @@ class DishPainter:
             inside = 1 - np.hypot(along, aside / wide)
             drawn += 1 / (1 + np.exp(-np.clip(1.7 * inside * half_wide / soft, -30, 30)))
         cover = (drawn / len(moments)).astype(np.float32)
-        ink[where] = ink[where] * (1 - 0.5 * cover) + cover  # overlapping bodies do not add up
+        # two overlapping bodies are not twice as dark
+        ink[where] = ink[where] * (1 - 0.5 * cover) + cover
 
 
 def recoded(picture: Grey, quality: int) -> Grey:

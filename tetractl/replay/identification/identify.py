@@ -28,8 +28,8 @@ class RobotFound:
     """The identified values of one robot; lengths in the tracks' unit.
 
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
-    `heading_noise` [rad] and `position_noise` [length unit] are standard deviations of
-    measurements, of positions along the robot's path; `heading_walk` [rad/sqrt(s)] is the random
+    `heading_noise` [rad] and `position_noise` [length unit] are standard deviations of measured
+    headings, and of measured positions along the path; `heading_walk` [rad/sqrt(s)] is the random
     walk of the heading. `lost` and `intervals` are the numbers of commands inferred lost and of
     intervals used.
     """

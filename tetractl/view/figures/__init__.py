@@ -1,1 +1,1 @@
-"""Figures, one module each."""
+"""Figures of trials and batches, and functions that they share."""

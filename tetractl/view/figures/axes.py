@@ -17,7 +17,7 @@ from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 
 NUMBERED = 8  # least number of robots that are numbered
-NAME_LENGTH = 16  # of a robot in a figure [characters]
+NAME_LENGTH = 16  # largest length of a robot's name in a figure [characters]
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:

@@ -18,8 +18,8 @@ from tetractl.results.open_batch import counts
 from tetractl.view import style
 
 COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]
-_NAME = 18  # most characters in a line of a group's name
-_ASIDE = 0.14  # distance of dots to the left from the centre of their category
+_NAME = 18  # largest number of characters in a line of a group's name
+_ASIDE = 0.14  # shift of dots to the left of their category's centre [categories]
 _MANY = 100  # largest number of trials drawn with large dots
 _LABELS = 12  # largest number of labelled categories
 

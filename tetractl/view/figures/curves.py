@@ -222,7 +222,9 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
 def _panels(
     setup: Setup, top_in: float, least_in: float, end_s: float
 ) -> tuple[Figure, Axes, Axes]:
-    """Return a figure with axes for the total and, below, for each robot; times in [s]."""
+    """Return a figure with axes for the total error and, below, the robots' errors until `end_s`
+    [s].
+    """
     each_in = max(least_in, LINE_IN * len(setup.names))
     figure = style.figure(style.PAGE_IN, top_in + each_in)
     total, each = figure.subplots(2, 1, sharex=True, height_ratios=[0.7 * top_in, each_in])

@@ -33,7 +33,7 @@ class Projection:
 
     @classmethod
     def fit(cls, arena: Bounds, width: int, height: int) -> "Projection":
-        """Show the whole arena as large as `width` x `height` cells allow."""
+        """Return the projection that shows the arena as large as `width` x `height` cells allow."""
         width, height = max(width, 1), max(height, 1)
         scale = max(arena.width / (ACROSS * width - 1), arena.height / (DOWN * height - 1))
         across, down = round(arena.width / scale) + 1, round(arena.height / scale) + 1
@@ -67,7 +67,7 @@ class Projection:
 
 
 class Canvas:
-    """Character cells of braille dots with one style each; later drawing covers earlier drawing."""
+    """Character cells of braille dots with one style each; new dots replace old ones."""
 
     def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
         self.width, self.height = width, height

@@ -151,7 +151,7 @@ class Dashboard:
         shown = len(now) if len(now) <= most else most - 1
         names = setup.names[:shown]
         name_width = min(max((len(name) for name in names), default=0), max(width // 3, 4))
-        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # 4 digits: 854.0 mm
+        decimals = min(max(3 - math.floor(math.log10(full)), 0), 6)  # four digits: 854.0 mm
         values = [f"{value:.{decimals}f}" for value in now[:shown]]
         value_width = max(len(f"{full:.{decimals}f}"), *(len(value) for value in values))
         bar_width = width - 3 - name_width - 1 - value_width - 1

@@ -109,7 +109,7 @@ class Keyboard:
             if self.interrupted:
                 return ["q"]
             if not ready:
-                self._rest = b""  # the Esc key
+                self._rest = b""  # it was the Esc key alone
                 return []
             data = os.read(self._fd, 1024)
         except OSError:

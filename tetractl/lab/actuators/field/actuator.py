@@ -88,8 +88,8 @@ class FieldActuator:
         """Turn the field to a direction [rad], as far as the slew limit allows in one period.
 
         The currents change along a straight line, so a field that turns by half a circle becomes
-        weak on the way. `turning` [rad/s] is for the requested field, 0 for cells without a pose;
-        `moving` is ignored. AbortError if the driver has failed.
+        weak on the way. The transmission's `turning` [rad/s] is computed for the requested field, 0
+        for cells without a pose; `moving` is ignored. AbortError if the driver has failed.
         """
         if (failure := self.failure) is not None:
             raise AbortError(failure, HINT)

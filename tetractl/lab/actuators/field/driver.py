@@ -111,7 +111,7 @@ HINT = "the driver switches the field off by its watchdog; cells swim on"
 
 
 class Driver:
-    """A current driver on a port that is opened by `open`. Times are ns on `clock`.
+    """A current driver on a serial port. Times are ns on `clock`.
 
     Every frame polls the driver; `failure` reports if it is off, latched or hot.
     """

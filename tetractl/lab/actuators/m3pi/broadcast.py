@@ -65,9 +65,9 @@ class Reply:
 def encode_command(command: BroadcastCommand) -> bytes:
     """Pack a command, including the closing byte 00."""
     if not 0 <= command.sequence <= 255:
-        raise WireError(f"sequence {command.sequence} is not one byte")
+        raise WireError(f"sequence {command.sequence} does not fit into one byte")
     if len(command.wheels) > ROBOTS_MAX:
-        raise WireError(f"{len(command.wheels)} robots; a frame holds {ROBOTS_MAX}")
+        raise WireError(f"{len(command.wheels)} robots; a frame has space for {ROBOTS_MAX}")
     counts = [count for pair in command.wheels for count in pair]
     if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")

@@ -38,7 +38,7 @@ class SlaveSection(Model):
 
 
 class WheelSection(Model):
-    """One wheel: its speed is gain times the counts beyond the dead zone."""
+    """One wheel: its speed is the gain times (|count| - dead zone)."""
 
     gain_mm: float = Field(default=1000 / 127, gt=0, le=100, allow_inf_nan=False)
     """Speed per count [mm/s]."""

@@ -1,7 +1,8 @@
 """The bytes of the 3pi's own serial-slave program, which runs without an mbed.
 
-Bytes from 0x80 on are commands, others their data. **This program has no watchdog**: without
-commands the motors run on. A lost data byte leaves the old speed until the next command.
+Bytes from 0x80 on are commands, the bytes below are their data. **This program has no watchdog**:
+without commands the motors continue to turn. If a data byte is lost, the old speed remains until
+the next command.
 """
 
 from tetractl.core.errors import WireError

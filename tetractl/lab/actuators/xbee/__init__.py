@@ -1,1 +1,1 @@
-"""XBee 802.15.4 modules: API frames to values and back, without a serial port."""
+"""XBee 802.15.4 modules: API frames, and the connection to a module on a serial port."""

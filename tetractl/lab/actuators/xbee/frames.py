@@ -127,7 +127,7 @@ def pack_content(frame: XbeeFrame | Other) -> bytes:
     """Pack a frame's content, the bytes between length and checksum."""
     if isinstance(frame, Other):
         if not 0 <= frame.api <= 0xFF:
-            raise WireError(f"not an API id: {frame.api}")
+            raise WireError(f"an API id is one byte, not {frame.api}")
         return bytes([frame.api]) + frame.data
     values = astuple(frame)
     fields, data = (values[:-1], values[-1]) if frame.HAS_DATA else (values, b"")

@@ -134,7 +134,7 @@ def _floor_findings(
         yield True, f"floor {_tags(double)} seen twice: every number may be used once only"
     if plane is None:
         return
-    if not plane.worst_mm <= MISPLACED_MM:  # also for NaN
+    if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
         yield (
             not plane.worst_mm <= MISFIT_MM,
             f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "

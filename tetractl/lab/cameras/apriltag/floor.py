@@ -193,7 +193,7 @@ def _flat(spots: Floats) -> Floats:
 
 
 MOVED_PX = 3.0  # a floor tag this far from its mean position, or the camera, has been moved
-AVERAGED = 32  # pictures
+AVERAGED = 32  # largest number of pictures over which corners are averaged
 MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in the spec is wrong
 
 

@@ -24,10 +24,10 @@ from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
 
-BACKGROUND = 15  # pictures
+BACKGROUND = 15  # number of pictures from which the background is computed
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
 FILMS = 1024
-SIGNALS = 4096  # number of directions that are remembered
+SIGNALS = 4096  # largest number of sent directions that are kept
 
 
 class CellCamera(PictureCamera[SeenDish]):

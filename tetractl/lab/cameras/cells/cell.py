@@ -19,7 +19,7 @@ class SeenCell:
     `probability` is the probability that this is the cell with the number `identity`. `found`: the
     cell has a blob; `merged`: the cell shares its blob with others. `track` is the number of its
     path. `measured` (6,) are x, y, axis of the cell's own blob and their standard deviations; None
-    without an own blob.
+    if the cell has no blob of its own.
     """
 
     identity: int
@@ -83,7 +83,7 @@ class FollowedCell:
     merged: bool = False
     question: Question | None = None
     place: int = 0  # index of this track in `question`
-    # time [s] and x, y [um] of the cell's first blob, until the cell has swum
+    # time [s] and x, y [um] of the cell's first blob; None once the cell has swum far enough
     begun: tuple[float, float, float] | None = None
     measured: tuple[float, ...] | None = None
     last: Floats = field(default_factory=lambda: np.zeros(2))  # position of its last blob [um]

@@ -8,10 +8,10 @@ from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look
 
-DARK, SATURATED = 12.0, 245.0  # grey levels of the medium
+DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
 BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
-SMALL_PX = 8.0  # smallest width of a cell
+SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
 BODY_UM = 26.3
 UNSURE = 0.9  # probability of a robot's identity below which a problem is reported
 

@@ -14,7 +14,7 @@ from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 STEP, LEAST, MOST = 16, 32, 160  # step, smallest and largest side of crops [px]
-ROOM = 1.8  # a crop's side over the length of the longest cell
+ROOM = 1.8  # ratio of a crop's side to the length of the longest cell
 RIM = 2  # margin around a blob [px], so that its contour is the same in the crop
 HERE_UM = 15.0  # largest distance of a robot's filtered position from its blob
 WHOLE_NS = SECOND  # interval between whole pictures
@@ -23,7 +23,7 @@ BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
 
 @dataclass(slots=True)
 class FilmCutter:
-    """Cuts the film of one run."""
+    """Selects the crops and whole pictures of one run for its log."""
 
     _whole_ns: int = -WHOLE_NS
     _background_ns: int = -BACKGROUND_NS

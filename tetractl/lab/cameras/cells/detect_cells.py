@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
-SPARSE = 64  # rows sampled for light and noise; at most every eighth
+SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
 LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
 LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
@@ -63,7 +63,8 @@ class Light:
     standard deviation of its noise [grey levels].
 
     `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
-    the fraction of pixels that differ from the background; `lost`: more differ than cells explain.
+    the fraction of pixels that differ from the background; `lost` is True if cells cannot explain
+    that fraction.
     """
 
     gain: float

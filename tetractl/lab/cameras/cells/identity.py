@@ -61,7 +61,7 @@ class Question:
             self.likelihood[track] += np.nan_to_num(each) / SIZED
 
     def probabilities(self) -> Floats:
-        """Return the probability of each assignment, in the order of `orders`."""
+        """Return the probability of each assignment, in the order of `_orders`."""
         count = len(self.identities)
         logs = self.likelihood[np.arange(count), self._orders].sum(axis=1)
         shares = np.exp(logs - logs.max())

@@ -1,1 +1,1 @@
-"""NatNet, the protocol of OptiTrack's Motive: datagrams to messages and back, without sockets."""
+"""OptiTrack cameras, received by NatNet, the protocol of Motive."""

@@ -221,7 +221,7 @@ class OptitrackCamera:
                 datagram, (host, port) = ready.recvfrom(DATAGRAM_MAX)
             except BlockingIOError:
                 return
-            except ConnectionError:  # an ICMP "port unreachable" of an earlier send
+            except ConnectionError:  # an ICMP "port unreachable" in answer to an earlier message
                 continue
             if not self.senders.admit(datagram, host, port):
                 continue

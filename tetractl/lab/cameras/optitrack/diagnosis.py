@@ -10,7 +10,7 @@ from tetractl.lab.cameras.optitrack.wire import parse
 
 LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
 """The first protocol version of each layout of frames."""
-SHOWN = 12  # bodies
+SHOWN = 12  # largest number of rigid bodies listed in a message
 
 
 def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> AbortError:

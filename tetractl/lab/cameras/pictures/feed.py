@@ -1,4 +1,4 @@
-"""The interface of an open source of pictures, and its pictures."""
+"""The interface of an opened source of pictures, and the pictures that it delivers."""
 
 from dataclasses import dataclass
 from typing import Protocol
@@ -7,7 +7,7 @@ import numpy as np
 
 
 class SourceEndedError(Exception):
-    """The source has ended and gives no more pictures; the message says why."""
+    """The source has ended and delivers no more pictures; the message states the reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,7 +19,7 @@ class Picture:
 
 
 class Feed(Protocol):
-    """An open source of pictures. One thread reads and closes it; any thread may interrupt.
+    """An opened source of pictures. One thread reads and closes it; any thread may interrupt.
 
     A `live` source delivers pictures even if they are not read. `rate_hz` is the declared rate,
     None if unknown. An `emulated` source does not show real robots.
@@ -39,7 +39,7 @@ class Feed(Protocol):
         ...
 
     def interrupt(self) -> None:
-        """Interrupt a waiting `read`."""
+        """Make a waiting `read` end."""
         ...
 
     def close(self) -> None:

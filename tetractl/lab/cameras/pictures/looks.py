@@ -8,7 +8,7 @@ from typing import Any, Generic, TypeVar
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame
 
-LOOKS = 20  # pictures
+LOOKS = 20  # number of last pictures whose results are kept
 SILENT_NS = SECOND // 2
 SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
 SLOWER = 0.8  # fraction of the declared rate below which a source counts as slow

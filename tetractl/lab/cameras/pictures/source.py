@@ -32,7 +32,7 @@ from tetractl.lab.cameras.pictures.picture_section import (
 
 CHUNK = 1 << 16
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
-END_WITHIN = 64  # bytes searched for a JPEG's end marker, as some cameras pad the file
+END_WITHIN = 64  # bytes searched for a JPEG's end marker, since some cameras pad the file
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 

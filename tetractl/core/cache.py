@@ -31,7 +31,7 @@ def cache_folder() -> Path:
     If this folder cannot be made, or other users can write to it, a temporary folder is returned,
     which is removed at the end of the process. Raises OSError if that cannot be made either.
     """
-    wanted, why = _wanted(), "the user has no home"
+    wanted, why = _wanted(), "the user has no home folder"
     if wanted is not None:
         why = claim(wanted)
         if why is None:
@@ -54,7 +54,7 @@ def _wanted() -> Path | None:
 
 
 def claim(folder: Path) -> str | None:
-    """Make a folder that only this user can write to; return why that failed, or None."""
+    """Make a folder that only this user can write to; return the reason if that fails, or None."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if why := exposed(folder):
@@ -90,7 +90,7 @@ def exposed(folder: Path) -> str | None:
 
 
 def _alone_in(group: int) -> bool:
-    """Return whether a group has the user as its only member, as a user's private group does."""
+    """Return whether the user is the only member of a group, as of a user's private group."""
     import grp
     import pwd
 
@@ -103,7 +103,7 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return numba's environment variables as text, `NAME=value` each, or "none"."""
+    """Return numba's environment variables as text, "NAME=value NAME=value ...", or "none"."""
     found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(kept) or "none"

@@ -1,4 +1,4 @@
-"""The film of cells: crops of a microscope's pictures, kept with the poses found in them."""
+"""Crops of a microscope's pictures, logged together with the poses of the cells found in them."""
 
 from dataclasses import dataclass
 
@@ -12,16 +12,16 @@ Integers = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class CellFilm:
-    """One picture of a camera that follows cells, as stored in a log.
+    """One picture of a camera that tracks cells, as stored in a log.
 
-    `crops` (K, T, T) are cut out of the picture minus its background, the input of the search for
-    contours, so that the search can be repeated; the upper left pixel of each is at `corners` (K,
-    2), column and row. `blobs` (K, 6) are the blobs found in the crops: x, y [px], axis [rad],
-    length, width [px], strength [grey levels]. `robots` (K,) are the robots' indices, -1 for a
-    stranger; `merged` (K,) is True for cells that share a blob. `limits` (4,) are low and high
-    threshold [grey levels], least and most area [px^2] of the search. `sure` (N,) is the
+    `crops` (K, T, T) are cut out of the picture minus its background, so that the search for
+    contours can be repeated; the upper left pixel of each is at `corners` (K, 2), column and row.
+    `blobs` (K, 6) are the blobs found in the crops: x, y [px], axis [rad], length, width [px],
+    strength [grey levels]. `robots` (K,) are the indices of the robots, -1 for a cell that is no
+    robot; `merged` (K,) is True for cells that share a blob. `limits` (4,) are low and high
+    threshold [grey levels], least and greatest area [px^2] of the search. `sure` (N,) is the
     probability that each robot's cell is still the same one, NaN if the cell is not seen. `whole`
-    is the picture itself and `background` the picture subtracted, both only in some frames.
+    is the picture itself and `background` the one subtracted, both only in some frames.
     """
 
     sampled_ns: int
@@ -37,7 +37,8 @@ class CellFilm:
 
 
 def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
-    """Return the square whose upper left pixel is at a column and row; 0 outside the picture."""
+    """Return the square of `side` pixels whose upper left pixel is at `column` and `row`; it is 0
+    outside the picture."""
     found = np.zeros((side, side), np.uint8)
     left, top = max(column, 0), max(row, 0)
     part = picture[top : max(row + side, 0), left : max(column + side, 0)]

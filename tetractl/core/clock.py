@@ -1,4 +1,4 @@
-"""Clocks: nanoseconds since a clock was made, virtual or monotonic."""
+"""Clocks, virtual or monotonic, which give nanoseconds since they were created."""
 
 import time
 from collections.abc import Callable
@@ -20,19 +20,19 @@ def milliseconds(ns: int) -> float:
 
 
 class Clock(Protocol):
-    """A source of time that starts at 0 when it is made."""
+    """A clock that starts at 0 when it is created."""
 
     def now(self) -> int:
         """Return the time [ns]."""
         ...
 
     def sleep_until(self, when: int) -> None:
-        """Wait until `when` [ns]; return at once for a time that has passed."""
+        """Wait until `when` [ns]; return at once if that time has passed."""
         ...
 
 
 class VirtualClock:
-    """Time that passes only by sleeping: simulation runs as fast as it can be computed."""
+    """A clock that advances only when a caller sleeps, so that a simulation need not wait."""
 
     def __init__(self) -> None:
         self._now = 0
@@ -47,7 +47,7 @@ class VirtualClock:
 
 
 class MonotonicClock:
-    """The host's monotonic clock, which changes of the wall clock do not affect."""
+    """The host's monotonic clock, which is not affected by changes of the wall clock."""
 
     def __init__(self) -> None:
         self._start = time.monotonic_ns()
@@ -63,10 +63,11 @@ class MonotonicClock:
 
 
 def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
-    """Call `done` every 2 ms of a clock until it returns true; return False if the timeout comes
-    first.
+    """Call `done` every 2 ms of a clock until it returns true, and return True; return False after
+    `timeout_s`.
 
-    In virtual time, waiting advances the devices that run on the clock, so tests need no thread.
+    In virtual time, the devices that run on the clock advance during the wait, so that tests need
+    no thread.
     """
     end = clock.now() + round(timeout_s * SECOND)
     while not done():

@@ -47,7 +47,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A message for the operator at a time of the trial; `level` is "info", "warning" or
+    """A message for the operator with its time in the trial; `level` is "info", "warning" or
     "error"."""
 
     t_ns: int
@@ -61,8 +61,8 @@ class Verdict:
 
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
-    obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` names the robots
-    that did not stand still after the stop, and what they did, "" for none. `edge` (N,) is the
+    obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` is a text on the
+    robots that did not stand still after the stop, "" if there is none. `edge` (N,) is the
     least distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to
     another robot, inf for a single robot; both are empty in older logs. All distances are
     measured from the robots' centres.
@@ -77,16 +77,16 @@ class Verdict:
 
 
 EMULATED = "emulated"
-"""Key in a `PlantInfo`'s facts under which emulated devices are named."""
+"""The key of `PlantInfo.facts` whose value names the emulated devices."""
 EMULATED_NAME = "EMULATED by tetractl"
-"""Text in the name with which an emulated device identifies itself to its client."""
+"""Text in the name that an emulated device reports to its client."""
 
 
 @dataclass(frozen=True, slots=True)
 class PlantInfo:
-    """A description of an open plant; `facts` go into the log's metadata, `kind` is its type.
+    """A description of an open plant: `kind` is its type, and the log's metadata hold its `facts`.
 
-    The fact HALTS of a lab is "yes" if its robots stand still once stopped, otherwise "no". The
+    The fact HALTS of a lab is "yes" if its robots stand still after a stop, otherwise "no". The
     fact EMULATED names the lab's devices that are not real, such as "camera".
     """
 
@@ -103,8 +103,8 @@ class Transmission:
     `sent_ns` is the time of sending on the run's clock; `direction` the common direction u [rad],
     None for a stop; `moving` (N,) is False for robots that are held still. `speed` (N,) [length
     unit/s] and `turning` (N,) [rad/s] are the motion commanded to each robot. `left`, `right`
-    (N,) are the wheel speeds [length unit/s] of robots with wheels. `outputs` are the actuator's
-    own numbers by a name with its unit, such as `current_x_a`.
+    (N,) are the wheel speeds [length unit/s] of robots with wheels. `outputs` are further numbers
+    of the actuator by a name that includes the unit, such as `current_x_a`.
     """
 
     sent_ns: int
@@ -131,9 +131,9 @@ class RobotStatus:
 class Health:
     """The state of a device of the lab before a run.
 
-    `problems` keep a run from starting, `warnings` do not, and `questions` need the operator's
-    consent; all are lines of text. `facts` go into the log's metadata. `emulated` is True if the
-    device states that it is not real: every table and figure then says that the trial is emulated.
+    `problems` prevent a run from starting, `warnings` do not, and `questions` need the operator's
+    consent; all are lines of text. The log's metadata hold the `facts`. `emulated` is True if the
+    device reports that it is not real; all tables and figures then mark the trial as emulated.
     """
 
     problems: tuple[str, ...] = ()

@@ -47,13 +47,13 @@ class ControlError(TetractlError):
 
 
 class AbortError(TetractlError):
-    """The plant refuses to go on (a fault in the lab); the robots are stopped."""
+    """The plant cannot go on, because of a fault in the lab; the robots are stopped."""
 
 
 class WireError(ValueError):
-    """Bytes that do not follow a wire format, or values that do not fit into one.
+    """Bytes that do not follow a wire format, or values that cannot be sent in it.
 
-    Receivers drop and count such bytes; the parsers of `tetractl.lab` raise no other error.
+    Receivers drop such bytes and count them; the parsers of `tetractl.lab` raise no other error.
     """
 
 
@@ -74,8 +74,8 @@ def printable(text: str, length: int | None = None) -> str:
 def cell(text: str) -> str:
     """Return text for a cell of a table that a spreadsheet may open.
 
-    A spreadsheet evaluates text that begins with =, +, - or @, also as full-width signs and after
-    white space; an apostrophe in front prevents that.
+    A spreadsheet evaluates text that begins with =, +, - or @, even after white space or as
+    full-width signs; an apostrophe is put in front to prevent that.
     """
     safe = printable(text)
     first = unicodedata.normalize("NFKC", text).lstrip()[:1]

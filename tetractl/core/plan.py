@@ -1,5 +1,5 @@
-"""The optimal control problem of one control step, and a controller's decision on it: searches, the
-plan chosen among them, or the end of the trial.
+"""The optimal control problem of one control step, and the controller's decision: a plan with the
+searches it was chosen from, or the end of the trial.
 """
 
 from collections.abc import Callable, Sequence
@@ -25,7 +25,7 @@ class Outcome(StrEnum):
 
     @classmethod
     def _missing_(cls, value: object) -> "Outcome | None":
-        """Return the outcome for the name that log format 1 has for it."""
+        """Return the outcome that log format 1 calls `value`, None if there is none."""
         return cls.SEQUENCE_COMPLETED if value == "sequence used up" else None
 
     @property
@@ -36,7 +36,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The end of a trial by a stop sent `delay_ns` after the decision."""
+    """The decision to end a trial by a stop that is sent `delay_ns` later."""
 
     outcome: Outcome
     delay_ns: int
@@ -63,15 +63,16 @@ PAUSE_S = 0.5
 
 
 def never() -> bool:
-    """Return False: there is no deadline."""
+    """Return False: the default of `Limits.expired`, for no deadline."""
     return False
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
     """The limits of one search.
+
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far. With `thorough` it may take seconds, since the robots stand.
+    returns the best sequence so far. With `thorough` it may take seconds, as the robots stand.
     """
 
     evaluations: int | None = None
@@ -93,8 +94,8 @@ class Search:
     """One search of the optimiser: one horizon in one control step.
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, entry 0 before the first (Figure 3). `stopped` is why the search ended; a log of
-    another version of tetractl may hold a text that is not a StopReason.
+    iteration z, entry 0 before the first (Figure 3). `stopped` is the reason why the search ended,
+    a text only if a log of another version of tetractl has a reason that is not a StopReason.
     """
 
     length: int
@@ -110,9 +111,9 @@ class Estimate:
     """A controller's estimates of N robots while they move, with standard deviations `_std`.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
-    `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent, and
-    `dead_time` [s] the time from the sending of a direction to the moment when it acts, shared by
-    all robots; both are None if they are not estimated.
+    `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
+    `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
+    robots. Both are None if they are not estimated.
     """
 
     a: Floats
@@ -142,13 +143,13 @@ class Plan:
     """The decision of one control step: the sequence chosen and how it was found.
 
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
-    (length + 1, N, 3), the observed ones first. `searches` are all horizons tried, in order;
-    `chosen` indexes the best. `generator` is the key of all random draws in this step. `estimate`
-    are the estimates used for the plan, None if the controller estimates nothing. With
-    `field_off` the field is switched off in this step, and robots go straight on: signals[0] is
-    then not sent. With `pauses` all robots are stopped instead, `delay_ns` after the decision, and
-    stand for PAUSE_S. `leg` is the number of way-points passed; while the robots hold, one more
-    than the number of way-points.
+    (length + 1, N, 3), beginning with those at which the plan starts. `searches` are all horizons
+    tried, in order; `chosen` is the index of the best. `generator` is the key of all random numbers
+    of this step. `estimate` are the estimates used for the plan, None if the controller estimates
+    nothing. If `field_off`, the field is switched off in this step, signals[0] is not sent, and
+    robots go straight on. If `pauses`, all robots are stopped instead, `delay_ns` after the
+    decision, and stand for PAUSE_S. `leg` is the number of way-points passed; while the robots
+    hold, it is one more than the number of way-points.
     """
 
     signals: Floats
@@ -166,8 +167,8 @@ class Plan:
     leg: int = 0
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return this plan for the robots in the mask `left` (N,) with a path of all N robots, in
-        which the others stay at their poses in `seen`.
+        """Return this plan, made for the robots in the mask `left` (N,), with a path of all N
+        robots, in which the others stay at their poses in `seen`.
         """
         if left.all():
             return self
@@ -222,8 +223,9 @@ class Problem:
     instead of the positions alone. Two robots are to keep `separation` between their centres at the
     predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the direction
     that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift that carries it;
-    None for no bias or flow. With `within`, the robots are to stay within that distance of their
-    targets [length unit]. Problems are compared by identity, so that one can be the key of a cache.
+    None for no bias or flow. If `within` [length unit] is given, the robots are to stay within that
+    distance of their targets. Problems are compared by identity, so that a problem can be the key
+    of a cache.
     """
 
     poses: Poses
@@ -264,5 +266,5 @@ class Problem:
         return np.array([np.cos(bias), np.sin(bias), *flow])
 
     def seconds(self, length: int) -> float:
-        """Return how long a sequence of the given number of signals is held [s]."""
+        """Return the duration of a sequence of `length` signals [s]."""
         return self.first_period + (length - 1) * self.period

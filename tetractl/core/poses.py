@@ -1,4 +1,4 @@
-"""Where the robots are: poses, camera frames, observations, and the ellipse of a covariance."""
+"""Poses of robots, camera frames, observations, and the ellipse of a covariance."""
 
 import math
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distance (N,) of robot i to point i of points (N, 2)."""
+        """Return the distance of each robot to its own point of points (N, 2), (N,)."""
         return np.hypot(*(self.xy - points).T)
 
 
@@ -70,7 +70,7 @@ class CameraFrame:
 
     `poses` has one entry per robot, None if a robot is not tracked. `sampled_ns` is the time of
     exposure and `received_ns` the time of arrival at the host, both on the run's clock. `strangers`
-    are tracked bodies that are not robots. `fault` is the reason not to use the stream's poses, ""
+    are tracked bodies that are not robots. `fault` is the reason why the poses must not be used, ""
     if there is none.
     """
 
@@ -84,7 +84,7 @@ class CameraFrame:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """The newest camera frame at one instant, as the controller is given it.
+    """The newest camera frame at one instant, in the form that the controller gets.
 
     `sampled_ns` is the time of exposure and `received_ns` the time of arrival at the host, both on
     the trial's clock; `valid` (N,) is True for robots tracked in that frame. A robot that was
@@ -105,8 +105,9 @@ DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
 
 
 def ellipse(covariance: Floats) -> tuple[float, float, float]:
-    """Return half axes [length unit], longer first, and angle of the longer [rad] of the ellipse
-    that contains the fraction INSIDE of a normal distribution of a covariance (2, 2).
+    """Return the longer and the shorter half axis [length unit], and the angle of the longer [rad],
+    of the ellipse that contains the fraction INSIDE of a normal distribution with `covariance` (2,
+    2).
     """
     values, vectors = np.linalg.eigh(covariance)
     short, long = DEVIATIONS * np.sqrt(np.maximum(values, 0.0))

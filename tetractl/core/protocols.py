@@ -25,11 +25,11 @@ class Plant(Protocol):
 
     Calls come in this order: open, then any of observe, steer, samples and news, then stop, settle,
     close.
-    Times are nanoseconds on the clock the plant was made with, 0 at the trial's start.
+    Times are nanoseconds on the clock with which the plant was created, 0 at the trial's start.
     """
 
     def open(self) -> PlantInfo:
-        """Make ready; raise AbortError if the plant cannot run."""
+        """Prepare the plant and return its description; raise AbortError if it cannot run."""
         ...
 
     def observe(self) -> Observation:
@@ -37,23 +37,24 @@ class Plant(Protocol):
         ...
 
     def steer(self, direction: float | None) -> Command:
-        """Send the common direction u [rad] and return what was really sent.
+        """Send the common direction u [rad] and return the command that was really sent.
 
-        None switches the field off: no robot is turned, and all go straight on. Only plants whose
-        section `switches_field` are given None.
+        None switches the field off: no robot is turned, and all go straight on. None is allowed
+        only for plants whose section has `switches_field`.
         """
         ...
 
     def pause(self) -> Command:
-        """Stop every robot until the next `steer`; only on plants whose robots can stand still."""
+        """Stop every robot until the next `steer`; only for robots that can stand still."""
         ...
 
     def samples(self) -> list[Sample]:
-        """Return, once, every camera frame since the last call, oldest first."""
+        """Return every camera frame since the last call, oldest first."""
         ...
 
     def news(self) -> list[Command | Note]:
-        """Return, once, what was sent outside `steer` and what was noted, oldest first."""
+        """Return the commands sent outside `steer`, and the notes, since the last call, oldest
+        first."""
         ...
 
     def stop(self) -> Command:
@@ -61,19 +62,19 @@ class Plant(Protocol):
         ...
 
     def settle(self) -> Verdict:
-        """After stop: wait until the robots stand still, and evaluate the path."""
+        """Wait, after `stop`, until the robots stand still, and return how the trial ended."""
         ...
 
     def close(self) -> None:
-        """Release what open took; idempotent, never raises."""
+        """Release all resources that `open` acquired; idempotent, never raises."""
         ...
 
 
 class Device(Protocol):
     """A device of the lab that is opened, checked and closed; a context manager.
 
-    Entering connects and raises AbortError if that cannot be; leaving releases everything, is
-    idempotent and never raises.
+    Entering connects to the device and raises AbortError if that fails; leaving releases
+    everything, is idempotent and never raises.
     """
 
     def __enter__(self) -> Self: ...
@@ -81,9 +82,9 @@ class Device(Protocol):
     def __exit__(self, *error: object) -> None: ...
 
     def check(self) -> Health:
-        """Return problems, warnings and facts; moves nothing.
+        """Return problems, warnings and facts, without moving a robot.
 
-        Called after the device was entered and before a run, perhaps many times.
+        It may be called several times between entering the device and a run.
         """
         ...
 
@@ -91,8 +92,9 @@ class Device(Protocol):
 class Camera(Device, Protocol):
     """Tracks N robots in the spec's coordinates.
 
-    Once entered, the camera has a frame, and further ones come in by themselves: it calls the
-    `wake` it was made with after each. Times are ns on the clock it was made with.
+    Once it is entered, it has a frame and receives further ones in the background; after each it
+    calls the function `wake` with which it was created. Times are ns on the clock with which it was
+    created.
     """
 
     @property
@@ -102,19 +104,19 @@ class Camera(Device, Protocol):
 
     @property
     def damaged(self) -> int:
-        """Deliveries dropped so far because they could not be read; never falls."""
+        """Number of messages dropped so far because they could not be decoded."""
         ...
 
     def frames(self) -> list[CameraFrame]:
-        """Return, once, every frame since the last call, oldest first."""
+        """Return every frame since the last call, oldest first."""
         ...
 
 
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    Sending raises AbortError if the device does not take it; from then on `failure` says why.
-    Times are ns on the clock it was made with.
+    Sending raises AbortError if the device does not accept it; `failure` then gives the reason.
+    Times are ns on the clock with which the actuator was created.
     """
 
     @property
@@ -124,7 +126,7 @@ class Actuator(Device, Protocol):
 
     @property
     def halts(self) -> bool:
-        """Whether robots stand still once they are stopped; cells under a field swim on."""
+        """Whether robots stand still after a stop; cells in a magnetic field swim on."""
         ...
 
     @property
@@ -134,7 +136,7 @@ class Actuator(Device, Protocol):
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more, None while there is no fault."""
+        """The reason why commands can no longer be sent, None if there is no fault."""
         ...
 
     def steer(
@@ -144,20 +146,20 @@ class Actuator(Device, Protocol):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send the common direction u [rad] and return what was really sent.
+        """Send the common direction u [rad] and return the transmission that was really sent.
 
-        `poses` are the newest of each robot, exposed at `exposed_ns`; None if a robot is not
-        tracked. Robots that may not be `moving` are held still if that is possible; an actuator
-        that is not `individual` is only steered while all may move.
+        `poses` are the newest of each robot, exposed at `exposed_ns`, None for a robot that is not
+        tracked. Robots for which `moving` is false are held still; for an actuator that is not
+        `individual`, `moving` is true for all.
         """
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; an emergency stop latches if the device can."""
+        """Stop every robot; an emergency stop is latched by a device that can do so."""
         ...
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every robot for its status; only before a run."""
+        """Request the status of every robot, for at most `timeout_s`; only before a run."""
         ...
 
 
@@ -167,17 +169,17 @@ class Optimizer(Protocol):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Return the best sequence of `length` signals found, and how the search went.
+        """Return the record of a search for the best sequence of `length` signals.
 
-        `warm` (length,) is a sequence to start from, None for none; it is not changed. `key` fixes
-        every random draw: the same arguments give the same bits. Raises ControlError if a cost
-        is not finite.
+        `warm` (length,) is a sequence to start from, None for none; it is not changed. `key`
+        determines all random numbers: the same arguments give the same bits. Raises ControlError if
+        a cost is not finite.
         """
         ...
 
 
 class Controller(Protocol):
-    """Chooses the common direction at each control step; one object lasts one trial."""
+    """Chooses the common direction at each control step; each trial has its own controller."""
 
     def plan(
         self,
@@ -185,17 +187,17 @@ class Controller(Protocol):
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Decide the next `direction` of a plan, or that the trial is over.
+        """Return the plan whose `direction` is sent next, or the end of the trial.
 
-        `observation` is the newest camera frame, `earlier` are those exposed since the observation
-        of the control step before, oldest first. `last_command` is the command that sent that
-        step's direction, None at the first step.
+        `observation` is the newest camera frame; `earlier` are the frames exposed since the
+        previous control step's observation, oldest first. `last_command` is the command of the
+        previous control step, None at the first.
         """
         ...
 
 
 class Observer(Protocol):
-    """Watches a trial: the log writer, the live view and the progress are observers."""
+    """Is notified of the events of a trial, such as the log writer, live view and progress bar."""
 
     def on_start(self, start: Start) -> None:
         """Called before the first step."""
@@ -206,7 +208,7 @@ class Observer(Protocol):
         ...
 
     def on_step(self, step: Step) -> None:
-        """Called after each control step; `on_command` is not called for `step.command`."""
+        """Called after each control step, instead of `on_command` for the step's command."""
         ...
 
     def on_command(self, command: Command) -> None:
@@ -226,10 +228,10 @@ class PlacementPrompt(Protocol):
     """Asks a person to put robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show the problems that keep the robots from starting, one line each; no line means ready.
+        """Show the problems that prevent a start, one line each; without lines, all are ready.
 
-        Letting the robots start means yes to all `questions`, one line each. Called repeatedly
-        while robots are placed.
+        By letting the robots start, the operator answers yes to all `questions`, one line each. It
+        is called repeatedly while robots are placed.
         """
         ...
 
@@ -242,9 +244,9 @@ class PlacementPrompt(Protocol):
 class LabSupervision:
     """How people supervise a run in the lab.
 
-    Setting `emergency` is the emergency stop. If `prompt` is None, no person is asked, and the run
-    ends if robots are not on their starts within the spec's `placing` time. `cancelled` returns
-    whether the operator gave up waiting.
+    Setting `emergency` triggers the emergency stop. If `prompt` is None, no person is asked, and
+    the run ends if robots are not on their starts within the spec's `placing` time. `cancelled`
+    returns whether the operator has cancelled the wait.
     """
 
     emergency: threading.Event = field(default_factory=threading.Event)

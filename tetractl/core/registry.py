@@ -1,4 +1,4 @@
-"""Registries of kinds: the objects that a spec's `type` names, built in or of other packages."""
+"""Registries of kinds, the objects that a spec names by `type`, of tetractl and other packages."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -14,15 +14,15 @@ from tetractl.core.errors import UsageError
 
 
 class PluginError(UsageError):
-    """An installed package offers a kind that cannot be used."""
+    """A kind that another package provides cannot be used."""
 
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """One kind of an interface: its name in a spec, "module:attribute", and the package that
+    """One kind of an interface: its name in a spec, its "module:attribute", and the package that
     provides it.
 
-    `version` is that of the package; both are "" for a kind that is built in.
+    `version` is the package's version; `package` and `version` are "" for a built-in kind.
     """
 
     name: str
@@ -55,7 +55,7 @@ class Registry:
         return tuple(map(self.kind, self.names()))
 
     def kind(self, name: str) -> Kind:
-        """Return the kind of a name; KeyError if there is none."""
+        """Return the kind with this name; KeyError if there is none."""
         if name in self.builtin:
             return Kind(name, self.builtin[name])
         point = self._installed[name]
@@ -65,7 +65,7 @@ class Registry:
         return name in self.builtin or name in self._installed
 
     def load(self, name: str) -> Any:
-        """Return the object that a name stands for.
+        """Import and return the object with this name.
 
         Raises KeyError if there is no such kind, and PluginError if another package offers it
         but it cannot be imported or is not derived from `base`.
@@ -111,7 +111,7 @@ class Registry:
     @cached_property
     def _installed(self) -> dict[str, EntryPoint]:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
-        # if two packages offer a name, the alphabetically first package provides it
+        # if two packages provide the same name, the alphabetically first is used
         return {point.name: point for point in points}
 
 

@@ -1,4 +1,4 @@
-"""The numbers of an experiment as arrays, computed once."""
+"""The constants of an experiment as arrays, and the protocol of an obstacle's shape."""
 
 import math
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ MM = METRES["mm"]
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """An axis-aligned rectangle, its edge included [length unit]."""
+    """An axis-aligned rectangle, including its edge [length unit]."""
 
     left: float
     bottom: float
@@ -67,13 +67,13 @@ class Shape(Protocol):
     def grown(self, margin: float) -> "Shape":
         """Return the shape grown by a margin >= 0 on every side [length unit].
 
-        A grown shape contains every point within the margin of the shape.
+        A grown shape contains every point whose distance to the shape is at most the margin.
         """
         ...
 
     def outline(self) -> Floats:
-        """Return the corners (M, 2), anticlockwise, of a simple polygon that draws the shape before
-        it was grown.
+        """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape,
+        without its growth.
         """
         ...
 
@@ -90,11 +90,11 @@ class Setup:
     (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the
     largest number of control steps, `iterations_max` the largest number of iterations of one
     search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without
-    wheels; `watchdog_s` the time after which a robot that receives nothing stops, inf if it never
-    does; `lag_s` the time constant with which wheels follow a command. `way_points` (M, N, 2) are
-    passed before the targets, by all robots together; `hold` is the task after the targets, None if
-    the trial ends there. `loss` is the rule by which the trial goes on without a robot, None if the
-    trial then ends.
+    wheels; `watchdog_s` the time without a command after which a robot stops, inf if it never does;
+    `lag_s` the time constant with which wheels follow a command. `way_points` (M, N, 2) are passed
+    before the targets, by all robots together; `hold` is the task after the targets, None if the
+    trial ends there. `loss` is the rule by which a robot counts as lost and the trial goes on
+    without it, None if the trial ends when a robot is lost.
     """
 
     name: str

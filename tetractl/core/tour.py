@@ -1,9 +1,9 @@
-"""Way-points, a hold at the targets, and measures of how accurately the robots followed them.
+"""Way-points, a hold at the targets, and measures of how accurately robots kept to them.
 
 All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
 way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
 
-A robot is lost if it was not tracked for too long, such as a cell that left, divided or died.
+A robot, for example a cell that swam away or died, is lost if it was not tracked for too long.
 """
 
 from collections.abc import Iterable
@@ -23,8 +23,8 @@ Integers = NDArray[np.int64]
 class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
-    If `replaced`, what is tracked again after a loss counts as another robot, which takes over the
-    lost robot's target.
+    If `replaced`, a body that is tracked again under its name counts as another robot, which takes
+    over the lost robot's target.
     """
 
     after_s: float
@@ -34,8 +34,8 @@ class LossRule:
 class Losses:
     """Which of N robots are `lost` (N,), and how often each has been lost, `times` (N,).
 
-    Given every camera frame in order, the result is the same for the controller, for the log's
-    reader and for `verify`. Without a rule no robot is ever lost.
+    The controller, the log's reader and `verify` all pass every camera frame in order, and so get
+    the same result. Without a rule no robot is ever lost.
     """
 
     def __init__(self, rule: LossRule | None, count: int) -> None:
@@ -46,7 +46,7 @@ class Losses:
         self._seen_ns: Integers | None = None
 
     def see(self, frame: Observation) -> list[int]:
-        """Take the next frame; return the indices of robots that another robot replaces in it."""
+        """Update by the next frame; return the indices of robots replaced by others in it."""
         if self._rule is None:
             return []
         if self._seen_ns is None:
@@ -84,7 +84,7 @@ class TourMeasure:
         self._losses = Losses(loss, legs.shape[1])
 
     def step(self, leg: int, observation: Observation) -> str:
-        """Take the leg of a control step; return a text that announces a new leg, otherwise ""."""
+        """Set the leg of a control step; return a message if a new leg begins, otherwise ""."""
         for past in self._legs[self._leg : min(leg, len(self._legs) - 1)]:
             self._passed.append(float(observation.poses.distances(past).sum()))
         begins, self._leg = leg > self._leg, leg
@@ -94,7 +94,8 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count lost robots and the frames of the hold, where an untracked robot is outside."""
+        """Count lost robots, and the frames of the hold with each robot inside its circle; a robot
+        that is not tracked counts as outside."""
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:
@@ -124,5 +125,6 @@ class TourMeasure:
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Fraction of the hold's frames with each robot within the radius, (N,); empty without."""
+        """Fraction of the hold's frames with each robot within the radius, (N,); empty without a
+        hold."""
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

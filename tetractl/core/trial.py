@@ -15,17 +15,18 @@ from tetractl.core.tour import TourMeasure
 
 Integers = NDArray[np.int64]
 
-EPOCH_NS = 1_577_836_800_000_000_000  # 2020-01-01 UTC, the start of simulated trials: logs repeat
+# time at which all simulated trials start, so that their logs can be reproduced: 2020-01-01 UTC
+EPOCH_NS = 1_577_836_800_000_000_000
 
 OWN_FILES = frozenset({"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"})
-"""Names of the files attached to every log; a file that a spec refers to must have another name."""
+"""Names of the files attached to every log, which no file named in a spec may have."""
 
 
 @dataclass(frozen=True, slots=True)
 class Start:
     """The start of a trial.
 
-    `resolved` is the spec as YAML with every field, defaults and `--set` applied; `spec_hash` is
+    `resolved` is the spec as YAML with all fields, including defaults and `--set`; `spec_hash` is
     the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the other
     packages that provide a kind used by the spec.
     """
@@ -35,7 +36,7 @@ class Start:
     spec_name: str  # file name of the spec
     resolved: str
     spec_hash: str
-    seed: int  # root of the batch's random numbers
+    seed: int  # of all random numbers of the batch
     trial: int  # index in the batch, from 0
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
@@ -66,10 +67,10 @@ class Result:
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
     from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at the
-    way-points passed and `inside` (N,) the shares of time within the radius of a hold, as defined
+    way-points passed, `inside` (N,) the fractions of time within the radius of a hold, as defined
     by `TourMeasure`, and `lost` (N,) how often each robot was lost. `solve_ns` is the wall time the
-    controller spent on each control step; it and `deadline_misses`, the steps that took longer than
-    the control period, differ from run to run on the same seed.
+    controller needed for each control step, and `deadline_misses` the number of steps that took
+    longer than the control period; both differ from run to run on the same seed.
     """
 
     outcome: Outcome

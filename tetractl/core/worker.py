@@ -1,4 +1,4 @@
-"""A background thread that makes calls in order: a slow disk or screen does not delay callers."""
+"""A background thread that makes calls in order, so that a slow disk does not delay callers."""
 
 import queue
 import threading
@@ -26,12 +26,12 @@ def _nothing() -> float | None:
 class Worker:
     """A thread with a queue of at most `size` calls.
 
-    The error is `too_slow` if the queue stays full for `wait_s` in `put`, or the thread does not
-    finish within `patience_s` in `drain` or `close`. The first error, `too_slow` or raised by a
-    call, is kept as `failure`: the next `put`, `drain` or `check` raises it, once, and later calls
-    are dropped. The thread calls `idle` after each call, and again after the time [s] that `idle`
-    returned, unless that is None. The thread collects calls for `batch_s` before it makes them,
-    since switching threads at every call may cost more than the calls do.
+    The error `too_slow` occurs if the queue stays full for `wait_s` in `put`, or if the thread does
+    not finish within `patience_s` in `drain` or `close`. The first error, `too_slow` or one raised
+    by a call, is kept as `failure`: the next `put`, `drain` or `check` raises it, once, and later
+    calls are dropped. The thread calls `idle` after each call, and again after the time [s] that
+    `idle` returned, unless that is None. The thread collects calls for `batch_s` before it makes
+    them, since switching threads at every call may take longer than the calls.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class Worker:
         self.check()
 
     def check(self) -> None:
-        """Raise the failure unless it was raised before."""
+        """Raise `failure` if there is one and it was not raised before."""
         if self.failure is not None and not self._raised:
             self._raised = True
             raise self.failure
@@ -89,8 +89,8 @@ class Worker:
     def close(self, last: Callable[[], object] = _nothing) -> None:
         """Make the calls in the queue and then `last`, even after a failure, and end the thread.
 
-        Never raises: read `failure`, or call `check`. A second `close` does nothing. A thread that
-        has stalled is not waited for.
+        It never raises: read `failure`, or call `check`. A second `close` does nothing. It does not
+        wait for a thread that has stalled.
         """
         if not self._thread.is_alive():
             return

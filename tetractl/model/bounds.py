@@ -37,7 +37,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 
 PAIRS_MAX = 1000
-"""Largest number of pairs in the linear programme; leaving pairs out only lowers the bound."""
+"""Largest number of pairs in the linear programme; further pairs could only raise the bound."""
 
 
 @np.errstate(all="ignore")

@@ -23,9 +23,9 @@ TOUCHING = 1e-6
 
 
 def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
-    """Return the distance of points to the nearest obstacle [length unit], negative inside.
+    """Return the distance of points to the nearest obstacle [length unit], negative inside one.
 
-    With `walls`, everything outside the arena is an obstacle.
+    If `walls` is true, everything outside the arena is an obstacle.
     """
     nearest = Obstacles.of(setup.obstacles).distance(x, y)
     if not walls:
@@ -59,7 +59,8 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     label(free, np.ones((3, 3)), output=regions)
 
     def around(point: Floats) -> set[int]:
-        """Return the numbers of the connected regions of the cells around a point (2,)."""
+        """Return the numbers of the connected regions to which the cells around a point (2,)
+        belong."""
         row, column = np.abs(y - point[1]).argmin(), np.abs(x - point[0]).argmin()
         near = regions[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2]
         return set(near[near > 0].tolist())

@@ -1,5 +1,5 @@
-"""Checks a path: which robots' centres entered an obstacle, and their least distances to obstacles,
-the edge and each other.
+"""Checks the robots' paths: which centres entered an obstacle, and the least distances to
+obstacles, to the arena's edge and between robots.
 """
 
 from typing import Self
@@ -15,7 +15,7 @@ BLOCK = 10_000  # number of samples of a recorded path that are checked at a tim
 
 
 class PathCheck:
-    """Checks the path of N robots, which is added in parts and straight between samples.
+    """Checks the paths of N robots, which are added in parts and are straight between samples.
 
     `entered` (N,) is True for robots whose path touched an obstacle; `clearance` (N,) is the least
     signed distance of each robot's samples to an obstacle [length unit], inf without obstacles.

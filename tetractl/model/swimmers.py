@@ -1,8 +1,8 @@
-"""One model of swimming cells, for the simulated and the emulated dish.
+"""The model of swimming cells of the simulation and of the emulated microscope.
 
-A cell swims along a helix. Its axis follows (1)-(3): (3) turns the axis, not the momentary velocity
-(Crenshaw). Lengths are micrometres, whatever a spec's unit. docs/explanation/cells.md states the
-source of each number; `guess` means that no source was found.
+A cell swims along a helix whose axis follows (1)-(3): (3) turns the axis, not the momentary
+velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.
+docs/explanation/cells.md states the source of each number; `guess` means that no source was found.
 """
 
 import math
@@ -138,7 +138,7 @@ class Swimmers:
         self.depth += jolt - pull * self.depth
 
     def slide(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Keep the cells within rectangular walls, given by two corners [um].
+        """Keep the cells within rectangular walls with the corners `low` and `high` [um].
 
         A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and
         leaves the wall once its heading points away from it.
@@ -159,7 +159,7 @@ class Swimmers:
         self.resting[cell] = resting
 
     def divide(self, cell: int, random: np.random.Generator) -> "Swimmers":
-        """Return the cells after one has divided; the daughter is the last.
+        """Return the cells after `cell` has divided; the new cell is the last.
 
         Both cells have the mother's width and 0.8 of its length, and share its magnet unequally.
         """

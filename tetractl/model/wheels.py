@@ -84,7 +84,9 @@ class Drivetrain:
 
     def __post_init__(self) -> None:
         if not max(self.left.dead_zone, self.right.dead_zone) < self.limit <= COUNT_MAX:
-            raise ValueError(f"a limit of {self.limit} counts leaves no speed")
+            raise ValueError(
+                f"the limit must be above the dead zones and at most {COUNT_MAX}, not {self.limit}"
+            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,7 @@ class LaggingTurns:
     def ahead(self, heading: Floats, since: int, until: int) -> Floats:
         """Return the headings (N,) [rad] in which robots come to rest if they stop at `until` [ns].
 
-        `heading` (N,) are their headings at `since` [ns], which must not fall from call to call.
+        `heading` (N,) are their headings at `since` [ns]; `since` must not decrease between calls.
         """
         while len(self._sent) > 1 and self._sent[1][0] <= since:
             self._turning = self._turning_at(self._sent[1][0])
@@ -172,7 +174,7 @@ class LaggingTurns:
 
 
 def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
-    """Round wish + owed to a whole step within -span..span; return the step and the residue."""
+    """Round `wish` + `owed` to a whole number in -span..span; return it and the rounding error."""
     if wish == 0:
         return 0, owed
     total = wish + owed

@@ -1,1 +1,1 @@
-"""The plants: simulation and lab."""
+"""The plants, in which robots receive commands: simulations and the lab."""

@@ -15,9 +15,9 @@ STEP_S = 0.005  # largest step of the midpoint rule
 
 
 class CultureSection(Model):
-    """The robots are swimming cells with the spec's a and speed; their other properties are drawn
-    at random, see docs/explanation/cells.md. Cells turn by (3), with a random walk of the heading
-    by `heading_noise`.
+    """Simulates the robots as swimming cells with the spec's a and speed; their other properties
+    are drawn at random, see docs/explanation/cells.md. Cells turn by (3), and `heading_noise` is
+    the random walk of their heading.
     """
 
     dipole: NonNegative = DIPOLE_SD_RAD
@@ -29,11 +29,11 @@ class CultureSection(Model):
 
 
 class CellDrive:
-    """Moves N cells; a pose is the middle of a body with the heading of its helix, as measured by
-    the `cells` camera.
+    """Moves N cells. A pose is the centre of the body and the heading of the helix, which are what
+    the `cells` camera measures.
 
-    Cells do not swim before the first command, or after a stop, so that a trial ends at the poses
-    at the stop; real cells swim on.
+    Simulated cells do not swim before the first command or after a stop, so that a trial ends with
+    the poses at the stop; real cells swim on.
     """
 
     host = None  # no host computes wheel speeds
@@ -81,7 +81,7 @@ class CellDrive:
 
     @property
     def moving(self) -> Floats:
-        """1 for cells that swim, 0 for cells that are held, (N,)."""
+        """1 for cells that swim, 0 for cells that stand still, (N,)."""
         return (~self.cells.resting).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:

@@ -9,7 +9,7 @@ from tetractl.model.motion.motion import Held, Motion
 NEVER = 2**62
 """A time after the end of every trial [ns]."""
 LEAST_A = 1e-12
-"""Turning rate of a robot that is held [rad/s]: the closed form divides by it."""
+"""Turning rate of a robot that is held still [rad/s]; not 0, as the closed form divides by it."""
 
 
 class DirectDrive:
@@ -19,8 +19,8 @@ class DirectDrive:
     """
 
     host = None  # robots are sent the direction itself
-    sampled = False  # the path is known between samples too
-    repeats_ns = NEVER  # a direction holds until the next one: no repetition is sent
+    sampled = False  # the path is known in closed form between samples too
+    repeats_ns = NEVER  # a direction is held until the next one: it is not sent repeatedly
     rest_s = 0.0  # time from a stop until the robots stand [s]
 
     def __init__(self, motion: Motion, a: Floats, speed: Floats, starts: Poses) -> None:

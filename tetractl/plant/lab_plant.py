@@ -25,7 +25,7 @@ from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
-RECENT = 600  # number of frames kept, some seconds
+RECENT = 600  # number of newest frames kept: those of some seconds
 
 
 class LabPlantSection(LabSection):
@@ -52,8 +52,8 @@ class LabPlantSection(LabSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Open the lab, turn the field, and return the cells that the camera found; the field turns
-        further until the first direction.
+        """Open the lab, rotate the field, and return the cells that the camera has found; the field
+        goes on rotating until the first direction.
         """
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
 
@@ -80,7 +80,7 @@ class LabPlant:
         self._supervision = supervision
         self._heading = self.setup.starts.heading
         self._path_check = PathCheck.of(self.setup)
-        self._read = 0  # number of accepted frames of the rig read so far
+        self._read = 0  # number of accepted frames read from the rig so far
         self._newest: Observation | None = None
         self._fresh: list[Sample] = []
         self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
@@ -110,7 +110,7 @@ class LabPlant:
         return PlantInfo("lab", False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
-        """Return the newest camera frame; a robot not tracked now keeps its last pose."""
+        """Return the newest camera frame; a robot that is not tracked in it keeps its last pose."""
         self._raise_abort()
         self._observed_ns = self.clock.now()
         self._take_frames()
@@ -118,7 +118,7 @@ class LabPlant:
         return self._newest
 
     def steer(self, direction: float | None) -> Command:
-        """Hold u from now on and return the first transmission that carries it."""
+        """Hold the direction u [rad] from now on; return the first transmission that has it."""
         if direction is None:
             raise AbortError("this lab cannot switch its field off while robots drive")
         guard = self.rig.guard
@@ -136,13 +136,14 @@ class LabPlant:
         return self._command(sent)
 
     def samples(self) -> list[Sample]:
-        """Return, once, every camera frame since the last call, oldest first."""
+        """Return every camera frame since the last call, oldest first."""
         self._take_frames()
         fresh, self._fresh = self._fresh, []
         return fresh
 
     def news(self) -> list[Command | Note]:
-        """Return, once, every other transmission and every warning."""
+        """Return every transmission not returned by `steer`, and every warning, since the last
+        call."""
         loop = self.rig.loop
         others = [sent for sent in loop.sent() if sent.sent_ns not in self._returned]
         self._news.extend(map(self._command, others))
@@ -220,7 +221,7 @@ class LabPlant:
             if film is not None:
                 self._news.extend(self._identities.see(film))
             self._fresh.append(Sample(self._newest, None, film))
-        if self._newest is not None:  # frames that the guard refused give no sample
+        if self._newest is not None:  # frames that the guard rejected give no sample
             now = self._newest.sampled_ns
             self._films = {at: film for at, film in self._films.items() if at > now}
             self._lose_cells(now)

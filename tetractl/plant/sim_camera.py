@@ -13,7 +13,7 @@ from tetractl.experiment.disturbance import Disturbance, overriding
 
 
 def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
-    """Return the times [ns] of the samples number `first`, `first` + 1, ... up to `until` [ns]."""
+    """Return the times [ns] up to `until` of samples number `first`, `first` + 1, ... at a rate."""
     times, when = list[int](), round(first * SECOND / rate_hz)
     while when <= until:
         times.append(when)
@@ -22,7 +22,7 @@ def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
 
 
 class MeasurementNoise(Model):
-    """Standard deviations of the camera's errors, which are drawn in every frame."""
+    """Standard deviations of the normally distributed errors of each camera frame."""
 
     position: NonNegative = 0.0
     """Standard deviation of x and of y [length unit]."""
@@ -83,7 +83,7 @@ class SimCamera:
         if self._measured:
             measured, valid = self._disturb(measured, when)
         received: int | None = when
-        # the camera sees the standing robots before the trial, so frame 0 has no latency
+        # frame 0 has no latency, because the camera sees the standing robots before the trial
         for disturbance in self._received if number else ():
             if received is not None:
                 received = disturbance.received(when, received)
@@ -116,6 +116,6 @@ class SimCamera:
             self._fresh.append(sample)
 
     def samples(self) -> list[Sample]:
-        """Return, once, every frame received since the last call, oldest first."""
+        """Return every frame received since the last call, oldest first."""
         fresh, self._fresh = self._fresh, []
         return fresh

@@ -30,20 +30,20 @@ from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
 NO_FRAME_S = 60
-CULTURE = 6  # number of cells to choose from
+CULTURE = 6  # number of simulated cells from which the robots are chosen
 # spawn key of these cells' random numbers; `verify` repeats the plant's random numbers without them
 FINDING = 1000
 SURVEYED = 0.03  # relative error of the turning rate a and the speed that a survey measures
-# how often a stop command that was lost is sent again at most: for one minute
+# largest number of repetitions of a stop command that was lost: those of one minute
 STOPS_MAX = 3000
-POSES_MAX = 2_000_000  # largest number of poses in a control period, which are simulated together
+POSES_MAX = 2_000_000  # largest number of poses in a control period: they are stored together
 WHEELS_KEY = 2**32 - 1
 """Spawn key of the wheels' random numbers; disturbances use the keys from 4 on."""
 
 
 class SimSection(PlantSection):
-    """A simulated plant in virtual time. Every disturbance is off by default and is drawn from the
-    trial's seed."""
+    """A simulated plant in virtual time. All disturbances are off by default, and depend only on
+    the trial's seed."""
 
     simulated: ClassVar[bool] = True
     switches_field: ClassVar[bool] = True
@@ -56,7 +56,7 @@ class SimSection(PlantSection):
     """Wheels that carry out the direction; by default robots turn towards the direction without
     wheels. Needs `wheels`."""
     cells: CultureSection | None = None
-    """Swimming cells in place of points that follow (1)-(3); `motion` is then ignored."""
+    """Simulates swimming cells instead of points that follow (1)-(3); `motion` is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
@@ -67,9 +67,9 @@ class SimSection(PlantSection):
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Time from the exposure of the frame used for a command or stop until the robots act on it
-    [s], as `controller.dead_time`; a command that is sent later acts at once. Delays of `drive` and
-    `disturbances` are added.
+    """Time from the exposure of the frame used for a command or stop until the robots act on the
+    command [s], as in `controller.dead_time`; a command that is sent later acts at once. Delays of
+    `drive` and `disturbances` are added.
     """
     lost_commands: Fraction = 0.0
     """Probability that a robot does not receive a command; it continues with the previous one."""
@@ -83,7 +83,7 @@ class SimSection(PlantSection):
     disturbances: tuple[Annotated[DisturbanceSection, KindSection(DISTURBANCES)], ...] = Field(
         default=(), max_length=100
     )
-    """Further disturbances, which act one after another."""
+    """Further disturbances, each applied to the result of the one before."""
 
     @model_validator(mode="after")
     def _truth_is_as_fine_as_the_camera(self) -> Self:
@@ -93,11 +93,11 @@ class SimSection(PlantSection):
         return self
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield location and text of contradictions of wheels and sampling rates."""
+        """Yield location and text of each contradiction in the wheels or sampling rates."""
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
-            message = f"a control period of {setup.period_s:g} s has {poses:.3g} poses to simulate"
-            yield ("truth_rate",), f"{message}, at most {POSES_MAX:g} are done at a time; lower it"
+            message = f"gives {poses:.3g} poses in a control period of {setup.period_s:g} s"
+            yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed, lower the rate"
         if self.drive is not None and self.cells is not None:
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
@@ -166,7 +166,7 @@ class SimSection(PlantSection):
 
 
 class SimPlant:
-    """A `Plant` of simulated robots; every disturbance is drawn from `seed`."""
+    """A `Plant` of simulated robots; `seed` determines all disturbances."""
 
     def __init__(
         self, section: SimSection, setup: Setup, clock: Clock, seed: np.random.SeedSequence
@@ -246,12 +246,12 @@ class SimPlant:
         return command
 
     def samples(self) -> list[Sample]:
-        """Return, once, every camera frame received since the last call, oldest first."""
+        """Return every camera frame received since the last call, oldest first."""
         self._motion.advance(self.clock.now())
         return self._camera.samples()
 
     def news(self) -> list[Command | Note]:
-        """Return, once, the commands sent under a held direction since `steer` returned."""
+        """Return the commands sent under a held direction since the last `steer`, oldest first."""
         news, self._news = self._news, []
         return news
 
@@ -291,7 +291,7 @@ class SimPlant:
         return Command(None, now, tuple(heard.tolist()), still, still)
 
     def settle(self) -> Verdict:
-        """Wait until the robots stand and a camera frame shows that, and check the true path."""
+        """Wait until the robots stand and a frame shows them standing, and check the true path."""
         stopped = max(self._motion.settled_ns, self.clock.now())
         stand = stopped + round(self._drive.rest_s * SECOND)
         self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
@@ -342,12 +342,12 @@ class SimPlant:
         return self.clock.now()
 
     def _due_ns(self, answered: Observation, now: int) -> int:
-        """Return the time [ns] at which a command sent `now` in answer to a frame acts, by
-        `dead_time` alone."""
+        """Return the time [ns] at which a command sent `now` in answer to a frame acts if there is
+        no delay but `dead_time`."""
         return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
 
     def _heard(self) -> Bools:
-        """Draw which robots a command reaches."""
+        """Draw at random which robots receive a command, (N,)."""
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
     def _send_direction(self, direction: float | None, now: int, answered: Observation) -> Command:
@@ -367,7 +367,7 @@ class SimPlant:
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
         host, seen = self._drive.host, self._camera.newest
-        assert host is not None, "only wheels are sent more than the direction"
+        assert host is not None, "only robots with wheels are sent repeated transmissions"
         assert seen is not None, "open() waits for the first frame"
         sent, made = host.speeds(now, seen)
         due = self._due_ns(seen, now)

@@ -19,7 +19,7 @@ from tetractl.plant.sim_camera import SimCamera, due_ns
 from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
-UNCHECKED = 200  # number of blocks of the path that are checked together
+UNCHECKED = 200  # number of parts of the path after which they are checked together
 
 
 class TrueMotion:
@@ -82,7 +82,7 @@ class TrueMotion:
         return command
 
     def advance(self, until: int) -> None:
-        """Advance the robots block by block; the held commands are constant within a block."""
+        """Advance the robots to `until` [ns], in intervals with constant held commands."""
         while True:
             frame = self._camera.next_ns
             end = min(until, frame) if self._by_frame else until
@@ -127,7 +127,8 @@ class TrueMotion:
         drive.poses = Poses(p.x, p.y, p.heading + walk)
 
     def _disturb(self, now: int) -> None:
-        """Apply the disturbances to the true poses up to `now` [ns]; vary a and speed after it."""
+        """Apply the disturbances up to `now` [ns] to the true poses, and vary a and speed from then
+        on."""
         if now == self._disturbed_ns:
             return
         drive, time_s = self.drive, now / SECOND
@@ -146,9 +147,9 @@ class TrueMotion:
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
         """Advance to `end` under held commands; expose frames and take samples due until then.
 
-        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. A drive
-        whose path is a sum advances only to the last sample before `end`, unless there is an
-        `event` at `end`, so that the result does not depend on how often the plant is read.
+        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. A drive that
+        sums up its path advances only to the last sample before `end`, unless there is an `event`
+        at `end`, so that the result does not depend on how often the plant is read.
         """
         nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
         if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots

@@ -45,18 +45,18 @@ class WheelDriveSection(Model):
     otherwise it repeats the wheel speeds of the control step.
     """
     lead: NonNegative | None = None
-    """The host predicts the headings over the frame's age plus this time [s]; with `wheels.lag`, it
-    predicts the headings in which the robots would then come to rest. By default it uses the
+    """Time beyond the frame's age over which the host predicts the headings [s]; with `wheels.lag`,
+    it predicts the headings at which the robots would then come to rest. By default it uses the
     measured headings.
     """
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""
     dead_zone: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest count that does not move a wheel, as the host assumes; needs `count`."""
+    """Largest count at which the host assumes that a wheel does not move; needs `count`."""
     dead_zone_error: Annotated[int, Field(ge=0, le=60)] = 0
-    """Largest difference of a wheel's true dead zone from `dead_zone`; the difference is a whole
-    number, uniform in both directions.
+    """Largest difference of a wheel's true dead zone from `dead_zone` [counts]; the difference is
+    drawn uniformly from the whole numbers in [-dead_zone_error, dead_zone_error].
     """
     gain_error: Fraction = 0.0
     """Each wheel's true speed is the speed sent times 1 + e, with e uniform in [-gain_error,
@@ -72,15 +72,15 @@ class WheelDriveSection(Model):
 class WheelHost:
     """Computes the wheel speeds sent to N robots, and the resulting true wheel speeds.
 
-    `repeats_ns` is the time of the next transmission [ns], `direction` the held direction [rad],
-    None while the field is off: both wheels then have equal speeds. Gains and dead zones are drawn
-    from `erring`, once per trial.
+    `repeats_ns` is the time of the next transmission [ns]. `direction` is the held direction [rad],
+    None while the field is off and both wheels have equal speeds. The generator `erring` draws true
+    gains and dead zones, once per trial.
     """
 
     def __init__(
         self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
     ) -> None:
-        assert setup.wheel_radius is not None, "the section's check asks for it"
+        assert setup.wheel_radius is not None, "the spec is checked for wheels"
         count = setup.a.size
         self.repeats_ns = NEVER
         self.direction: float | None = 0.0
@@ -104,7 +104,7 @@ class WheelHost:
                 (Drivetrain(known, known), Drivetrain(left, right)) for left, right in true
             ]
         self._residues = [Residue()] * count
-        # predicts headings if the host knows that wheels lag
+        # predicts headings if the spec has a lag of the wheels
         self._turns = LaggingTurns(setup.lag_s, count) if setup.lag_s > 0 else None
         self._last: tuple[Floats, Floats] | None = None
 
@@ -116,7 +116,7 @@ class WheelHost:
         self.direction, self._last = direction, None
 
     def halt(self, now: int) -> None:
-        """Hold no direction any more: a stop is sent `now` [ns]."""
+        """Hold no direction from now on, because a stop is sent `now` [ns]."""
         self.repeats_ns = NEVER
         if self._turns is not None:
             self._turns.sent(self._acts_ns(now), np.zeros_like(self._a))
@@ -162,22 +162,23 @@ class WheelHost:
         return np.array(sent).T, np.array(made).T
 
     def _acts_ns(self, now: int) -> int:
-        """Return the time [ns] at which, as the host assumes, a command sent `now` acts."""
+        """Return the time [ns] at which the host assumes that a command sent `now` acts."""
         return now + round((self._section.lead or 0.0) * SECOND)
 
 
 REST = 1e-10
 """Wheels slower than this fraction of the fastest robot's speed count as standing."""
 SMALL = 0.3
-"""Half a turn [rad] below which sin(h)/h is taken from its series, to 1e-9."""
+"""Angle h [rad] below which sin(h)/h is computed by its series, to 1e-9."""
 
 
 class WheelDrive:
-    """Moves N robots on wheels, and holds their host.
+    """Moves N robots on wheels; `host` computes the wheel speeds sent to them.
 
-    `a`, `speed` (N,) are the true values: turning rates and speeds are scaled by the ratio of true
-    value to the setup's. `walk` [rad/sqrt(s)] is the random walk of the heading, at `truth_rate`
-    [Hz], drawn from `walking`; values fixed for the trial are drawn from `erring`.
+    `a` and `speed` (N,) are the true values: turning rates and speeds are scaled by the ratio of
+    the true value to that of the setup. The generator `walking` draws the random walk of the
+    heading, `walk` [rad/sqrt(s)], at `truth_rate` [Hz]; `erring` draws values that are constant in
+    a trial.
     """
 
     sampled = True  # the path is a sum over samples
@@ -195,7 +196,7 @@ class WheelDrive:
         erring: np.random.Generator,
     ) -> None:
         count = a.size
-        assert setup.wheel_radius is not None, "the section's check asks for it"
+        assert setup.wheel_radius is not None, "the spec is checked for wheels"
         self.poses = starts
         self.host = WheelHost(section, setup, erring)
         self.rest_s = section.lag * -np.log(REST) + 1 / truth_rate
@@ -277,7 +278,7 @@ class WheelDrive:
 
 
 def _sinc(half: Floats) -> Floats:
-    """Return sin(h)/h, the ratio of an arc's chord to its length."""
+    """Return sin(h)/h, the ratio of an arc's chord to its length, for half the arc's angle h."""
     if np.abs(half).max() > SMALL:
         return np.sinc(half / np.pi)
     square = half * half

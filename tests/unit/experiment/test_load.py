@@ -237,7 +237,7 @@ def test_problems_of_settings_name_the_setting(setting, line):
     [
         (
             "controller.period=1e6",
-            "has 1.92e+09 poses to simulate, at most 2e+06 are done at a time",
+            "gives 1.92e+09 poses in a control period of 1e+06 s; at most 2e+06 are allowed",
         ),
         (
             "controller.optimizer={type: pso, particles: 1000000}",

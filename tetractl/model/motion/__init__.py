@@ -1,1 +1,1 @@
-"""Motions of a robot under the common direction: one file each, named in `core.registries`."""
+"""Motions of a robot under the common direction; each has a file named in `core.registries`."""

@@ -1,4 +1,4 @@
-"""The interfaces of a motion: one definition for the planner, its compiled twin and the plant.
+"""The interfaces of a motion, which planner, compiled planner and simulated plant share.
 
 A motion is one file that defines a `Motion`, and one line in `tetractl.core.registries` that names
 it. See docs/how-to/extend.md.
@@ -81,16 +81,16 @@ class Hold(Protocol):
 class Lanes(Protocol):
     """Constants of N robots for steps of one duration, and the step of one robot in scalars.
 
-    A `NamedTuple` with the fields `rows` and `pieces`. The compiler makes one kernel per class. The
-    functions, and the plain functions that they call, are compiled together with the kernel; they
-    may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs in a loop
-    over particles, `differentiate` in a loop over signals. To make these loops vector code, use
-    conditional values rather than branches, and polynomials rather than calls to `math`.
+    It is a `NamedTuple` with the fields `rows` and `pieces`. Each class gets its own compiled
+    kernel. The functions, and the plain functions that they call, are compiled together with the
+    kernel; they may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs
+    in a loop over particles, `differentiate` in a loop over signals. To make these loops vector
+    code, use conditional values rather than branches, and polynomials rather than calls to `math`.
 
-    A class of one piece whose last signal cannot move the last position may add `finish(x, y, c, s,
-    k)`, which returns x, y after the last step. A class may also add `turn(heading, u, a, t)`, a
-    `TurnFunction` of scalars, which may use `np`: without it, robots are identified by
-    `differentiate`, which is slower.
+    If `pieces` is 1 and the last signal cannot move the last position, a class may add `finish(x,
+    y, c, s, k)`, which returns x, y after the last step. A class may also add `turn(heading, u, a,
+    t)`, a `TurnFunction` of scalars, which may use `np`; otherwise the slower `differentiate` is
+    used to identify robots.
     """
 
     size: int
@@ -119,7 +119,7 @@ class Lanes(Protocol):
     def differentiate(
         c: float, s: float, cu: float, su: float, a: float, v: float, t: float
     ) -> Derivatives:
-        """Return a whole step of t [s] and its derivatives."""
+        """Return the displacement of a whole step of t [s] and its derivatives."""
         ...
 
 

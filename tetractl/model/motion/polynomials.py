@@ -1,4 +1,4 @@
-"""Elementary functions as polynomials, for compiled loops over the particles of a robot.
+"""Elementary functions as polynomials, which a compiler can turn into vector code.
 
 They are plain functions of scalars: kernels compile them, and they also work without a compiler.
 

@@ -1,1 +1,1 @@
-"""Shapes of obstacles: one file each, named in `core.registries`."""
+"""Shapes of obstacles; each has a file named in `core.registries`."""

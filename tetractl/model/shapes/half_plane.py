@@ -1,4 +1,4 @@
-"""Half-planes, which describe the outside of an arena's walls; a spec cannot contain them."""
+"""Half-planes, which describe the outside of an arena's walls; they have no section in a spec."""
 
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, NamedTuple
@@ -16,7 +16,7 @@ class PackedHalfPlanes(NamedTuple):
 
     @staticmethod
     def gap(x: float, y: float, p: Any) -> float:
-        """Return the distance to the edge, negative beyond."""
+        """Return the distance to the edge, negative beyond it."""
         nx, ny, offset = p
         return nx * x + ny * y - offset
 
@@ -58,7 +58,7 @@ class HalfPlane:
         return self.contain(x0, y0) | self.contain(x1, y1)
 
     def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance to the edge, negative beyond."""
+        """Return the distance to the edge, negative beyond it."""
         return self.normal[0] * x + self.normal[1] * y - self.offset
 
     def grown(self, margin: float) -> "HalfPlane":

@@ -1,7 +1,7 @@
 """Simple polygons, which may be concave, such as walls and channels of micro-arenas.
 
-Growing a polygon subtracts the margin from its signed distance, which rounds its corners: these are
-the positions in which a round robot touches it.
+A polygon is grown by subtracting the margin from its signed distance. This rounds its corners: the
+edge of the grown polygon is where the centre of a touching round robot is.
 """
 
 import math
@@ -166,7 +166,7 @@ class Polygon(ShapeSection):
                     raise inconsistent("vertices", message)
         if _doubled_area(np.array(self.vertices)) == 0:
             raise inconsistent(
-                "vertices", "has no area that a number could hold; use another length unit"
+                "vertices", "has an area too large or too small to compute; use another length unit"
             )
         return self
 

@@ -1,8 +1,8 @@
-"""The compiled part of a shape: obstacles' parameters packed in rows, and functions of scalars.
+"""The compiled part of a shape: the parameters of its obstacles in rows, and functions of scalars.
 
-A shape is one file with two classes: its section of a spec, with the readable geometry in NumPy,
-and a `NamedTuple` as described here, which the section names as `packed`. One line in
-`tetractl.core.registries` adds it. See docs/how-to/extend.md.
+A shape is a file with two classes: its section of a spec, with the readable geometry in NumPy, and
+a `NamedTuple` as described here, to which the section refers as `packed`. A line in
+`tetractl.core.registries` adds the shape. See docs/how-to/extend.md.
 """
 
 from typing import Any, Protocol
@@ -13,10 +13,10 @@ from tetractl.core.poses import Floats
 class PackedShapes(Protocol):
     """M obstacles of one shape; the argument `p` of a function is the row of one obstacle.
 
-    The compiler makes one kernel per set of classes. The functions, and functions of the same file
+    Each set of classes gets its own compiled kernel. The functions, and functions of the same file
     that they call, are compiled together with the kernel; they may use arithmetic, `math` and
     loops. A gap is 0 or negative if and only if the point touches or lies inside the obstacle.
-    To compare two terms, compare their difference with 0: vector code is faster then.
+    To compare two terms, compare their difference with 0, which is faster in vector code.
     """
 
     rows: Floats

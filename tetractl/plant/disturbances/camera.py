@@ -1,4 +1,4 @@
-"""Disturbances of the camera: frames that are late, lost or wrong."""
+"""Disturbances of the camera: frames that are late, are lost or show wrong poses."""
 
 from collections import deque
 from typing import Annotated, Literal
@@ -29,7 +29,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Makes each robot alternately tracked and lost; at first it is tracked."""
+    """Makes each robot alternately tracked and not tracked; at first it is tracked."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(
@@ -39,7 +39,7 @@ class TrackingLoss(Disturbance):
         )
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the poses unchanged, with the robots lost at this time as not tracked."""
+        """Return the poses unchanged, and which robots are tracked at this time."""
         return poses, valid & self._tracked.well(time_s)
 
 
@@ -113,13 +113,13 @@ class FrameLoss(Disturbance):
 
 
 class FrozenCameraSection(SpellsSection):
-    """Intervals in which every frame repeats the last one before the interval, or frames are
-    lost.
+    """Intervals in which every frame repeats the last one before the interval, or in which all
+    frames are lost.
     """
 
     type: Literal["frozen-camera"]
     repeats: bool = True
-    """Whether frames repeat the last picture as a new one; otherwise no frame reaches the host."""
+    """Whether new frames show the last poses before the interval; otherwise no frame arrives."""
 
     @property
     def loses_frames(self) -> bool:
@@ -174,11 +174,11 @@ class MarkerOff(Disturbance):
 
 
 class StaleCameraSection(SpellsSection):
-    """Intervals in which frames hold old poses."""
+    """Intervals in which the frames show old poses."""
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses [s]; early in the trial, the oldest poses are shown."""
+    """Age of the poses [s]; frames earlier than this in the trial show the first poses."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
         """Return this disturbance for one trial."""

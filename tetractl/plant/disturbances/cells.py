@@ -57,8 +57,8 @@ class WobbleSection(DisturbanceSection):
 
 
 class Wobble(Disturbance):
-    """Moves cells with speeds (N,) [length unit/s] across their headings, starting at phases (N,)
-    [rad].
+    """Moves cells with speeds (N,) [length unit/s] sideways along their helices, beginning at
+    phases (N,) [rad].
 
     The true heading is the axis's direction; the camera measures the body's direction.
     """
@@ -69,7 +69,7 @@ class Wobble(Disturbance):
         self._moving = np.zeros_like(phase)
 
     def moved(self, poses: Poses, moving: Floats, seconds: float, time_s: float) -> Poses:
-        """Return the poses after the helices of the swimming cells have turned further."""
+        """Return the poses after the swimming cells have moved on along their helices."""
         before, self._moving = self._phase, moving
         self._phase = before + self._rate * seconds * moving
         across = self._radius * (np.sin(self._phase) - np.sin(before))

@@ -1,4 +1,4 @@
-"""Disturbances of commands: the time that planning takes, delay and loss by the radio."""
+"""Disturbances of commands: planning time, and delay and loss by the radio."""
 
 from dataclasses import replace
 from typing import Literal
@@ -14,7 +14,7 @@ from tetractl.plant.disturbances.spells import Spells, SpellsSection
 
 
 class RadioSection(DisturbanceSection):
-    """A delayed broadcast, which each robot receives or not, independently of the others."""
+    """A broadcast with a delay and random losses, independent for each robot."""
 
     type: Literal["radio"]
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
@@ -37,7 +37,7 @@ class Radio(Disturbance):
 
     def __init__(self, section: RadioSection, robots: int, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
-        self._late_ns = None  # no draw without a spread
+        self._late_ns = None  # without a spread, no random number is drawn
         if section.spread > 0:
             self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
@@ -77,7 +77,7 @@ class SilentRadio(Disturbance):
 
 
 class PlanningTimeSection(DisturbanceSection):
-    """Every command is sent some time after the frame used for it was read."""
+    """Every command is sent a random planning time after the controller has read its frame."""
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)

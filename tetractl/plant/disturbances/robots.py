@@ -1,4 +1,4 @@
-"""Disturbances of the robots: errors of start pose, speed and turning rate."""
+"""Disturbances of the robots: errors of start pose, speed and turning rate, and sticking."""
 
 from typing import Literal
 
@@ -34,7 +34,7 @@ class Battery(Disturbance):
         self._section = section
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed minus the present loss."""
+        """Return a and speed, reduced by the fractions lost up to this time."""
         used = min(1.0, time_s / self._section.over)
         return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)
 
@@ -129,13 +129,13 @@ class Wander(Disturbance):
 
 
 class StartErrorSection(DisturbanceSection):
-    """Each robot starts near its start of the spec, uniformly distributed, drawn in every trial."""
+    """Each robot starts at a random pose around its start in the spec, drawn in every trial."""
 
     type: Literal["start-error"]
     position: NonNegative = 0.0
-    """Largest error of x and of y [length unit]."""
+    """Largest error of x and of y, uniformly distributed [length unit]."""
     heading: NonNegative = 0.0
-    """Largest error of the heading [rad]."""
+    """Largest error of the heading, uniformly distributed [rad]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StartError":
         """Return this disturbance for one trial."""
@@ -149,7 +149,7 @@ class StartError(Disturbance):
         self._section, self._rng = section, rng
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the poses with the errors of placing the robots added."""
+        """Return the start poses with the errors added."""
         x, y, heading = self._rng.uniform(-1, 1, (3, poses.x.size))
         off, turned = self._section.position, self._section.heading
         return Poses(poses.x + off * x, poses.y + off * y, poses.heading + turned * heading)

@@ -1,4 +1,4 @@
-"""Random intervals, for disturbances that act only during intervals."""
+"""Random intervals of a trial, for disturbances that act only in some intervals."""
 
 from collections.abc import Callable
 from typing import Annotated
@@ -12,7 +12,7 @@ from tetractl.experiment.disturbance import DisturbanceSection
 
 
 class SpellsSection(DisturbanceSection):
-    """A few intervals per trial, each at a random time."""
+    """A disturbance that acts only in a few intervals per trial, each at a random time."""
 
     times: Annotated[int, Field(ge=0, le=1000)] = 1
     """Number of intervals in a trial; they may overlap."""
@@ -39,9 +39,10 @@ class Spells:
 
 
 class ByTurns:
-    """The state of N robots that alternate independently between well and unwell, and start well.
+    """The state of N robots, each of which alternates between undisturbed (well) and disturbed
+    (unwell), independently of the others; all are well at first.
 
-    `well_s` and `unwell_s` draw the durations of both states [s].
+    `well_s` and `unwell_s` draw the durations of the two states [s].
     """
 
     def __init__(
@@ -52,7 +53,8 @@ class ByTurns:
         self._until_s = np.array([well_s() for _ in range(robots)])
 
     def well(self, time_s: float) -> Bools:
-        """Return whether each robot is well at a time (N,); times must not fall between calls."""
+        """Return whether each robot is undisturbed at `time_s` (N,); later calls must not have
+        earlier times."""
         for i in np.flatnonzero(self._until_s <= time_s):
             while self._until_s[i] <= time_s:
                 self._well[i] = not self._well[i]

@@ -208,8 +208,8 @@ class EmulatedField(PluggedDevice):
             cells, names = culture(settings.cells, settings.strangers, walk, seed)
         else:
             cells = cells_of(setup, walk, seed)
-        coils = section.calibrated_coils()
-        self.dish = Dish(self.driver, coils, section.strength_mt, cells, start_ns, seed, walls)
+        reference_mt = section.strength_mt
+        self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.setup import Bounds, Setup
-from tetractl.lab.actuators.field.section import Coils, Pair
+from tetractl.lab.actuators.field.section import CoilsSection, Pair
 from tetractl.model.swimmers import Swimmers
 
 FIELD_NS = 1_000_000  # interval at which the driver's currents are read
@@ -46,7 +46,7 @@ class Dish:
     def __init__(
         self,
         driver: FieldDriver,
-        coils: Coils,
+        coils: CoilsSection,
         reference_mt: float,
         cells: Swimmers,
         start_ns: int,

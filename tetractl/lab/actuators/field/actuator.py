@@ -43,7 +43,7 @@ class FieldActuator:
     halts = False
 
     def __init__(self, section: FieldSection, setup: Setup, clock: Clock) -> None:
-        self.section, self.coils = section, section.calibrated_coils()
+        self.section, self.coils = section, section.coils
         self.driver = Driver(section.port, section.baud, clock)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
@@ -95,7 +95,8 @@ class FieldActuator:
             raise AbortError(failure, HINT)
         with self._lock:
             now_ns = self._clock.now()
-            wished = self.coils.currents(direction, self.section.strength_mt)
+            section = self.section
+            wished = self.coils.currents(direction, section.strength_mt, section.current_max_a)
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
             x_ma, y_ma = (round(1000 * current) for current in self._currents)
@@ -210,7 +211,7 @@ def _state(reply: FieldReply, section: FieldSection) -> list[str]:
 
 def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
-    reach = section.calibrated_coils().least_reach()
+    reach = section.coils.least_reach(section.current_max_a)
     if reach < section.strength_mt:
         found.append(
             f"only {reach:.3g} of {section.strength_mt:g} mT can be reached in every direction; in "

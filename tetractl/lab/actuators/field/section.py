@@ -7,7 +7,6 @@ field in the coils' axes, and the x pair's axis turned by `rotation` from the sp
 """
 
 import math
-from dataclasses import dataclass
 from typing import ClassVar, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
@@ -16,60 +15,6 @@ from tetractl.experiment.base import Finite, Model, NonNegative, Positive, incon
 from tetractl.experiment.lab_section import ActuatorSection
 
 Pair = tuple[float, float]  # x and y, in the coils' axes for currents and in the spec's for fields
-
-
-@dataclass(frozen=True, slots=True)
-class Coils:
-    """Two orthogonal coil pairs, x and y: `gain` [mT/A], negative if a winding is reversed; ambient
-    field `offset` along each pair's axis [mT]; `rotation` [rad]; greatest current [A], which is at
-    least enough to cancel the ambient field.
-    """
-
-    gain: Pair
-    offset: Pair
-    rotation: float
-    current_max_a: float
-
-    def reach(self, direction: float) -> float:
-        """Return the greatest strength [mT] in a direction [rad] within the current limit."""
-        strength = math.inf
-        for axis, gain, offset in zip(self._axes(direction), self.gain, self.offset, strict=True):
-            room = abs(gain) * self.current_max_a + math.copysign(offset, offset * axis)
-            if axis:
-                strength = min(strength, room / abs(axis))
-        return strength
-
-    def least_reach(self) -> float:
-        """Return the strength [mT] that is available in every direction."""
-        rooms = zip(self.gain, self.offset, strict=True)
-        return min(abs(gain) * self.current_max_a - abs(offset) for gain, offset in rooms)
-
-    def currents(self, direction: float, strength: float) -> Pair:
-        """Return the currents [A] that make a field of a direction [rad] and strength [mT].
-
-        If a current would exceed its limit, the strength is reduced and the direction kept.
-        """
-        strength = min(strength, self.reach(direction))
-        x, y = (
-            (strength * axis - offset) / gain
-            for axis, gain, offset in zip(
-                self._axes(direction), self.gain, self.offset, strict=True
-            )
-        )
-        return x, y
-
-    def field(self, currents: Pair) -> Pair:
-        """Return the field [mT] that two currents [A] make, in the spec's axes."""
-        x, y = (
-            offset + gain * current
-            for gain, offset, current in zip(self.gain, self.offset, currents, strict=True)
-        )
-        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
-        return cos * x - sin * y, sin * x + cos * y
-
-    def _axes(self, direction: float) -> Pair:
-        """Return the unit vector of a direction [rad] in the axes of the coils."""
-        return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
 def approach(now: Pair, wished: Pair, step: float) -> Pair:
@@ -109,6 +54,47 @@ class CoilsSection(Model):
     """The pair whose axis is a right angle anticlockwise from the x pair's."""
     rotation: Finite = 0.0
     """Angle from the spec's x axis to the x pair's axis [rad]."""
+
+    def reach(self, direction: float, current_max_a: float) -> float:
+        """Return the greatest strength [mT] in a direction [rad] within a current limit [A], which
+        is at least enough to cancel the ambient field.
+        """
+        strength = math.inf
+        for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
+            offset = math.copysign(pair.offset_mt, pair.offset_mt * axis)
+            if axis:
+                room = abs(pair.gain_mt_a) * current_max_a + offset
+                strength = min(strength, room / abs(axis))
+        return strength
+
+    def least_reach(self, current_max_a: float) -> float:
+        """Return the strength [mT] that is available in every direction within a current limit."""
+        pairs = self.x, self.y
+        return min(abs(pair.gain_mt_a) * current_max_a - abs(pair.offset_mt) for pair in pairs)
+
+    def currents(self, direction: float, strength: float, current_max_a: float) -> Pair:
+        """Return the currents [A] that make a field of a direction [rad] and strength [mT].
+
+        If a current would exceed its limit, the strength is reduced and the direction kept.
+        """
+        strength = min(strength, self.reach(direction, current_max_a))
+        along_x, along_y = self._axes(direction)
+        x, y = self.x, self.y
+        return (
+            (strength * along_x - x.offset_mt) / x.gain_mt_a,
+            (strength * along_y - y.offset_mt) / y.gain_mt_a,
+        )
+
+    def field(self, currents: Pair) -> Pair:
+        """Return the field [mT] that two currents [A] make, in the spec's axes."""
+        pairs = zip((self.x, self.y), currents, strict=True)
+        x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
+        cos, sin = math.cos(self.rotation), math.sin(self.rotation)
+        return cos * x - sin * y, sin * x + cos * y
+
+    def _axes(self, direction: float) -> Pair:
+        """Return the unit vector of a direction [rad] in the axes of the coils."""
+        return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
 class FieldSection(ActuatorSection):
@@ -162,9 +148,3 @@ class FieldSection(ActuatorSection):
             "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",
         }
-
-    def calibrated_coils(self) -> Coils:
-        """Return the coils described by this section."""
-        x, y = self.coils.x, self.coils.y
-        gain, offset = (x.gain_mt_a, y.gain_mt_a), (x.offset_mt, y.offset_mt)
-        return Coils(gain, offset, self.coils.rotation, self.current_max_a)

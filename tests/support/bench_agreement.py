@@ -9,7 +9,6 @@ wheels do not slip, so the bench's do not either.
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
@@ -18,10 +17,11 @@ from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.protocols import LabSupervision
-from tetractl.core.trial import Result
+from tetractl.core.protocols import LabSupervision, Observer
+from tetractl.core.trial import EPOCH_NS, Result, TrialRecords
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
+from tetractl.log.write.recorder import Recorder
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.simulation import SimSection
@@ -35,33 +35,6 @@ PLAIN = (
     "optimizer: {type: multistart}, collision: {test: swept, margin: 50, walls: true}"
 )
 BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"
-
-
-@dataclass
-class Path:
-    """An observer that keeps the frames and what was sent in answer to which."""
-
-    samples: list = field(default_factory=list)
-    steps: list = field(default_factory=list)
-    result: Result | None = None
-
-    def on_start(self, start):
-        pass
-
-    def on_samples(self, samples):
-        self.samples += samples
-
-    def on_command(self, command):
-        pass
-
-    def on_note(self, note):
-        pass
-
-    def on_step(self, step):
-        self.steps.append(step)
-
-    def on_stop(self, command, result):
-        pass
 
 
 @cache
@@ -91,28 +64,28 @@ def bench_spec(*sets: str) -> LoadedSpec:
     return lab_spec(f"plant={json.dumps(plant)}", *sets)
 
 
-def _run(spec: LoadedSpec, trial: int, plant, controller, clock, simulated: bool) -> Path:
-    path = Path()
-    path.result = Trial(
-        start=start_of(spec, trial, PlantInfo("", simulated, 0.0, {}), 0),
+def run(
+    spec: LoadedSpec, trial: int, plant, controller, clock, observer: Observer, simulated=False
+) -> Result:
+    """Run one trial of given parts."""
+    return Trial(
+        start=start_of(spec, trial, PlantInfo("", simulated, 0.0, {}), EPOCH_NS),
         plant=plant,
         controller=controller,
         first_plan=spec.experiment.controller.first_plan,
         clock=clock,
-        observers=[path],
+        observers=[observer],
         interrupt=Interrupt(),
     ).run()
-    assert isinstance(path.result, Result)
-    return path
 
 
-def bench_trial(spec: LoadedSpec, trial: int) -> Path:
+def bench_trial(spec: LoadedSpec, trial: int) -> Result:
     """Run one trial of `bench_spec`."""
     experiment = spec.experiment
     clock = experiment.plant.clock()
     key, seed = trial_seeds(experiment.trials.seed, trial)
     plant = experiment.plant.build(experiment.setup, clock, seed, LabSupervision())
-    return _run(spec, trial, plant, build_controller(experiment, key), clock, True)
+    return run(spec, trial, plant, build_controller(experiment, key), clock, Recorder(), True)
 
 
 def lab_trial(
@@ -121,7 +94,7 @@ def lab_trial(
     gain_error: float | None = None,
     noise: tuple[float, float] = (0.0, 0.0),
     change: Callable[[VirtualLab], None] = lambda lab: None,
-) -> Path:
+) -> TrialRecords:
     """Run one trial of `lab_spec` in the emulated lab, in virtual time.
 
     `gain_error` bounds that of each wheel, the bench's by default; `noise` is the camera's, and
@@ -158,4 +131,6 @@ def lab_trial(
     change(lab)
     inner = build_controller(experiment, key)
     busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
-    return _run(spec, trial, lab.plant, busy, lab.clock, False)
+    path = Recorder()
+    run(spec, trial, lab.plant, busy, lab.clock, path)
+    return path.trial

@@ -64,16 +64,14 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
 
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one trial of the emulated lab in virtual time; return its log."""
-    from support.bench_agreement import LAB
+    from support.bench_agreement import LAB, run
     from support.virtual_lab import virtual_lab
 
     from tetractl.control.build import build_controller
-    from tetractl.core.commands import PlantInfo
     from tetractl.emulate.m3pi.side import M3piSettings
-    from tetractl.experiment.load import load_spec, start_of
+    from tetractl.experiment.load import load_spec
     from tetractl.experiment.plants import on_plant
     from tetractl.log.write.writer import LogWriter
-    from tetractl.run.run_trial import Trial
     from tetractl.run.task import trial_seeds
 
     loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8", *sets])
@@ -82,15 +80,7 @@ def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     settings = M3piSettings.model_validate({"loss": 0.3})
     lab = virtual_lab(experiment, settings, experiment.setup.starts.array(), int(key % 2**31))
     with LogWriter(path) as writer:
-        Trial(
-            start=start_of(spec, 0, PlantInfo("", False, 0.0, {}), 1_790_000_000_123_456_789),
-            plant=lab.plant,
-            controller=build_controller(experiment, key),
-            first_plan=experiment.controller.first_plan,
-            clock=lab.clock,
-            observers=[writer],
-            interrupt=Interrupt(),
-        ).run()
+        run(spec, 0, lab.plant, build_controller(experiment, key), lab.clock, writer)
     return path
 
 

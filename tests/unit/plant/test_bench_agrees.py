@@ -29,7 +29,7 @@ def paths():
 
 def test_total_errors_agree_in_distribution(paths):
     labs = [path.result for path in paths]
-    sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
+    sims = [bench_trial(bench_spec(), trial) for trial in range(TRIALS)]
     assert all(result.outcome.complete for result in (*labs, *sims))
     ours, theirs = ([result.total_error for result in results] for results in (labs, sims))
     assert stats.ks_2samp(ours, theirs).pvalue > LOSSES
@@ -42,9 +42,7 @@ def test_total_errors_agree_in_distribution(paths):
 def dead_time_s(path, setup):
     """The dead time, a and bias with which (1)-(3) predict a path best over 0.2 s [s]."""
     sent = [(s.observation.sampled_ns, s.command.direction) for s in path.steps]
-    times = np.array([sample.observation.sampled_ns for sample in path.samples])
-    poses = np.array([sample.observation.poses.array() for sample in path.samples])
-    span = 24
+    times, poses, span = path.mocap_ns, path.mocap, 24
     first, last = np.searchsorted(times, [sent[0][0] + SECOND // 4, sent[-1][0] - SECOND // 5])
     starts = range(first, last, 12)
 

@@ -1,4 +1,4 @@
-"""An analysis as tables and as JSON."""
+"""The result of `tetractl analyze` as tables and as JSON."""
 
 import math
 from typing import Any

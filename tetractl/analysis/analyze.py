@@ -1,4 +1,5 @@
-"""The analysis of an experiment: its robots, their differences in a, their number, and advice."""
+"""Predicts how the total error of an experiment depends on the robots' turning rates a and on their
+number, and proposes changes."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -21,7 +22,7 @@ STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 WORTH = 0.8
 """An advised change must reduce the predicted error to at most this fraction."""
 AS_GOOD = 1.1
-"""Of changes with an error within this factor of the least error, the smallest is advised."""
+"""The smallest change whose error is at most this factor times the least error is advised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +133,8 @@ def respaced(setup: Setup, gap: float) -> Setup:
 
 
 def best_change(changes: list[Change], error: float) -> Change | None:
-    """Return the smallest change with an error within `AS_GOOD` of the least, None if none helps.
+    """Return the smallest change whose error is at most `AS_GOOD` times the least, None if no
+    change helps.
 
     `error` is the error without a change; an error is NaN if no plan was found.
     """
@@ -145,7 +147,7 @@ def best_change(changes: list[Change], error: float) -> Change | None:
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield (index, new a) of one of the two robots `alike`, by which all robots differ more."""
+    """Yield (index, new a) for one of the two robots `alike`, if all robots then differ more."""
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

@@ -11,7 +11,7 @@ from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
-COMPARED = 40  # number of choices whose errors are predicted: the choices with most different a
+COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
 # rounds: fraction of these choices that are compared, and fraction of the plans used
 ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 3), (0.1, 1.0))
 LEAST = 5  # least number of choices compared in each round
@@ -21,8 +21,8 @@ ALIKE = 0.08
 
 @dataclass(frozen=True, slots=True)
 class RankedChoice:
-    """A choice of cells, fastest turning first, and its predicted mean total error [length unit],
-    inf if no plan reaches the targets."""
+    """A choice of cells, in the order of falling turning rates, and its predicted mean total error
+    [length unit], inf if no plan reaches the targets."""
 
     cells: tuple[FoundCell, ...]
     error: float
@@ -42,7 +42,7 @@ def ranked(
     same random numbers. Only cells with a magnet count; [] if there are too few.
     """
     choice = experiment.chosen
-    assert choice is not None, "only a spec that leaves its robots open chooses"
+    assert choice is not None, "the spec has robots: {choose: N}"
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     every = sorted(combinations(able, choice.choose), key=lambda some: worth(some, experiment))
     found = [RankedChoice(some, math.inf) for some in every[: -COMPARED - 1 : -1]]

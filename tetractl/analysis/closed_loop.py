@@ -131,7 +131,7 @@ def _by_logarithm(
 
 
 TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]
-SURE = 1e-8  # least variance of a measured turn [rad^2] or relative path length: no camera is exact
+SURE = 1e-8  # least variance of a measured turn [rad^2] and of a relative path length
 LEAST = 1e-30  # length unit^2; keeps matrices regular for robots that stand
 
 
@@ -200,15 +200,15 @@ def end_covariance(
         middle = (plan.by_heading[k] + plan.by_heading[k + 1]) / 2
         p = p + noise.walk**2 * plan.seconds[k] * _blocks(middle)
         if identifies:
-            left_over = 1 / (1 + known * _told(plan, noise, k))
+            left_over = 1 / (1 + known * _information(plan, noise, k))
             cross = cross * np.sqrt(left_over)
             known = known * left_over
     return p
 
 
-def _told(plan: Linear, noise: Noise, k: int) -> Floats:
-    """Return the information (1/variance) on ln a, then on ln speed, (2N,), from two measured
-    headings and positions before and after signal k.
+def _information(plan: Linear, noise: Noise, k: int) -> Floats:
+    """Return 1/variance of ln a, then of ln speed, (2N,), as estimated from the headings and
+    positions measured before and after signal k.
     """
     turned = 2 * noise.heading**2 + noise.walk**2 * plan.seconds[k] + SURE
     ways = np.square(plan.by_speed[k]).sum(axis=1)  # a path is proportional to the speed
@@ -218,7 +218,8 @@ def _told(plan: Linear, noise: Noise, k: int) -> Floats:
 
 
 def mean_errors(covariance: Floats, miss: Floats) -> Floats:
-    """Return the robots' mean distances to their targets (N,); their plans end `miss` (N,) away.
+    """Return the robots' mean distances to their targets (N,), for plans that end at the distances
+    `miss` (N,) from the targets.
 
     The mean length of a normal vector with deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
     with the complete elliptic integral E; its square and the square of `miss` are added.

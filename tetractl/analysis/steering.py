@@ -1,6 +1,6 @@
 """Predicts how accurately the robots of a setup can be steered together, along several good plans.
 
-The plans are the first plans that the controllers of the first trials would find.
+The plans are those that the controllers of the first trials would find in their first step.
 """
 
 from collections.abc import Iterator
@@ -35,8 +35,8 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the section of the model predictive control by which an experiment is analysed.
 
-    It is the spec's section if that is of this type, otherwise the default; with the multistart
-    optimiser, which has a tolerance, and without limits.
+    It is the spec's section if that has this type, otherwise the default section, but with the
+    multistart optimiser, which has a tolerance, and without limits.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
@@ -60,7 +60,7 @@ def tolerance(section: MpcSection) -> float:
 
 
 def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
-    """Yield the plans with which the first trials of a root seed would begin."""
+    """Yield the plans with which the first `count` trials of a batch with this seed would begin."""
     every = np.ones(len(setup.names), dtype=np.bool_)
     observation = Observation(0, 0, 0, setup.starts, every)
     problem = section.problem(setup)
@@ -81,9 +81,9 @@ class Steering:
     feedback, `open_loop` (M,) without feedback; `planned` (M,) are the total errors without noise.
     The other fields describe the plan of the median predicted error: `signals` is its length,
     `singular` (2N,) the singular values of the derivative of the ends by the signals [length
-    unit/rad], descending, `weakest` (N,) each robot's share of the least one's direction,
-    `robot_errors` (N,) the predicted mean errors, `covariance` (N, 2, 2) the covariance of each
-    end, and `free_covariance` that covariance without feedback.
+    unit/rad], descending, `weakest` (N,) each robot's share in the direction of the least singular
+    value, `robot_errors` (N,) the predicted mean errors, `covariance` (N, 2, 2) the covariance of
+    each end, and `free_covariance` that covariance without feedback.
     """
 
     shortest: int | None
@@ -100,9 +100,10 @@ class Steering:
 
     @property
     def error(self) -> float:
-        """The predicted mean total error with feedback, the median of the plans.
+        """The predicted mean total error with feedback, the median over the plans.
 
-        It is the median, because a controller changes to a better plan if a plan is hard to follow.
+        The median is used because a controller replaces a plan that is hard to follow by a better
+        one.
         """
         return float(np.median(self.errors))
 
@@ -124,7 +125,7 @@ def steering(
     middle = int(np.argsort(errors)[(len(errors) - 1) // 2])
     left, singular, _ = np.linalg.svd(linear[middle].by_signal, full_matrices=False)
     size = 2 * len(setup.names)
-    values = np.zeros(size)  # fewer signals than coordinates leave some at 0
+    values = np.zeros(size)  # with fewer signals than coordinates, some values stay 0
     values[: len(singular)] = singular
     shares = (left[:, -1] ** 2).reshape(-1, 2).sum(axis=1)
     return Steering(

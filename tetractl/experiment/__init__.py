@@ -1,1 +1,1 @@
-"""The experiment as a YAML spec."""
+"""The sections of an experiment's spec, and how a spec is read from YAML and checked."""

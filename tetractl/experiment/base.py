@@ -1,4 +1,4 @@
-"""Base classes of all parts of a spec: strict models and constrained numbers."""
+"""The strict base class of all sections of a spec, and types of constrained numbers and names."""
 
 from typing import Annotated
 
@@ -29,5 +29,5 @@ Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][
 
 
 def inconsistent(field: str, message: str) -> PydanticCustomError:
-    """Return the error by which a model's validator reports a problem of one of its fields."""
+    """Return the error that a model's validator raises to report a problem of the field `field`."""
     return PydanticCustomError("inconsistent", "{message}", {"field": field, "message": message})

@@ -14,7 +14,7 @@ from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Point, Positive, inconsistent
 
-DEVIATIONS = 2.0  # standard deviations by which a must exceed 0 for a cell to count as magnetised
+DEVIATIONS = 2.0  # a cell is magnetised if its turning rate exceeds 0 by so many deviations
 
 
 class Ring(Model):
@@ -36,7 +36,7 @@ class Ring(Model):
 
 
 class WantedCell(Model):
-    """Values of a cell that a survey proposed; the trial finds the cell again by these values."""
+    """A cell that a survey proposed; the trial finds the cell again by these values."""
 
     a: Positive
     """Turning rate a of the cell [rad/s]."""
@@ -45,9 +45,9 @@ class WantedCell(Model):
 
 
 class Choice(Model):
-    """Robots that the trial finds at their present poses. In the lab the field turns for `seconds`,
-    and the camera measures each cell's response; the trial takes the cells whose a differ most, or
-    the `wanted` cells. In a simulation the cells are drawn at random.
+    """Robots that the trial finds at their present poses. In the lab the field rotates for
+    `seconds`, and the camera measures each cell's response; the robots are the cells whose turning
+    rates a differ most, or the `wanted` cells. In a simulation the cells are drawn at random.
     """
 
     choose: int = Field(ge=1, le=20)
@@ -65,12 +65,13 @@ class Choice(Model):
     wanted: tuple[WantedCell, ...] = Field(default=(), max_length=20)
     """The cells that a survey proposed, as many as there are robots."""
     seconds: Positive = Field(default=8.0, le=600)
-    """Time for which the field turns before the cells are chosen [s]."""
+    """Time for which the field rotates before the cells are chosen [s]."""
     turn: Positive = Field(default=3.2, le=60)
-    """Duration of one turn of the field [s]; cells with an a below 2 pi / turn lag behind."""
+    """Duration of one turn of the field [s]; cells with a turning rate a below 2 pi / `turn` lag
+    behind."""
 
     found: bool = False
-    """Whether a trial has found the spec's robots; written by the trial in its log."""
+    """Whether a trial has found its robots; the trial sets this in the spec that it logs."""
 
     @model_validator(mode="after")
     def _fits(self) -> "Choice":

@@ -11,19 +11,19 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
-UNLIKE = 0.4  # difference of the logarithms of a above which a larger one does not help
-NEAR_WALL = 0.5  # s to swim to the arena's edge; nearer cells are chosen only if others are lacking
+UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
+NEAR_WALL = 0.5  # cells that could reach the arena's edge in this time are a last choice [s]
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
 MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return the cells that a trial takes as robots, the fastest turning first.
+    """Return the cells that become the robots of a trial, in the order of falling turning rates.
 
     AbortError if there are too few cells, or a wanted cell is missing.
     """
     choice = experiment.chosen
-    assert choice is not None, "only a spec that leaves its robots open chooses"
+    assert choice is not None, "the spec has robots: {choose: N}"
     able = [cell for cell in cells if cell.magnetised]
     if len(able) < choice.choose:
         raise AbortError(
@@ -40,7 +40,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
     """Return the experiment with these cells as robots, at their poses, and targets assigned."""
     choice = experiment.chosen
-    assert choice is not None, "only a spec that leaves its robots open chooses"
+    assert choice is not None, "the spec has robots: {choose: N}"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
     robots = [
@@ -69,7 +69,7 @@ def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
 
 
 def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
-    assert experiment.chosen is not None, "only a spec that leaves its robots open chooses"
+    assert experiment.chosen is not None, "the spec has robots: {choose: N}"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
     vars(copied).pop("setup", None)  # it was computed for the stand-in robots

@@ -58,7 +58,7 @@ def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
         yield (
             ("controller",),
             f"a control step would need some {held / 1e9:.3g} GB of memory, more than "
-            f"{MEMORY_MAX / 1e9:g}; use fewer particles, robots or signals",
+            f"{MEMORY_MAX / 1e9:g} GB; use fewer particles, robots or signals",
         )
 
 
@@ -69,7 +69,7 @@ def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
         message = f"cannot switch the field off, as controller {control.type} does"
         yield ("plant",), f"{message}; simulations can"
     if not control.tours and (experiment.hold or len(experiment.setup.legs) > 1):
-        yield ("controller",), f"{control.type} neither passes way-points nor holds; mpc does"
+        yield ("controller",), f"{control.type} supports neither way-points nor a hold; mpc does"
     for loc, message in control.contradictions(experiment.setup):
         yield ("controller", *loc), message
     for name, plant in (("plant", experiment.plant), ("lab", experiment.lab)):

@@ -89,7 +89,8 @@ def same(optimizer: Optimizer) -> Optimizer:
 
 
 class ControllerSection(Model):
-    """A controller and its parameters, and the methods that the rest of tetractl needs."""
+    """A controller's parameters, and the methods by which tetractl checks, builds and describes
+    it."""
 
     type: Any  # the section's name, a Literal in each subclass
     period: float = Field(default=0.2, ge=1e-3, allow_inf_nan=False)
@@ -101,19 +102,19 @@ class ControllerSection(Model):
     steps_max: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of control steps k_max."""
     arrival_tolerance: NonNegative = 0.0
-    """The robots are close enough when every one is within this distance of its target [length
-    unit]; 0 never ends a trial early."""
+    """The robots are close enough when each is within this distance of its target [length unit];
+    with 0, no trial ends early for this reason."""
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
     deadline: Positive | None = None
-    """Time after which a control step's searches end, and it uses the best sequence so far [s];
+    """Time after which the searches of a control step end and the best sequence so far is used [s];
     step 0 has no deadline. By default there is none, so that a simulation depends only on its seed.
     """
 
     switches_field: ClassVar[bool] = False
     """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
-    """Whether the controller passes way-points and holds."""
+    """Whether the controller supports way-points and a hold at the targets."""
 
     @property
     def iterations_max(self) -> int:
@@ -129,7 +130,7 @@ class ControllerSection(Model):
         return {}
 
     def numbers_held(self, setup: Setup) -> int:
-        """Return an estimate of the most 8-byte numbers that a control step holds in memory."""
+        """Return an estimate of how many 8-byte numbers a control step stores at most."""
         return 0
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
@@ -144,10 +145,10 @@ class ControllerSection(Model):
         wrap: Callable[["OptimizerSection"], Optimizer] = same,
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> Controller:
-        """Return the controller of one trial; `key` is the root of all its random draws.
+        """Return the controller of one trial; `key` seeds all its random numbers.
 
-        Every optimiser the controller uses must be passed through `wrap`, and `timer` [ns] is the
-        only clock it may read, so that a log can be verified by repeating every search.
+        The controller must pass each optimiser that it uses through `wrap`, and read no clock but
+        `timer` [ns], so that a log can be verified by repeating every search.
         """
 
     def warm_up(self, setup: Setup) -> None:

@@ -60,8 +60,8 @@ class Disturbance:
         return a, speed
 
     def planning_s(self, time_s: float) -> float:
-        """Return the time [s] that planning takes: from the frame, read at `time_s`, to sending the
-        command or the stop. The times of all disturbances are added.
+        """Return the planning time [s]: from `time_s`, when the frame is read, to the sending of
+        the command or stop. The times of all disturbances are added.
         """
         return 0.0
 

@@ -109,7 +109,7 @@ class Trials(Model):
     count: int = Field(default=20, ge=1, le=1_000_000)
     """Number of trials."""
     seed: int = Field(default=1, ge=0, lt=2**64)
-    """Root of every trial's random numbers: the same seed gives the same trials."""
+    """Seed of the random numbers of all trials: the same seed gives the same trials."""
 
 
 class Reference(Model):
@@ -236,13 +236,13 @@ class Experiment(Model):
         if self.on_lost == "replace" and (self.chosen is None or self.obstacles):
             raise inconsistent(
                 "on_lost",
-                "replace needs robots: {choose: N, ...}, to take another, and no obstacles",
+                "replace needs 'robots: {choose: N}', to choose another cell, and no obstacles",
             )
         return self
 
     @property
     def open(self) -> bool:
-        """Whether the trial's robots have not been found yet."""
+        """Whether the robots are still to be found by the trial."""
         return self.chosen is not None and not self.chosen.found
 
     @cached_property

@@ -52,7 +52,7 @@ class Identified(Model):
     unit: str
     """Length unit of this file's numbers."""
     dead_time: IdentifiedValue
-    """Time from sending a direction until it acts [s]."""
+    """Time from the sending of a direction until it acts [s]."""
     frame_age: NonNegative = 0.0
     """Time from the exposure of the frame used for a direction to sending the direction [s]."""
     robots: dict[Name, IdentifiedRobot]
@@ -60,7 +60,7 @@ class Identified(Model):
 
 
 def identified_yaml(found: Identified) -> str:
-    """Return identified values as YAML text."""
+    """Return the YAML text of a file of identified values."""
     return dump(found.model_dump(mode="json", exclude_none=True))
 
 

@@ -1,8 +1,8 @@
 """The lab's section of a spec: a camera, an actuator, and the limits of a run.
 
 Each section of a camera or actuator is in the file of its adapter, and named in
-`tetractl.core.registries`. Lengths whose name ends in `_mm` are millimetres, whatever the spec's
-length unit; times are seconds.
+`tetractl.core.registries`. Lengths whose name ends in `_mm` are in millimetres, independently of
+the spec's length unit; times are in seconds.
 """
 
 import threading
@@ -104,9 +104,9 @@ class ActuatorSection(DeviceSection):
         return imported(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot that the actuator reaches, latched if it can; needs only its port. If
-        not `alone`, a run uses the port too. Returns a text about the stops; AbortError if nothing
-        can be sent.
+        """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
+        port is needed; if not `alone`, a run uses the port at the same time. Returns a text about
+        the stops sent; AbortError if nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:
@@ -147,11 +147,11 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_stop: Positive = 0.05
-    """A robot stops after this time without being tracked [s]; if the actuator cannot hold a single
-    robot still, it is steered further.
+    """A robot is stopped if it was not tracked for this time [s]; it is steered on if the actuator
+    cannot hold a single robot still.
     """
     untracked_abort: Positive = 0.3
-    """The run aborts after this time in which a robot was not tracked [s]."""
+    """The run aborts if a robot was not tracked for this time [s]."""
     identity: Positive = 3.0
     """The run aborts if, after cells have met, it is unknown for this time which of them is a robot
     [s]; only with cameras that report identities.
@@ -161,7 +161,8 @@ class LabLimits(Model):
     robot's speed allows, plus this length [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
     """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
-    outside is rejected, since it may be off its robot. Only for cameras that report heights.
+    outside this range is rejected, since it may have come off its robot. Only for cameras that
+    report heights.
     """
     tilt: Positive = 0.5
     """A body whose upward axis is tilted from the vertical by more than this is rejected [rad]."""
@@ -187,7 +188,8 @@ class LabLimits(Model):
     start_heading: Positive = 0.3
     """Largest difference of a robot's heading from its start heading [rad]."""
     placing: NonNegative = 0.0
-    """Longest wait until robots are put on their starts [s]; with a terminal there is no limit."""
+    """Longest time to wait for robots to be put on their starts [s]; for a run that a person starts
+    in a terminal there is no limit."""
     standstill: Positive = 2.0
     """Longest time after a stop until the camera sees the robots standing still [s]."""
     standstill_mm: Positive = 10.0

@@ -1,1 +1,1 @@
-"""The trial loop, and batches of trials."""
+"""Runs trials: the control loop of one trial, and batches of trials on one or many machines."""

@@ -1,4 +1,4 @@
-"""Runs the trials of a batch or a study: one loop for every store, executor and observer."""
+"""Runs the trials of a batch or a study, with any store, executor and observer."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -18,11 +18,11 @@ class TrialStore(Protocol):
     """Stores logs and records of trials: the `LogStore` of a batch or the `Store` of a study."""
 
     def place(self, arm: str, trial: int) -> Path:
-        """Set earlier logs of a trial aside; return the folder for its log."""
+        """Rename logs of earlier attempts of a trial; return the folder for its log."""
         ...
 
     def add(self, task: Task, finished: Finished) -> None:
-        """Store the record of a finished trial, unless its log is the record."""
+        """Store the record of a finished trial; if the log is the record, do nothing."""
         ...
 
 
@@ -30,8 +30,9 @@ class TrialStore(Protocol):
 class Ending:
     """How a trial ended, and the estimated time [s] of the remaining trials.
 
-    `result` is None if the trial has no outcome; `failure` is one line on why it was aborted or has
-    no result. `every_arm` is True if a trial of each arm with trials left has been timed.
+    `result` is None if the trial has no outcome. `failure` is the reason, in one line, why it was
+    aborted or has no result. `every_arm` is True if at least one trial has been timed in each arm
+    that has trials left.
     """
 
     task: Task
@@ -42,9 +43,11 @@ class Ending:
 
 
 class TimeLeft:
-    """Estimates the time of the remaining trials: in each arm the mean time of its trials so far.
+    """Estimates the time of the remaining trials from the mean time of previous trials, separately
+    for each arm.
 
-    Arms may differ: some end after ten steps, others at the last step. Compiling is left out.
+    Trials of some arms end after ten steps, of others at the last step. The time for compiling is
+    not counted.
     """
 
     def __init__(self, tasks: Sequence[Task]) -> None:
@@ -55,7 +58,7 @@ class TimeLeft:
 
     @property
     def known(self) -> bool:
-        """Whether a trial of every arm with trials left has been timed."""
+        """Whether at least one trial has been timed in each arm that has trials left."""
         return self._unknown == 0
 
     def count(self, arm: str, wall_s: float | None) -> None:
@@ -87,7 +90,7 @@ class TimeLeft:
 
 
 class RunObserver(Protocol):
-    """Watches trials, which may end in any order."""
+    """Is notified when trials start and end; they may end in any order."""
 
     def trial_started(self, task: Task) -> None:
         """Called when a trial starts."""
@@ -128,7 +131,7 @@ def run_batch(
     """Run trials and store their logs and records.
 
     With `fail_fast` the first trial that is aborted or has no outcome ends the run. Raises
-    OtherCodeError if a worker has other code.
+    OtherCodeError if the code on a worker differs from the code here.
     """
     report, time_left = Report(left=len(tasks)), TimeLeft(tasks)
 

@@ -19,11 +19,11 @@ from tetractl.run.task import Finished, Task, log_path, run_task
 
 CONNECT_S = 10.0
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
-LOOK_S = 0.1  # interval between two checks for an interruption
-COUNT_S = 1.0  # interval between two counts of the workers, which may come and go
-AHEAD = 2  # Dask tasks for each thread of a worker, so that none waits for the next
-FEWEST = 8  # least number of Dask tasks submitted at a time, also without a worker
-CHUNK_S = 2.0  # duration of a Dask task's trials: a scheduler manages some hundred tasks per second
+LOOK_S = 0.1  # interval between two checks for an interruption [s]
+COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]
+AHEAD = 2  # Dask tasks submitted for each thread of a worker, so that no thread waits for a task
+FEWEST = 8  # least number of Dask tasks submitted at a time, even if there is no worker
+CHUNK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
 MOST = 200  # largest number of trials in a Dask task, whose logs are returned together
 
 
@@ -54,7 +54,7 @@ class Cluster:
         # distributed logs tracebacks when it ends
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:
-            # without a port, distributed would wait for the address
+            # without a port in the address, distributed would wait for ever
             get_address_host_port(self._address)
             security = Security()  # raises errors of Dask's configuration
             context = security.get_connection_args("client").get("ssl_context")
@@ -82,7 +82,7 @@ class Cluster:
 
     @property
     def workers(self) -> int:
-        """The number of trials that run at a time, at least 1; read occasionally."""
+        """The number of trials that run at a time, at least 1; updated every COUNT_S."""
         now = time.monotonic()
         if now >= self._count_at_s and self._connected:
             with suppress(OSError):  # the connection is lost: `run` raises the error
@@ -128,7 +128,7 @@ class Cluster:
             self._client.cancel(list(running))
 
     def end(self) -> None:
-        """Start no further trial, and abandon the running ones."""
+        """Start no further trial, and do not wait for the running ones."""
         self._ended = True
 
     @property
@@ -144,8 +144,8 @@ class Cluster:
     def _found(
         self, given: Sequence[tuple[Task, Path]], future: Any
     ) -> list[Finished | Exception] | None:
-        """Save the logs of a Dask task; return each trial's result or error. None if a task of
-        several trials was lost with every worker that ran it."""
+        """Save the logs of a Dask task; return each trial's result or error. Return None if the
+        task has several trials and every worker that ran it was lost."""
         from distributed import KilledWorker
 
         found: list[tuple[Finished | Exception, bytes | None]] = []
@@ -158,7 +158,7 @@ class Cluster:
         if isinstance(error, KilledWorker):
             if len(given) > 1:
                 return None
-            error = AbortError("the trial was lost with every worker that ran it")
+            error = AbortError("the trial was lost: every worker that ran it has ended")
         if error is not None:
             return [error for _ in given]
         future.release()
@@ -171,8 +171,8 @@ class Cluster:
 def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
     """Return the number of trials for a Dask task, from their mean time [s].
 
-    The number falls with the trials `waiting`, so that `window` tasks run until the end; it is 1
-    while the mean time is unknown.
+    The number falls with the number of trials `waiting`, so that `window` tasks run until the end;
+    it is 1 as long as the mean time is unknown.
     """
     if mean_s is None:
         return 1

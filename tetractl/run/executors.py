@@ -1,4 +1,4 @@
-"""Runs tasks on this machine: in this process, or in worker processes that the parent stops."""
+"""Runs tasks on this machine: in this process, or in worker processes that this process stops."""
 
 import multiprocessing
 import os
@@ -21,7 +21,7 @@ from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 SIGNAL_AGAIN_S = 1.0
-ORPHAN_S = 5.0  # time for a worker to close its log after its parent has ended
+ORPHAN_S = 5.0  # time for a worker to close its log after its parent process has ended [s]
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 
 Ended = tuple[Task, Finished | Exception]
@@ -102,7 +102,7 @@ class Processes:
         # not a fork, which would copy locks held by other threads
         self._context = multiprocessing.get_context("spawn")
         self._ending: Event | None = None
-        self._again = 0.0  # time from which SIGTERM may be sent again [s]
+        self._again = 0.0  # earliest time of the next SIGTERM [s]
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
@@ -128,8 +128,8 @@ class Processes:
         self._ending.set()
 
     def _in_pool(self, waiting: "deque[Task]", workers: int, ready: Ready) -> Iterator[Ended]:
-        """Run the waiting tasks until a worker is killed: running tasks then end with
-        BrokenProcessPool, and the others keep waiting."""
+        """Run the waiting tasks until a worker is killed; running tasks then end with the error
+        BrokenProcessPool, and the others stay in `waiting`."""
         assert self._ending is not None
         running, broken = dict[Future[Finished], Task](), False
         with ProcessPoolExecutor(workers, self._context, _start_worker, (self._ending,)) as pool:
@@ -156,7 +156,7 @@ class Processes:
             for process in multiprocessing.active_children():
                 if process.pid:
                     os.kill(process.pid, signal.SIGTERM)
-            # sent again, since an exception raised in a finaliser is lost
+            # sent repeatedly, because an exception raised in a finaliser is lost
             self._again = time.monotonic() + SIGNAL_AGAIN_S
 
 
@@ -176,7 +176,8 @@ def _work(task: Task, folder: Path) -> Finished:
 
 @contextmanager
 def _signals_held_back() -> Iterator[None]:
-    """Block the signals of processes started inside the block, until `_start_worker`."""
+    """Block signals in processes that are started inside the `with` block, until they call
+    `_start_worker`."""
     before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
     try:
         yield
@@ -185,7 +186,7 @@ def _signals_held_back() -> Iterator[None]:
 
 
 class _SharedInterrupt(Interrupt):
-    """A worker's interrupt: setting an event is the first request, SIGTERM the second."""
+    """A worker's interrupt: the shared event is the first request, SIGTERM the second."""
 
     def __init__(self, ending: Event) -> None:
         super().__init__()
@@ -205,8 +206,8 @@ _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a
 
 
 def _start_worker(ending: Event) -> None:
-    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent ends. A
-    terminal sends its signals to workers too, but only the parent reacts, by SIGTERM.
+    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent process ends.
+    A terminal sends Ctrl-C to workers too, but only the parent reacts to it, and sends SIGTERM.
     """
     global _interrupt
     _interrupt = interrupt = _SharedInterrupt(ending)

@@ -1,4 +1,4 @@
-"""Signals: the first stops the robots after the control step, the second at once.
+"""Handles signals: the first stops the robots after the control step, the second at once.
 
 This holds for every signal that can be caught and ends a process by default: Ctrl-C, SIGTERM,
 SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and others. Exceptions are the signals of a
@@ -49,8 +49,8 @@ class Interrupt:
     def watch(self, robots: bool = False) -> Iterator[None]:
         """Count signals as requests inside the block; main thread only.
 
-        If `robots` move, Ctrl-Z is a request too, and using a terminal from the background does not
-        suspend the process, since a suspended process could not stop the robots.
+        If `robots` move, the process must not be suspended, as it could then not stop them: Ctrl-Z
+        is a request too, and the process may use its terminal from the background.
         """
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
@@ -105,7 +105,7 @@ class _OneInterrupt(Interrupt):
 def interrupted_once(robots: bool = False) -> Iterator[None]:
     """Raise KeyboardInterrupt in the block at the first signal; ignore later signals.
 
-    So no signal interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
+    No signal then interrupts the `finally` clauses that stop robots or restore a terminal. `robots`
     is passed to `Interrupt.watch`; main thread only.
     """
     with _OneInterrupt().watch(robots):
@@ -115,7 +115,7 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
 def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
     """End the process at the next signal, at once: call `say`, exit with `code`.
 
-    For code that has nothing to stop or to close. Otherwise a KeyboardInterrupt during an import
+    It is for code that has nothing to stop or to close, where a KeyboardInterrupt during an import
     could be printed as a traceback and then ignored.
     """
 

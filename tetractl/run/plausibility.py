@@ -22,7 +22,8 @@ from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 
 COARSE = 2.0
-"""Value of a T above which the headings of (6) overshoot further at every step."""
+"""Value of a T, turning rate times time per signal, above which headings of (6) oscillate with a
+growing amplitude."""
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by (6)."""
 TURN = 2 * math.pi
@@ -42,8 +43,8 @@ class SpecWarning:
 
 @dataclass(frozen=True)
 class CheckContext:
-    """An experiment, and data of its controller for the checks. `signals_max` is None if plans have
-    no largest length; `motion` is "" if the controller has no motion.
+    """An experiment, and data of its controller for the checks. `signals_max` is None if the length
+    of plans is not limited; `motion` is "" if the controller has no model of the motion.
     """
 
     experiment: Experiment
@@ -52,7 +53,7 @@ class CheckContext:
     signals_max: int | None
     motion: str
     margin: float  # distance that plans keep to obstacles, including a robot's radius
-    yields: bool  # whether the margin shrinks at starts and targets
+    yields: bool  # whether the margin is reduced at starts and targets
     walls: bool
     tolerance: float
 
@@ -128,7 +129,7 @@ def plan_outlasts_trial(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of signals held so long that robots finish turning, or overshoot."""
+    """Warn if signals are held so long that robots finish turning, or overshoot."""
     turned = spec.setup.a * spec.signal_s
     quick = np.flatnonzero(turned > COARSE)
     if not quick.size:
@@ -184,7 +185,7 @@ def out_of_reach(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def beyond_the_plan(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of targets beyond the reach of the longest plan, though not of a trial."""
+    """Warn of targets that a robot can reach in a trial, but not in the longest plan."""
     if spec.signals_max is None:
         return
     seconds = spec.signals_max * spec.signal_s
@@ -273,7 +274,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of targets that no path past the obstacles reaches, or none that keeps the margin."""
+    """Warn of targets that no path past the obstacles reaches, or no path with the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)
@@ -355,7 +356,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning with its line in the spec's file."""
+    """A warning with the file and line of the value in the spec that it is about."""
 
     hint: str = ""
 

@@ -25,9 +25,9 @@ Decision = Plan | Outcome | End
 
 @dataclass(slots=True)
 class Trial:
-    """One trial, run once by `run`.
+    """One trial; `run` may be called once.
 
-    `start` is completed with the plant's description when the plant is opened.
+    The plant's description is added to `start` when the plant is opened.
     """
 
     start: Start
@@ -53,9 +53,9 @@ class Trial:
     def run(self) -> Result:
         """Run the trial and return its result.
 
-        In every case the robots are stopped first. A TetractlError or an interruption becomes the
-        outcome; any other exception is raised again after the observers were called with the
-        result.
+        After any end or error, the robots are stopped first. A TetractlError or an interruption
+        becomes the outcome; any other exception is raised again after the observers were called
+        with the result.
         """
         bug: Exception | None = None
         try:
@@ -121,7 +121,7 @@ class Trial:
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
-            if late > period:  # after an overrun, the next steps keep the whole period
+            if late > period:  # after an overrun, the following steps have the full period again
                 began += late
             began += round(PAUSE_S * SECOND) if standing else 0
             self._sleep_until(began + round((k + 1) * period_s * SECOND))
@@ -202,10 +202,12 @@ class Trial:
                 raise KeyboardInterrupt
 
     def _pause(self, again: bool) -> Command:
-        """Stop the robots for a pause; note it unless they already pause (`again`)."""
+        """Stop the robots for a pause, with a message unless they pause already (`again`)."""
         command = self.plant.pause()
         if not again:
-            self._say(command, "all robots pause: a plan is made from standing, or the trial ends")
+            self._say(
+                command, "all robots pause: the next plan starts from rest, or the trial ends"
+            )
         return command
 
     def _say(self, command: Command, text: str) -> None:

@@ -50,7 +50,7 @@ def _acquire(path: Path) -> int:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if not _is(path, file):  # the last owner has removed the file meanwhile
+            if not _is(path, file):  # the last owner has removed the file in the meantime
                 os.close(file)
                 continue
             left = os.pread(file, OWNER_BYTES, 0).decode(errors="replace")
@@ -123,7 +123,7 @@ class LogStore:
 
     @contextmanager
     def opened(self, resume: bool) -> Iterator[list[int]]:
-        """Create and lock the folder, yield the trials to run.
+        """Create and lock the folder, and yield the numbers of the trials to run.
 
         Raises the errors of `lacking` and `made_and_locked`.
         """
@@ -132,7 +132,8 @@ class LogStore:
             yield self.lacking(resume)
 
     def lacking(self, resume: bool) -> list[int]:
-        """Return the trials to run: all or, with `resume`, those without a complete log.
+        """Return the numbers of the trials to run: all or, with `resume`, those that have no
+        complete log.
 
         Raises UsageError for a folder with logs or, with `resume`, with logs of another spec or
         seed; only the number of trials may differ.
@@ -153,7 +154,7 @@ class LogStore:
             return False
         try:
             found = read_result(path)
-        except LogError:  # the unreadable log is set aside, and its trial run again
+        except LogError:  # a log that cannot be read is renamed, and its trial is run again
             return False
         experiment = self._experiment
         same = experiment.model_copy(update={"trials": found.experiment.trials})
@@ -167,7 +168,7 @@ class LogStore:
         return found.outcome.complete and not found.recovered
 
     def place(self, arm: str, trial: int) -> Path:
-        """Set unfinished logs of the trial aside; return the folder."""
+        """Rename unfinished logs of the trial, as `set_aside`; return the folder."""
         set_aside(self.folder, trial)
         return self.folder
 
@@ -176,9 +177,9 @@ class LogStore:
 
 
 def set_aside(folder: Path, trial: int) -> None:
-    """Rename the logs of a trial that is to be run to trial-003.attempt-1.mcap and so on.
+    """Rename earlier logs of a trial that is to be run, to trial-003.attempt-1.mcap and so on.
 
-    No attempt is overwritten. A recovered log has the attempt number of its source.
+    No earlier attempt is overwritten. A recovered log gets the attempt number of its source.
     """
     path = log_path(folder, trial)
     recovered = path.with_suffix(RECOVERED_SUFFIX)

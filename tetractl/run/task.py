@@ -56,7 +56,7 @@ class Relay:
         self._worker.close()
 
     def on_start(self, start: Start) -> None:
-        """Call the observer at once, since no robot moves yet."""
+        """Call the observer directly, as no robot moves yet."""
         self._observer.on_start(start)
 
     def on_samples(self, samples: list[Sample]) -> None:
@@ -85,9 +85,9 @@ class Relay:
 class Task:
     """Trial number `trial` of `count`, counted from 0; in a study, of the arm named `arm`.
 
-    `spec` is the pickled LoadedSpec. The log is kept if `log`, or if the trial fails and
-    `log_if_failed`. With `digest`, the trial digest is computed. `code` is the `code_of` that the
-    running process must have, "" for any.
+    `spec` is the pickled LoadedSpec. The log is kept if `log` is true, or if `log_if_failed` is
+    true and the trial fails. With `digest`, the trial digest is computed. `code` is the hash, by
+    `code_of`, of the code with which the trial must be run, "" for any code.
     """
 
     trial: int
@@ -109,8 +109,8 @@ class Task:
 class Finished:
     """The result of a trial, its wall time `wall_s` and processor time `cpu_s`.
 
-    If the task requests a `digest`, this holds the digest, the number of `warnings` and errors
-    among the trial's messages, and the type of the `processor`.
+    If the task requests a `digest`, the fields also have the digest, the number of `warnings` and
+    errors among the trial's messages, and the type of the `processor`.
     """
 
     result: Result
@@ -123,7 +123,7 @@ class Finished:
 
 
 class OtherCodeError(UsageError):
-    """A worker has other code, with which trials could differ."""
+    """A worker's code differs from that of the study's machine, so trials could differ."""
 
 
 def batch_tasks(spec: LoadedSpec, trials: Sequence[int]) -> list[Task]:
@@ -162,9 +162,9 @@ def run_task(
 ) -> Finished:
     """Run a trial; a log that is kept is written to `folder`.
 
-    Raises OtherCodeError in a process with other code than the task's, and any error that leaves
-    the trial without an outcome, such as a camera that does not answer. For `log_if_failed`, a
-    failed trial is run again, with the same result.
+    Raises OtherCodeError if the code of this process is not the task's, and any error that leaves
+    the trial without an outcome, such as a camera that does not answer. With `log_if_failed`, a
+    failed trial is run a second time, with the same result, to write its log.
     """
     if task.log_if_failed and not task.log:
         with suppress(Exception):  # the repeated trial raises the same error
@@ -253,7 +253,7 @@ def run_with(
 def _built(
     spec: LoadedSpec, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
 ) -> tuple[LoadedSpec, Plant]:
-    """Return the spec with the robots that a plant has found or chosen, and the plant."""
+    """Return the spec, completed with the robots that the plant has found, and the plant."""
     experiment = spec.experiment
     if experiment.chosen is None or experiment.chosen.found:
         return spec, experiment.plant.build(experiment.setup, clock, seed, supervision)

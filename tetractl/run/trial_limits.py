@@ -40,7 +40,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 
 def check(experiment: Experiment) -> None:
-    """Raise SpecError for a first plan that the robots cannot drive, by the computed motion."""
+    """Raise SpecError if robots would leave the arena or hit an obstacle before the first plan."""
     first = experiment.controller.first_plan
     if isinstance(first, Square):
         check_square(experiment, first)

@@ -1,1 +1,1 @@
-"""Studies: many arms of trials with paired seeds, run anywhere, collected in one table."""
+"""Studies: trials of many variants of a spec ("arms") with paired seeds, in one table."""

@@ -22,7 +22,7 @@ from tetractl.study.row_store import Store
 
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
-"""Columns of `export` that differ between two runs of a trial, and are in `times.csv` only."""
+"""Columns of `export` that differ between two runs of a trial; only `times.csv` has them."""
 MOST = 100  # largest number of arms in the printed table
 
 
@@ -94,8 +94,8 @@ class FieldValue:
 def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribution:
     """Describe the total error over the trials that have a result in all `arms`.
 
-    Trials with the same number have the same seed in every arm; their mean over the arms is one
-    observation. Independent observations per arm would make the interval too short.
+    Trials with the same number have the same seed in every arm, so their mean over the arms counts
+    as one observation. If each trial counted as one, the interval would be too short.
     """
     errors = [
         {
@@ -127,7 +127,7 @@ def field_values(
 
 
 def numeric(found: Iterable[FieldValue]) -> bool:
-    """Whether a field's values are all numbers."""
+    """Return whether all values of a field are numbers."""
     values = [group.value for group in found]
     return all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
 

@@ -61,7 +61,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             x = [places[as_yaml(group.value)] for group in found]
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
-            # offset, so that no curve hides another
+            # shifted sideways, so that no curve hides another
             aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
@@ -94,7 +94,8 @@ def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
 
 
 def _alike(found: Sequence[FieldValue], fields: int) -> bool:
-    """Whether neighbouring values differ only in the field, so that a line may connect them."""
+    """Return whether the arms at neighbouring values differ only in the field, so that a line may
+    connect them."""
     return len({group.arms for group in found}) == 1 and (fields == 1 or found[0].arms > 1)
 
 

@@ -35,7 +35,7 @@ NAME_LENGTH = 100  # largest length of a folder's name, far below the limit of f
 
 @dataclass(frozen=True, slots=True)
 class Arm:
-    """One arm: the spec of its trials, and its differences from the base.
+    """One arm of a study: the spec of its trials, and its differences from the study's base spec.
 
     `values` has the values of the swept fields by path. `hash` is the SHA-256 of the experiment
     without the number of trials.
@@ -51,9 +51,9 @@ class Arm:
 
 
 def arm_name(controller: str, values: Mapping[str, Any]) -> str:
-    """Return an arm's name, also that of its folder, such as `ours-dead_time=0.07`.
+    """Return the name of an arm and of its folder, such as `ours-dead_time=0.07`.
 
-    Fields have the last part of their path as name if that is unique.
+    A field is named by the last part of its path if that is unique, otherwise by the whole path.
     """
     ends = [path.rpartition(".")[2] for path in values]
     paths = ends if len(set(ends)) == len(ends) else list(values)
@@ -127,8 +127,8 @@ class LoadedStudy:
 def load_study(path: Path) -> LoadedStudy:
     """Read and check a study's file and the spec of every arm.
 
-    Raises InvalidSpecError, one line per problem. It locates a problem in the study if a value of
-    the study causes it, in the base if the base itself is invalid.
+    Raises InvalidSpecError, with one line per problem. A problem is located in the study if a value
+    of the study causes it, and in the base spec if that is invalid by itself.
     """
     document = parse_document(read_text(path), str(path))
     study = _study(document)
@@ -218,7 +218,7 @@ def _arm(
         raise InvalidSpecError([_placed(p, found, document) for p in error.problems]) from None
     if not spec.experiment.plant.simulated:
         loc: Loc = ("base",)
-        text = "drives a lab, but studies only simulate: name a spec whose plant has 'type: sim'"
+        text = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
         raise InvalidSpecError([document.place(loc).problem(loc, text, study.base)])
     try:
         check(spec.experiment)
@@ -256,7 +256,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms; names shared by several arms get part of their hash."""
+    """Yield the arms; if several have the same name, a part of the hash is added to it."""
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1

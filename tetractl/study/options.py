@@ -1,6 +1,7 @@
-"""Which trials of a study are run and which logs they leave.
+"""Selects the trials of a study that are run and the logs that are kept.
 
-Also writes the Slurm job script of a study's shares, and checks a repeated trial against its row.
+It also writes the Slurm job script for the shares of a study, and repeats a trial to compare it
+with its row in the table.
 """
 
 import pickle
@@ -46,7 +47,7 @@ class Logs:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """Share `index`, from 1, of `of` shares of the trials with about equal size."""
+    """The share number `index`, from 1, of the trials of a study in `of` shares of equal size."""
 
     index: int = 1
     of: int = 1
@@ -92,9 +93,10 @@ def lacking(
 
 SCRIPT = """\
 #!/bin/bash
-# {name} in {shares} shares. Set the time and what your cluster asks for, such as a partition; then:
+# {name} in {shares} shares. Set the time and the options that your cluster requires, such as a
+# partition, then:
 #   sbatch THIS-FILE
-# A share that meets its walltime is stopped after its control step and queued again, and goes on.
+# A share that reaches its time limit is stopped after its control step, queued again and continued.
 # In the end, on any machine:
 #   {merge}
 #SBATCH --job-name={name}
@@ -107,8 +109,8 @@ SCRIPT = """\
 #SBATCH --open-mode=append
 #SBATCH --output=slurm-%A_%a.out
 
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1  # one thread a process
-export TETRACTL_CACHE_DIR=/tmp/tetractl-$USER  # of the node: a shared home is slow
+export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1  # one thread per process
+export TETRACTL_CACHE_DIR=/tmp/tetractl-$USER  # on the node: a shared home folder is slow
 
 tetractl warm {study} || exit
 
@@ -155,9 +157,9 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         set_aside(folder, row.trial)
         hint, here = None, processor(host())
         if row.processor != here:
-            hint = f"the row is from another type of processor: {row.processor}, not {here}"
+            hint = f"the row was computed on another type of processor: {row.processor}, not {here}"
         if row.code != arm.code:
-            hint = "the row is from outdated code"
+            hint = "the row was computed by outdated code"
         raise LogError(
             f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
             hint,
@@ -167,7 +169,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
 
 
 def _difference(log: Path, row: Row) -> str:
-    """Return the first difference between the results in the log and the row, or ""."""
+    """Return the first difference between the results in the log and in the row, "" if none."""
     now = read_result(log)
     unit = now.experiment.units.length
     ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))

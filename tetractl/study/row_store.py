@@ -1,4 +1,4 @@
-"""The folder of a study: for each arm a folder with the rows of its trials and the kept logs."""
+"""The folder of a study: for each arm, a folder with a file of its trials' rows, and logs."""
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -21,10 +21,10 @@ DECIDING = ("code", "processor", "count")
 
 
 class Store:
-    """The rows of a study by arm and trial, written to disk at once.
+    """The rows of a study by arm and trial; each is written to disk as soon as it is added.
 
-    A row is one line; an incomplete line, left by a killed process, is dropped when the folder is
-    opened. Of two lines of a trial, the later is used.
+    A row is one line. An incomplete line, left by a killed process, is dropped when the folder is
+    opened. If a trial has two lines, the later one is used.
     """
 
     def __init__(self, folder: Path, arms: Sequence[Arm]) -> None:
@@ -37,7 +37,7 @@ class Store:
     def opened(self) -> Iterator[None]:
         """Create and lock the folder, and read its rows.
 
-        Raises UsageError if another run has the lock, or rows are of another study.
+        Raises UsageError if another run holds the lock, or if the rows belong to another study.
         """
         with made_and_locked(self.folder):
             for arm in self._arms.values():
@@ -56,7 +56,7 @@ class Store:
         return folder
 
     def place(self, arm: str, trial: int) -> Path:
-        """Set earlier logs of a trial aside; return the folder of its arm."""
+        """Rename logs of earlier attempts of a trial; return the folder of its arm."""
         folder = self.arm_folder(self._arms[arm])
         set_aside(folder, trial)
         return folder
@@ -97,9 +97,10 @@ class Store:
     def merge(self, folders: Sequence[Path]) -> int:
         """Add rows and logs of other folders of the same study; return the number of rows added.
 
-        Of two rows of a trial, this folder's row is kept, unless only the other one has a log and
-        the same digest. Logs are hard-linked if possible, else copied. Raises UsageError for a
-        folder without a row of the study, and for two rows of a trial by the same code that differ.
+        If both folders have a row of a trial, this folder's row is kept, unless only the other row
+        has a log and their digests are equal. Logs are hard-linked if possible, else copied. Raises
+        UsageError for a folder without a row of the study, and if two rows of a trial differ though
+        the same code has computed them.
         """
         added = 0
         for folder in folders:
@@ -118,7 +119,7 @@ class Store:
             if alike and twin.trial_digest != row.trial_digest:
                 raise UsageError(
                     f"{folder}: trial {row.trial} of {arm.name} differs from that in {self.folder},"
-                    " by the same code on the same type of processor"
+                    " though code and type of processor are the same"
                 )
             if twin.logged or not row.logged or twin.trial_digest != row.trial_digest:
                 return False
@@ -130,9 +131,10 @@ class Store:
 
 
 def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
-    """Return the rows of an arm by trial, without damaged rows, whose trials are run again.
+    """Return the rows of an arm by trial; damaged rows are left out, so that their trials are run
+    again.
 
-    With `mend` the file is cut after its last whole line. Raises UsageError for rows of another
+    With `mend` the file is cut after its last complete line. Raises UsageError for rows of another
     spec, LogError if the file cannot be read.
     """
     path = folder / arm.name / ROWS
@@ -145,7 +147,7 @@ def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
         if row is not None and row.arm_hash != arm.hash:
             raise UsageError(
                 f"{row.place}: was run with another spec or seed",
-                "name another folder with --out, or the study that wrote the row",
+                "name another folder with --out, or use the study that wrote the row",
             )
     return {trial: row for trial, row in found.items() if row is not None}
 

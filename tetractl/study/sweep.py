@@ -1,4 +1,4 @@
-"""The sweeps: the points of a study, each with values of some fields of a spec.
+"""The sweeps of a study: points, each of which gives values to some fields of a spec.
 
 `type: grid` gives every combination of listed values, `list` listed points, `random` and `sobol`
 points drawn from ranges.
@@ -35,8 +35,8 @@ class Sweep(Model):
 
     @abstractmethod
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
-        """Return the points, each a mapping of paths to settings. Random draws use `rng`, which is
-        seeded with the study's root seed.
+        """Return the points, each a mapping of paths to settings. Random sweeps use `rng`, which is
+        seeded with the study's seed.
         """
 
 
@@ -85,7 +85,7 @@ class Range(Model):
     high: Finite
     """Upper end of the range."""
     scale: Literal["linear", "log"] = "linear"
-    """Whether values are spread evenly, or their logarithms are."""
+    """`linear` to distribute the values evenly over the range, `log` their logarithms."""
     whole: bool = False
     """Whether only whole numbers are drawn, both ends included."""
 
@@ -100,7 +100,7 @@ class Range(Model):
         return self
 
     def at(self, share: float) -> float:
-        """Return the value at a share, from 0 to below 1, of the range."""
+        """Return the value at the fraction `share`, from 0 to below 1, of the range."""
         low, high = self.low, self.high + self.whole
         if self.scale == "log":
             value = math.exp(math.log(low) + share * (math.log(high) - math.log(low)))
@@ -112,7 +112,7 @@ class Range(Model):
 
 
 class SampledSweep(Sweep):
-    """Points drawn at random from the ranges of some fields, with the study's root seed."""
+    """Points drawn at random from the ranges of some fields, by the study's seed."""
 
     count: int = Field(ge=1, le=100_000)
     """Number of points. A larger number keeps the points drawn before and adds new ones."""

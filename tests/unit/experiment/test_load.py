@@ -177,7 +177,7 @@ def test_thousands_of_problems_are_cut_short():
     text = GOOD + "".join(f"key{i}: 1\n" for i in range(500))
     found = problems(text)
     assert len(found) == 101
-    assert found[-1] == "s.yaml: and more; mend these first"
+    assert found[-1] == "s.yaml: and more; fix these first"
 
 
 def test_control_characters_are_not_printed():

@@ -86,5 +86,5 @@ def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
     assert sorted(found) == list(range(200))
     failed = [trial for trial, one in found.items() if isinstance(one, Exception)]
     assert failed == [100]
-    assert str(found[100]) == "the trial was lost with every worker that ran it"
+    assert str(found[100]) == "the trial was lost: every worker that ran it has ended"
     assert [100] in client.chunks

@@ -36,7 +36,7 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     pauses = [k for k, step in enumerate(log.steps) if step.plan.pauses]
     assert pauses
     assert [note.text for note in log.notes if "pause" in note.text] == [
-        "all robots pause: a plan is made from standing, or the trial ends"
+        "all robots pause: the next plan starts from rest, or the trial ends"
     ] * len(pauses)
     for k in pauses:
         assert log.steps[k].command.stops

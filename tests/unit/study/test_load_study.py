@@ -89,7 +89,7 @@ def test_a_lab_is_refused(tmp_path):
     text = (ROOT / "experiments" / "three_m3pi_lab.yaml").read_text()
     text = text.replace("plant: {type: sim, dead_time: 0.06}", "")
     found, _ = problems(tmp_path, HEAD, text.replace("\nlab:\n", "\nplant:\n  type: lab\n"))
-    told = "drives a lab, but studies only simulate: name a spec whose plant has 'type: sim'"
+    told = "runs in a lab, but a study only simulates: name a spec whose plant has 'type: sim'"
     assert found == [f"study.yaml:2:7: base: spec.yaml: {told}"]
 
 

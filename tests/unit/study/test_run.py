@@ -208,10 +208,10 @@ def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(done):
 @pytest.mark.parametrize(
     ("changed", "hint"),
     [
-        ({"code": "older"}, "the row is from outdated code"),
+        ({"code": "older"}, "the row was computed by outdated code"),
         (
             {"processor": "other-123456"},
-            "the row is from another type of processor: other-123456, ",
+            "the row was computed on another type of processor: other-123456, ",
         ),
     ],
 )

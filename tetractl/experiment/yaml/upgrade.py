@@ -26,8 +26,8 @@ REVALUED = (
 )
 """Renamed values: path of the key, old value, new value."""
 REMOVED = {
-    "controller.losses": "with 'estimate' lost commands are always detected",
-    "controller.optimizer.precision": "particles are in double precision always",
+    "controller.losses": "lost commands are always detected with 'estimate'",
+    "controller.optimizer.precision": "particles always have double precision",
 }
 """Keys that are no longer needed, and the reason."""
 

@@ -122,7 +122,7 @@ stats noise.mcap | none of 1 logs can be read
 report noise.mcap | none of the logs can be read: noise.mcap: not an MCAP file
 lab stop --port nowhere | nowhere: there is no such port
 lab emulate LAB --port-link radio --record /no/such/folder/r | cannot write the record
-lab emulate LAB --port-link radio --address 192.0.2.1 | cannot take UDP 192.0.2.1
+lab emulate LAB --port-link radio --address 192.0.2.1 | cannot open UDP 192.0.2.1
 run spec.yaml --out empty.yaml/logs | empty.yaml/logs: cannot create the folder: Not a directory
 """
 NAMED = {

@@ -61,7 +61,10 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
 @pytest.mark.parametrize(
     ("actuator", "says"),
     [
-        ("hardware: 0x7F44", "the module (HV 7F44, VR 10EC) is not known here: does it run 802"),
+        (
+            "hardware: 0x7F44",
+            "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run",
+        ),
         ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
     ],
 )

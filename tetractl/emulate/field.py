@@ -194,7 +194,7 @@ class EmulatedField(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, FieldSection), "the table of kinds goes by the type"
+        assert isinstance(section, FieldSection), "the registry selects the class by the type"
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = PseudoPort(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(

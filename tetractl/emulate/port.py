@@ -78,7 +78,7 @@ class PluggedDevice:
 
     def plug(self) -> None:
         """Plug the device in."""
-        assert self._loop is not None, "open() gives the loop"
+        assert self._loop is not None, "open() sets the loop"
         self.port.plug()
         self._loop.watch(self.port.fd, self.wired.readable)
 

@@ -164,7 +164,7 @@ def parse_script(
 
 
 def _sides(info: ValidationInfo) -> Sides:
-    assert info.context is not None, "parse_script gives the sides"
+    assert info.context is not None, "parse_script passes the sides"
     return info.context["sides"]
 
 

@@ -69,7 +69,7 @@ def turn_field(
     rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
         raise AbortError(
-            f"{rate:.1f} pictures a second were searched; to follow cells that swim "
+            f"{rate:.1f} pictures per second were searched; to follow cells that swim "
             f"{choice.speed:g} {rig.setup.unit}/s, {least:.0f} are needed",
             "do other programs keep this computer busy? smaller pictures take less time",
         )

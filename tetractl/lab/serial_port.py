@@ -33,7 +33,7 @@ class PortHeldError(AbortError):
     def __init__(self, port: str) -> None:
         super().__init__(
             f"{port}: another program has this port open",
-            "one run at a time; `tetractl lab stop` stops its robots and ends it",
+            "only one run can use it; `tetractl lab stop` stops its robots and ends it",
         )
         self.port = port
 

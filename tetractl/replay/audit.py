@@ -115,7 +115,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         standing = k == 0 or (before is not None and before.plan.pauses)
         late = not standing and step.solve_ns > period_ns
         if step.deadline_missed != late:
-            text = f"{step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
+            text = f"states {step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)
         before = step
 
@@ -196,10 +196,10 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
                 yield Difference(None, f"result.{name}.{i}", text)
     for i, (stated, touches) in enumerate(zip(verdict.entered, least.entered, strict=True)):
         if verdict.clearance[i] < 0 and not stated:
-            text = f"false, with clearance {verdict.clearance[i]}"
+            text = f"states false, but the clearance is {verdict.clearance[i]}"
             yield Difference(None, f"result.entered.{i}", text)
         elif stated != touches and not (stated and log.damage):
-            text = f"{stated}, but {touches} by the logged path"
+            text = f"states {stated}, but the logged path gives {touches}"
             yield Difference(None, f"result.entered.{i}", text)
 
 

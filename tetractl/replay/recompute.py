@@ -165,7 +165,7 @@ class _Repeated:
         wrong += filter(None, [first_difference(cost, logged.cost, tolerance, f"{name}.cost")])
         history = logged.history
         if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
-            wrong.append((f"{name}.history", "does not fall to the cost"))
+            wrong.append((f"{name}.history", "does not decrease to the stated cost"))
         for field in self._optimizer.contradictions(logged, warmed, limits):
             value = getattr(logged, field)
             text = f"logged {value}, which contradicts its history and the spec's limits"

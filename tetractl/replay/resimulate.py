@@ -38,7 +38,7 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
     plant = log.experiment.plant
     if log.start.plant.simulated != plant.simulated:
         mode = "sim" if log.start.plant.simulated else "lab"
-        return Difference(None, "run.mode", f"states {mode!r}, but the spec's plant is another")
+        return Difference(None, "run.mode", f"states {mode!r}, but the spec has another plant")
     if not plant.simulated or log.damage or log.stop is None:
         return None
     if _samples(log) > limits.simulation_limit():

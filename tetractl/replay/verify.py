@@ -133,7 +133,7 @@ def _entry_difference(
     try:
         ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
     except DecodeError:
-        return Difference(None, name, "not a message of its channel")
+        return Difference(None, name, "not a valid message of its channel")
     found = first_difference(ours, logged, EXACT if same_host else NEARLY)
     if found is None:
         return Difference(None, name, "has other bytes") if same_host else None

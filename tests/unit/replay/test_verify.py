@@ -272,7 +272,9 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     entry = next(e for e in contents.entries if e.topic == "/tf")
     spoilt = {entry: entry._replace(data=entry.data[:-3])}
     found = verify(rewrite(contents, tmp_path / "changed.mcap", spoilt))
-    assert [str(one) for one in found.problems] == ["trial: /tf[0]: not a message of its channel"]
+    assert [str(one) for one in found.problems] == [
+        "trial: /tf[0]: not a valid message of its channel"
+    ]
 
 
 @pytest.mark.parametrize(("simulated", "noticed"), [(False, True), (True, False)])

@@ -288,7 +288,7 @@ class EmulatedAprilTag(StreamedCamera):
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, AprilTagSection), "the table of kinds goes by the type"
+        assert isinstance(section, AprilTagSection), "the registry selects the class by the type"
         self._bodies, self._section = bodies, section
         metres = stage.setup.metres
         optics = replace(

@@ -113,7 +113,7 @@ class EmulatedMicroscope(StreamedCamera):
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, CellsSection), "the table of kinds goes by the type"
+        assert isinstance(section, CellsSection), "the registry selects the class by the type"
         if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
             raise SpecError(
                 "the emulated microscope shows only cells, and only along the spec's axes",

@@ -192,7 +192,7 @@ class EmulatedM3pi(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, M3piSection), "the table of kinds goes by the type"
+        assert isinstance(section, M3piSection), "the registry selects the class by the type"
         truths = {truth.name: truth for truth in settings.robots}
         self.robots = [
             _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))

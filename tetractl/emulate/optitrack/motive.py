@@ -225,7 +225,7 @@ def _bound(address: str, port: int) -> socket.socket:
     except OSError as error:
         bound.close()
         raise TetractlError(
-            f"cannot take UDP {address}:{port}: {error.strerror}",
+            f"cannot open UDP {address}:{port}: {error.strerror}",
             hint="is another emulation or Motive running? Choose other ports with --command-port "
             "and --data-port; 0 takes any free port",
         ) from None

@@ -229,7 +229,7 @@ class EmulatedOptitrack:
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
-        assert isinstance(section, OptitrackSection), "the table of kinds goes by the type"
+        assert isinstance(section, OptitrackSection), "the registry selects the class by the type"
         self.swapped: set[int] = set()
         hidden = {robot.name for robot in settings.robots if not robot.streamed}
         self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))

@@ -165,7 +165,7 @@ def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))
     if reply.version != VERSION:
-        text = f"the current driver speaks version {reply.version} of its protocol, not {VERSION}"
+        text = f"the current driver uses version {reply.version} of its protocol, not {VERSION}"
         return Health((text,))
     facts = {
         "field_driver_version": str(reply.version),
@@ -199,7 +199,7 @@ def _limits(reply: FieldReply, section: FieldSection) -> list[str]:
 def _state(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
     if DriverStatus.HOT in reply.status:
-        found.append("the current driver was stopped by its temperature: let the coils cool down")
+        found.append("the current driver stopped because it was too hot: let the coils cool down")
     if DriverStatus.EMERGENCY_STOPPED in reply.status:
         found.append("the current driver is emergency-stopped: switch it off and on again")
     if reply.supply_mv and reply.supply_mv < 1000 * section.supply_min_v:

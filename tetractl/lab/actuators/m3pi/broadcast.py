@@ -82,7 +82,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
         raise WireError("not a command")
     sequence, flags, robots = payload[1:4]
     if robots > ROBOTS_MAX or len(payload) != 4 + 2 * robots:
-        raise WireError(f"{robots} robots in {len(payload)} bytes")
+        raise WireError(f"{len(payload)} bytes are not a command for {robots} robots")
     counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError("a wheel count of -128")

@@ -123,7 +123,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
             + (
                 f"load {RIGHT} firmware with XCTU"
                 if capable(family(hardware))
-                else f"take a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
+                else f"use a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
             ),
         )
     rate = _number(link.ask(b"BD"))
@@ -145,8 +145,9 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
         )
     if runs is None:
         reported = version.hex().upper() or "not reported"
-        question = f"the module (HV {hardware.hex().upper()}, VR {reported}) is not known here"
-        return (f"{radio.port}: {question}: does it run {RIGHT} firmware?",)
+        module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
+        question = f"is not in tetractl's list: does it run {RIGHT} firmware?"
+        return (f"{radio.port}: {module} {question}",)
     return ()
 
 

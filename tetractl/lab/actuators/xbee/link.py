@@ -27,7 +27,7 @@ from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 KEPT = 1024
-HINT = "the robots stop by their watchdog; plug it in, start again"
+HINT = "the robots stop by their watchdog; plug it in and start again"
 
 
 @dataclass(frozen=True, slots=True)

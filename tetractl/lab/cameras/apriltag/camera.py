@@ -205,7 +205,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]
         if blurs and statistics.median(blurs) > BLURRED:
             warnings.append(
-                f"tags are too small or blurred, {min(sides):.0f} px wide at least: focus the "
+                f"tags are too small or blurred, the smallest {min(sides):.0f} px wide: focus the "
                 "lens, use larger tags or more pixels, or shorten the exposure"
             )
         facts = {

@@ -66,7 +66,7 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
         return AbortError(
             f"{server}, but not in protocol {stream.version}, which lab.camera.version requests: "
             f"{came}",
-            f"leave lab.camera.version out: the server keeps to its own, {own}",
+            f"leave lab.camera.version out: the server uses its own, {own}",
         )
     if own > NEWEST:
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
@@ -92,9 +92,9 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
 def no_tracking_flag(version: Version) -> AbortError:
     """Return the error for a version whose frames do not state which bodies are tracked."""
     return AbortError(
-        f"the camera server speaks protocol {version}, whose frames do not say which bodies are "
+        f"the camera server uses protocol {version}, whose frames do not state which bodies are "
         "tracked: a lost robot would look like one that stands",
-        f"update Motive to one that speaks NatNet {OLDEST} or later (Motive 1.7)",
+        f"update Motive to a version with NatNet {OLDEST} or later (Motive 1.7)",
     )
 
 
@@ -121,7 +121,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
     seen = ", ".join(map(str, stream.seen[:SHOWN])) or "none"
     return AbortError(
         f"the names {wanted} are not known: the camera server streams, but {said}",
-        f"give ids in place of names, as lab.camera.robots.0.body; frames hold the ids {seen}",
+        f"give ids in place of names, as lab.camera.robots.0.body; frames contain the ids {seen}",
     )
 
 
@@ -150,7 +150,7 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     pairs = zip(names, stream.robots, strict=True)
     lines = [_lacking(stream, stream.model, *pair) for pair in pairs if pair[1].body in missing]
     if not stream.model.complete:
-        lines.append("their list of rigid bodies could not be read to its end: give ids")
+        lines.append("the list of their rigid bodies could not be read to its end: give ids")
     return lines
 
 

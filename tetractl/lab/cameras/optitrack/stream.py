@@ -102,7 +102,7 @@ class ClockSync:
                 return (
                     f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
                     f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
-                    "it was set, or runs wrongly"
+                    "it was set, or runs at a wrong rate"
                 )
         return ""
 
@@ -333,7 +333,8 @@ class Stream:
         if self._mistimed < MISTIMED:
             raise WireError(f"a frame exposed {when}")
         self._fault = self._fault or (
-            f"by the camera server's clock, frames were exposed {when}: it was set, or runs wrongly"
+            f"by the camera server's clock, frames were exposed {when}: it was set, or runs at a "
+            "wrong rate"
         )
         return received_ns
 

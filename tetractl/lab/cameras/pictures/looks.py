@@ -62,7 +62,7 @@ def stream_lines(
         )
     elif rate is not None and rate < SLOW_HZ:
         warnings.append(
-            f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are wanted"
+            f"only {rate:.0f} pictures per second come: {SLOW_HZ:.0f} or more are needed"
         )
     if looks and (missed := looks[-1].number - looks[0].number + 1 - len(looks)):
         warnings.append(

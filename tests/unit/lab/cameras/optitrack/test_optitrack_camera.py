@@ -139,7 +139,7 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
         (
             "version: 4.2, keeps_version: true",
             r"not in protocol 3\.1, which lab.camera.version requests: .* read as protocol 4\.2$",
-            "leave lab.camera.version out: the server keeps to its own, 4.2",
+            "leave lab.camera.version out: the server uses its own, 4.2",
         ),
         (
             "frames_from: 127.0.0.2",
@@ -149,9 +149,9 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
         (
             "answers_models: false",
             r"the names 'Green' are not known.* when asked for its rigid bodies \(0.3 s\)",
-            "frames hold the ids 1, 7",
+            "frames contain the ids 1, 7",
         ),
-        ("version: 2.5", r"^the camera server speaks protocol 2\.5, whose", "NatNet 2.6 or later"),
+        ("version: 2.5", r"^the camera server uses protocol 2\.5, whose", "NatNet 2.6 or later"),
     ],
 )
 def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, script, said, hint):

@@ -105,7 +105,7 @@ def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s
     noticed = server.until(after_s + 2)
     assert noticed - after_s < 0.1
     assert "frames were exposed" in server.stream.newest.fault
-    assert "after they came: it was set, or runs wrongly" in server.stream.newest.fault
+    assert "after they came: it was set, or runs at a wrong rate" in server.stream.newest.fault
     assert server.stream.counts.bad == 4  # dropped before the fault is certain
 
 

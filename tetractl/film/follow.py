@@ -42,7 +42,7 @@ class CellPath:
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """The cells of a film; `pictures` and `damaged` are the numbers of readable and other pictures.
+    """The cells of a film; `damaged` of its `pictures` could not be read.
 
     `doubtful` are pairs of cells that could not be distinguished after they met, with the
     probability of the assignment chosen.

@@ -88,7 +88,7 @@ def unpack_fields(layout: struct.Struct, kind: int, frame: bytes) -> tuple[int, 
     """
     payload = checked_payload(frame)
     if len(payload) != layout.size or payload[0] != kind:
-        raise WireError(f"unknown frame type 0x{kind:02X}")
+        raise WireError(f"not a frame of type 0x{kind:02X} with {layout.size} bytes")
     return layout.unpack(payload)[1:]
 
 

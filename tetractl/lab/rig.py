@@ -70,7 +70,9 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with the robots of another setup, the cells of these numbers, where they are."""
+        """Continue with a new setup, whose robots are the cells with `numbers`, at their present
+        poses.
+        """
         self.setup = setup
         self.start_anywhere()
         self.actuator.settle(setup)  # type: ignore[attr-defined]

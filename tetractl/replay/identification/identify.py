@@ -20,7 +20,7 @@ SPEED_ROUNDS = 3
 DEAD_TIME_STD = 0.1  # prior standard deviation of the dead time [s]
 # prior standard deviations of a (relative), speed (relative) and heading bias [rad]
 A_STD, SPEED_STD, HEADING_BIAS_STD = 0.5, 0.5, 0.2
-UNKNOWN_A = 3.0  # prior a if none is expected [rad/s]
+UNKNOWN_A = 3.0  # prior a if the log states no value [rad/s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,7 +170,7 @@ QUANTITIES = {
     "heading_walk": "rad/sqrt(s)",
 }
 """The fields of a robot in a table, with their units."""
-_ABREAST = 3  # robots in one table
+_ABREAST = 3  # largest number of robots in one table
 MOST = 6  # decimals
 
 

@@ -53,7 +53,8 @@ class Turns:
         count = len(drives.directions.u)
         self.lost = np.zeros((count, drives.moved.shape[1]))
         self._own = np.broadcast_to(np.arange(count)[:, None], self.lost.shape)
-        self._followed = self._own, self._own  # followed if uncertain commands arrived, and if lost
+        # numbers of the commands followed if uncertain ones arrived, and if they were lost
+        self._followed = self._own, self._own
 
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).

@@ -128,7 +128,7 @@ class Merges:
             cell.alone = None
 
     def _open(self, merge: Merge, seen: Floats, seconds: float) -> None:
-        """Open a question, unless the predicted positions decide at once."""
+        """Keep the identities of separated cells if they are clear; open a question if not."""
         identities = [cell.identity for cell in merge.cells]
         coasted = [merge.coasted[identity] for identity in identities]
         rows = np.array(coasted)
@@ -166,8 +166,9 @@ class Merges:
             cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Close a question with its likeliest answer; multiply the cells' certainty by its
-        probability.
+        """Settle a question of identity by its likeliest answer.
+
+        The answer's probability multiplies the cells' certainty.
         """
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]

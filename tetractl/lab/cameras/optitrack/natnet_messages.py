@@ -70,13 +70,14 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Times of a frame in ticks of the server's clock, `ServerInfo.clock_hz` per second; from 3.0
-    on.
+    """Times of a frame, in ticks of the server's clock; sent from NatNet 3.0 on.
+
+    `ServerInfo.clock_hz` is the number of ticks per second.
     """
 
-    exposure: int  # middle of the exposure
-    received: int  # when the server had the camera data
-    transmit: int  # when the datagram was sent
+    exposure: int  # middle of the exposure [ticks]
+    received: int  # when the server had the camera data [ticks]
+    transmit: int  # when the datagram was sent [ticks]
 
 
 @dataclass(frozen=True, slots=True)

@@ -80,7 +80,7 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
         ("received_ns", log.received_ns, 0),
     ):
         for i in np.flatnonzero(np.diff(values) < least):
-            text = f"after frame {log.frames[i]} it goes from {values[i]} to {values[i + 1]}"
+            text = f"goes from {values[i]} to {values[i + 1]} after frame {log.frames[i]}"
             yield Difference(None, f"mocap.{name}", text)
     for i in np.flatnonzero(log.received_ns < log.mocap_ns):
         yield Difference(

@@ -150,7 +150,9 @@ def _operator_messages(
         stamp = begin + note.t_ns
         made = Entry(entry.topic, stamp, stamp, encode_note(note, begin).SerializeToString())
         if entry != made:
-            yield Difference(None, f"{channels.LOG}[{number}]", "is not as tetractl writes it")
+            yield Difference(
+                None, f"{channels.LOG}[{number}]", "differs from the message that tetractl writes"
+            )
             break
     notes = (decode_note(Log.FromString(entry.data), begin) for entry in called_for)
     shown = (replace(note, text=printable(note.text, TEXT)) for note in notes)

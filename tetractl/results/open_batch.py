@@ -219,7 +219,7 @@ def experiment_of(batch: Batch) -> Experiment:
     for other in (*batch.trials, *batch.attempts):
         if other.origin is not first.origin:
             raise UsageError(
-                f"{first.path} is of the {first.origin}, {other.path} of the {other.origin}",
+                f"{first.path} is from the {first.origin}, {other.path} from the {other.origin}",
                 "give the logs of one plant, and the others with --against",
             )
         if other.experiment is first.experiment:

@@ -292,7 +292,7 @@ class _Bench:
             self._home = self._home or pose
             away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
             if away > ROAM_MM:
-                guard.abort(f"{away:.0f} mm away from its first position")
+                guard.abort(f"the robot is {away:.0f} mm from its first position")
         return bool(guard.reason)
 
 

@@ -191,7 +191,7 @@ def test_only_real_robots_or_a_disturbed_plant_stand_beside_a_published_result(
 def test_a_lab_and_its_emulation_are_no_batch():
     trials = batch(ERRORS[:2].tolist())
     mixed = [replace(trials[0], origin=Origin.LAB), replace(trials[1], origin=Origin.EMULATED)]
-    with pytest.raises(UsageError, match=r"of the lab, trial-001\.mcap of the emulated lab"):
+    with pytest.raises(UsageError, match=r"from the lab, trial-001\.mcap from the emulated lab"):
         group(mixed)
 
 

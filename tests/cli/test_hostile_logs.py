@@ -198,5 +198,5 @@ def test_too_few_addresses_are_one_line():
         capture_output=True, text=True, timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)},
     )  # fmt: skip
     first, hint = done.stderr.splitlines()
-    assert first == "error: only 410 MB of addresses are allowed, 1000 are needed"
+    assert first == "error: 410 MB of address space are allowed, 1000 are needed"
     assert (done.returncode, hint) == (1, "  hint: ulimit -v unlimited")

@@ -7,8 +7,8 @@ ADDRESSES_MIN = 1_000_000_000
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`.
 
-    Nothing is imported before signals are handled: Python answers Ctrl-C during an import with a
-    traceback.
+    Signal handlers are set before anything is imported, because Python answers Ctrl-C during an
+    import with a traceback.
     """
     import signal
 
@@ -30,7 +30,7 @@ def main() -> None:
 
     leave_on_signals(Exit.INTERRUPTED, say)
     if (limit := _address_limit()) < ADDRESSES_MIN:
-        text = f"error: only {limit / 1e6:.0f} MB of addresses are allowed, 1000 are needed\n"
+        text = f"error: {limit / 1e6:.0f} MB of address space are allowed, 1000 are needed\n"
         messages.writer.urge(text.encode() + b"  hint: ulimit -v unlimited\n")
         messages.writer.finish()
         sys.exit(Exit.FAILED)
@@ -43,7 +43,7 @@ def main() -> None:
 
 
 def _address_limit() -> float:
-    """Return the most bytes that the process may address."""
+    """Return the largest address space that the process may use [bytes]."""
     try:
         import resource
     except ImportError:  # Windows has no such module

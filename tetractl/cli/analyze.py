@@ -1,4 +1,4 @@
-"""`tetractl analyze`: whether robots can be steered together, and how well, before any trial."""
+"""`tetractl analyze`: predicts how well robots can be steered together, without any trial."""
 
 import sys
 from pathlib import Path

@@ -1,6 +1,7 @@
 """The commands of the command line, and how their errors are reported.
 
-Heavy modules are imported inside the command that needs them, so that `--help` answers at once.
+Modules that are slow to import are imported inside the commands that need them, so that `--help`
+answers at once.
 """
 
 import inspect
@@ -59,8 +60,8 @@ _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, 
 
 
 class _Plain:
-    """A command whose help shows unbroken paragraphs, and choices or placeholders in place of
-    Python types.
+    """A command whose help shows paragraphs without their line breaks in the source, and choices or
+    placeholders in place of Python types.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:

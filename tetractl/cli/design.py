@@ -50,8 +50,9 @@ def design(
 ) -> int:
     """Propose a motion from which the robots can be identified well.
 
-    By the spec's values, robots stay inside the arena and away from obstacles. --plant sim or lab
-    drives it, in the lab with all checks of a run, and identifies the robots from its log.
+    With the spec's values, the robots stay inside the arena and away from obstacles. With --plant
+    sim or lab the motion is driven, in the lab with all checks of a run, and the robots are
+    identified from its log.
 
     Example: tetractl design experiments/three_m3pi.yaml --plant sim
     """
@@ -93,8 +94,8 @@ def design(
 
 
 def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
-    """Print a motion's directions, and the predicted standard deviations of values identified from
-    it.
+    """Print the directions of a proposed motion, and the predicted standard deviations of the
+    values that will be identified from it.
     """
     from tetractl.core.table.table_files import json_text
 

@@ -82,7 +82,7 @@ def init(
         ),
     ] = None,
 ) -> int:
-    """Write NAME.yaml, a commented spec that runs as it is. An existing file is left unchanged.
+    """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
     With --example it writes a shipped spec, study or fault script, and the files it names, to
     experiments/, as the examples of other commands expect. An unknown NAME lists the names.

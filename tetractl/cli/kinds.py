@@ -1,4 +1,4 @@
-"""`tetractl kinds`: what can be named in a spec, a study, a table, a figure or an emulated lab."""
+"""`tetractl kinds`: lists what a spec, a study, a table, a figure or an emulated lab can name."""
 
 import sys
 from typing import Annotated, Any
@@ -34,9 +34,10 @@ def kinds(
     Each line holds the interface, the `type`, the package that provides it, and its code.
     Exits with 2 if an installed package is broken.
 
-    With --check it tests a kind of your own: its NumPy functions against its compiled ones and
-    their derivatives, its bounds, and that equal seeds give equal results. Exits with 1 if
-    something is wrong. A camera is opened if possible; an actuator is not, and nothing moves.
+    With --check it tests a kind of your own: that its NumPy functions, compiled functions and
+    derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1
+    if something is wrong. A camera is opened if possible; an actuator is not opened, and nothing
+    moves.
 
     Example: tetractl kinds --check pivot:PIVOT
     """

@@ -82,12 +82,13 @@ def stop(
         ),
     ] = "api2",
 ) -> int:
-    """Stop every robot in radio range permanently, by the spec's actuator or an m3pi radio's port.
+    """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
 
     m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
     3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. Needs no camera. A run that uses the port is ended: stops are sent on the same port, the
-    run is asked twice to end, then killed. Exit code 1 if another program keeps the port.
+    --port. No camera is needed. A run that uses the port is ended: stops are sent on the same port,
+    the run gets two requests to end, then it is killed. Exits with 1 if another program keeps the
+    port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """

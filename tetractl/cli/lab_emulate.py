@@ -64,7 +64,7 @@ def emulate(
     ] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
 ) -> int:
-    """Emulate the lab of an experiment: its camera, its actuator on a pseudo-terminal, robots.
+    """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
 
     NO HARDWARE is involved. It runs in real time until Ctrl-C, and prints `ready` when programs can
     connect.

@@ -40,10 +40,10 @@ def survey(
 ) -> int:
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
-    The field turns for `robots.seconds` of the spec. Every cell with a magnet is listed with 95 %
-    intervals; choices of cells are ranked by the error that `tetractl analyze` predicts, with the
-    noise of the spec's simulation. -o writes a spec with which a trial finds the best cells again,
-    by their a and speed.
+    The field rotates for the time `robots.seconds` of the spec. Every cell with a magnet is listed
+    with 95 % intervals; choices of cells are ranked by the error that `tetractl analyze` predicts,
+    with the noise of the spec's simulation. -o writes a spec with which a trial finds the best
+    cells again, by their a and speed.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
@@ -112,7 +112,7 @@ def survey(
 def _print_cells(
     cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
 ) -> None:
-    """Print each cell with 95 % intervals, and the pairs of cells that turn too much alike."""
+    """Print each cell with 95 % intervals, and the pairs of cells with too similar a."""
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
         near = "" if cell.free else ", was near the edge: its a is unreliable"

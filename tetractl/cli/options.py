@@ -1,5 +1,5 @@
-"""Shared by commands: options, loading of specs and logs, warnings, confirmation before robots
-move."""
+"""What several commands need: options, loading of specs and logs, warnings, and a confirmation
+before robots move."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -88,7 +88,8 @@ def refuse(found: "Sequence[PlacedWarning]") -> None:
 
 
 def require_confirmation(yes: bool) -> None:
-    """Raise UsageError if robots would move, and neither a terminal nor `--yes` confirms it."""
+    """Raise UsageError if there is neither `yes` nor a terminal at which to confirm that robots may
+    move."""
     if not yes and (sys.stdin is None or not sys.stdin.isatty()):
         raise UsageError(
             "robots would move, and there is no terminal to ask at",

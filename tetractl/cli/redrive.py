@@ -35,7 +35,7 @@ def redrive(
     ] = None,
     yes: Yes = False,
 ) -> int:
-    """Drive a plant again with the recorded commands, open loop, in a trial of its own.
+    """Drive a plant with the recorded commands of a log, open loop, in a new trial.
 
     It prints the distance between the recorded and the new path of each robot. In the lab the
     robots have to stand on their starts, and all checks of a run apply.

@@ -29,7 +29,7 @@ def report(
 
     The page holds a player of every trial, the tables of `tetractl stats`, the distribution of the
     errors, figures of each batch and of the first trial, and where the numbers come from. Each
-    folder is a batch of its own, side by side with the others.
+    folder is a batch; several batches are shown side by side.
 
     Example: tetractl report logs/three-m3pi -o report.html
     """

@@ -26,9 +26,7 @@ def run(
     ] = None,
     seed: Annotated[
         int | None,
-        typer.Option(
-            min=0, metavar="S", help="Root seed of all random draws.  \\[spec: trials.seed]"
-        ),
+        typer.Option(min=0, metavar="S", help="Seed of all random numbers.  \\[spec: trials.seed]"),
     ] = None,
     sets: Sets = None,
     plant: Annotated[
@@ -47,7 +45,7 @@ def run(
         ),
     ] = 1,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Run only the trials that DIR still lacks.")
+        bool, typer.Option("--resume", help="Run only the trials without a log in DIR.")
     ] = False,
     dry_run: DryRun = False,
     strict: Strict = False,

@@ -1,4 +1,4 @@
-"""Shared by commands that serve a trial: a live WebSocket for Foxglove and Lichtblick."""
+"""Options and functions of commands that show a trial in Foxglove or Lichtblick by a WebSocket."""
 
 import sys
 from collections.abc import Iterator

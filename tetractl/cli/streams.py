@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 MESSAGES_S = 1.0
 TERMINAL_S = 10.0  # a pipe on stdout may be read at any time
 INTERRUPTED_S = 2.0  # for stdout after a signal to end the command
-PIECE = 4096  # bytes written at a time: few, so that a slow reader is not mistaken for none
+PIECE = 4096  # bytes written at a time: few, so that each write to a slow reader ends soon
 POLL_S = 0.2  # time between two checks whether any process still reads the output
 GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
@@ -34,7 +34,8 @@ class PatientWriter(io.RawIOBase):
     """Writes bytes to a file descriptor, and drops them if the descriptor is stuck.
 
     If the descriptor accepts nothing for `patience_s`, bytes are dropped without waiting until it
-    accepts bytes again. If a write fails, its bytes are lost; `tells` raises the OSError once.
+    accepts bytes again. If a write fails, its bytes are lost; if `tells`, the OSError is raised
+    once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:

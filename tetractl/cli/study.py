@@ -90,8 +90,8 @@ def study(
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and a figure per swept field.
 
-    The same command runs the trials that an interrupted study lacks. A trial that fails does not
-    stop the others; the exit code then is 1.
+    If a study was interrupted, the same command runs the missing trials. A trial that fails does
+    not stop the others; the exit code is then 1.
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
@@ -142,7 +142,7 @@ def _run(
     jobs: int | None,
     quiet: bool,
 ) -> bool:
-    """Run the lacking trials; return whether a signal stopped the study."""
+    """Run the missing trials; return whether a signal stopped the study."""
     from contextlib import nullcontext, suppress
     from functools import partial
 
@@ -186,7 +186,7 @@ def _conclude(
     how: str,
     stopped: bool = False,
 ) -> int:
-    """Write tables and figures, print the errors, the trials that are lacking and `how` to run
+    """Write tables and figures; print the errors, the number of missing trials and `how` to run
     them; return the exit code.
     """
     from tetractl.core.table.terminal_table import print_tables

@@ -99,8 +99,8 @@ Unattended = Annotated[
     bool,
     typer.Option(
         "--unattended",
-        help="Lab only, with --yes: go on if the terminal or every reader of the output is "
-        "gone, which otherwise stops the robots.",
+        help="Lab only, with --yes: go on if the terminal closes or no process reads the output "
+        "any more, which otherwise stops the robots.",
     ),
 ]
 Json = Annotated[
@@ -220,8 +220,8 @@ def run_trials(
     served: "Sequence[Observer]" = (),
     unattended: bool = False,
 ) -> "Report":
-    """Run trials with their displays and the `served` observers; in the lab with the operator's
-    stop.
+    """Run trials with their displays and the `served` observers; in the lab, the operator can stop
+    the robots by a key.
 
     The first trial that fails ends the run.
     """

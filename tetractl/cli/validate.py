@@ -24,7 +24,7 @@ def validate(
 ) -> int:
     """Check specs and report every problem at its line.
 
-    Valid values that cannot work, or not as intended, cause a warning on stderr.
+    Valid values that will probably not work as intended cause a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
     """

@@ -28,7 +28,7 @@ def warm(
     """Compile what specs and studies need, with progress, so that their runs start at once.
 
     Compiled code is kept on this machine, for each kind of processor and each combination of
-    controller, optimiser, motion and shapes: warm again after a change of these.
+    controller, optimiser, motion and shapes. Run this command again after a change of one of these.
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
@@ -54,8 +54,8 @@ def warm(
 
 
 def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
-    """Yield the experiments to compile for: specs, an arm per controller of each study, or the
-    templates.
+    """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
+    without files, the templates of `tetractl init`.
     """
     from tetractl.cli.init import template
     from tetractl.experiment.load import parse_spec

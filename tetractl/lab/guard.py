@@ -18,10 +18,12 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
+JUMP_HEADING = 0.7  # allowed heading error beyond the turning rate [rad]
 NOISE_MM = 2.0  # largest error of a pose
 SWIMMERS = 0.7  # largest relative deviation of a cell's motion from the command
 
@@ -38,12 +40,12 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardRules:
-    """Limits of a run; see the fields of the same name in the spec's limits.
+    """The spec's `limits`, and what of robots and arena the guard needs.
 
-    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) its fastest turn [rad/s].
-    `lowest`, `highest` and `tilt` bound a body's height and tilt; `mm` is the number of millimetres
-    per length unit. Robots that are not `individual` can only be stopped together. A run that
-    `goes_on` continues without a lost robot, and ends when the last one is lost.
+    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) its fastest turn [rad/s]; `mm`
+    is the number of millimetres per length unit. Robots that are not `individual` can only be
+    stopped together. A run that `goes_on` continues without a lost robot, and ends when the last
+    one is lost.
     """
 
     names: tuple[str, ...]
@@ -53,22 +55,9 @@ class GuardRules:
     bottom: float
     right: float
     top: float  # the arena's edges, moved inside by the margin [length unit]
-    separation: float
-    jump: float
-    jump_heading: float = 0.7  # allowed heading error beyond the turning rate [rad]
-    lowest: float = -math.inf
-    highest: float = math.inf
-    tilt: float = math.pi
+    limits: LabLimits
     mm: float = 1.0
-    stale_ns: int = SECOND // 10
-    stream_lost_ns: int = SECOND // 2
-    untracked_stop_ns: int = SECOND // 20
-    untracked_abort_ns: int = 3 * SECOND // 10
-    reaction_ns: int = 15 * SECOND // 100
-    damaged_frames: int = 20
-    late_steps: int = 5
     silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
-    wheel_error: float = 0.12
     wheel_radius: float = 0.0  # 0 for robots without wheels
     individual: bool = True
     goes_on: bool = False
@@ -120,13 +109,14 @@ class Guard:
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        rules, height = self.rules, (self.rules.lowest, self.rules.highest)
-        limits = rules.jump, rules.jump_heading, *height, rules.tilt, rules.mm
+        rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
+        low, high = limits.height_mm
+        each = limits.jump_mm / mm, JUMP_HEADING, low / mm, high / mm, limits.tilt, mm
         self._filters = [
-            PoseFilter(MotionLimits(speed, turning, *limits))
+            PoseFilter(MotionLimits(speed, turning, *each))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
         ]
-        noise = NOISE_MM / rules.mm if rules.individual else 0.0
+        noise = NOISE_MM / mm if rules.individual else 0.0
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
         self._swaps = SwapDetector(rules.names)
 
@@ -162,7 +152,7 @@ class Guard:
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
-            limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
+            limit, newest = self.rules.limits.untracked_stop * SECOND, self._last_frame_ns or 0
             self._ghosts = {
                 i: track.refused
                 for i, track in enumerate(self._filters)
@@ -176,12 +166,12 @@ class Guard:
     def late(self, missed: bool) -> None:
         """Count a control step that missed its deadline; abort after `late_steps` in a row."""
         self._late = self._late + 1 if missed else 0
-        if self._late >= self.rules.late_steps and self._active:
+        if self._late >= self.rules.limits.late_steps and self._active:
             self.abort(f"{self._late} control steps in a row were late")
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
-        share = self.rules.wheel_error if self.rules.individual else SWIMMERS
+        share = self.rules.limits.wheel_error if self.rules.individual else SWIMMERS
         self._motion.sent(now_ns, speed, turning, share)
         self._swaps.sent(now_ns, turning)
 
@@ -204,9 +194,10 @@ class Guard:
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
         fresh: list[bool] = []
+        gone_ns = self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
-            if self.rules.goes_on and now - track.seen_ns >= self.rules.untracked_abort_ns:
+            if self.rules.goes_on and now - track.seen_ns >= gone_ns:
                 self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:
                 track.lost()
@@ -244,6 +235,7 @@ class Guard:
         `damaged` is the number of damaged deliveries from the camera so far, `failure` is why the
         actuator cannot send any more.
         """
+        limits = self.rules.limits
         asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
         self._last_tick_ns = now_ns
         if failure:
@@ -255,13 +247,13 @@ class Guard:
         )
         warnings: tuple[str, ...] = ()
         if self._active:
-            if asleep_ns >= self.rules.stream_lost_ns:
+            if asleep_ns >= limits.stream_lost * SECOND:
                 self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
-            silent_ns, steps = now_ns - self._steered_ns, self.rules.late_steps
+            silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
             if silent_ns >= self.rules.silence_ns:
                 silent = f"no direction for {silent_ns / SECOND:.1f} s"
                 self.abort(f"{steps} control steps in a row were late: {silent}")
-            if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= self.rules.stream_lost_ns:
+            if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= limits.stream_lost * SECOND:
                 self.abort(self.no_frame(unseen_ns))
             if mistaken := self._swaps.fault():
                 self.abort(mistaken)
@@ -271,7 +263,7 @@ class Guard:
         still = (False,) * len(self._filters)
         if not self._active:
             return Ruling(self.state, still, accepted, self.reason, warnings)
-        fresh = now_ns - (self._last_frame_ns or 0) <= self.rules.stale_ns
+        fresh = now_ns - (self._last_frame_ns or 0) <= limits.stale * SECOND
         let = tracked if self.rules.individual else (True,) * len(tracked)
         moving = let if fresh else still
         well = zip(moving, tracked, self._left, strict=True)
@@ -320,7 +312,7 @@ class Guard:
             self._warnings.append(text)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
-        limit, newest = self.rules.untracked_stop_ns, self._last_frame_ns or 0
+        limit, newest = self.rules.limits.untracked_stop * SECOND, self._last_frame_ns or 0
         # a stopped stream is reported as stopped, not as untracked robots
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit
@@ -328,14 +320,14 @@ class Guard:
         )
 
     def _check_tracking(self, now_ns: int) -> None:
-        newest = self._last_frame_ns or 0
+        limits, newest = self.rules.limits, self._last_frame_ns or 0
         for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
             lost_ns = newest - track.seen_ns
             if i in self.lost:
                 continue
-            if i in self._disobedient and lost_ns > self.rules.untracked_stop_ns:
+            if i in self._disobedient and lost_ns > limits.untracked_stop * SECOND:
                 self.abort(f"{name} {track.refused}")
-            elif lost_ns >= self.rules.untracked_abort_ns:
+            elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
 
     @property
@@ -350,14 +342,14 @@ class Guard:
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
         """Abort before a robot leaves the arena or touches another."""
-        rules, ahead_s = self.rules, self.rules.reaction_ns / SECOND
+        rules, limits = self.rules, self.rules.limits
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):
             if i in self.lost and rules.individual:
                 pose = self._filters[i].pose  # the robot stands at its last pose
             if pose is None:
                 continue
-            way = 0.0 if i in self.lost else rules.speeds[i] * ahead_s
+            way = 0.0 if i in self.lost else rules.speeds[i] * limits.reaction
             then = Pose(
                 pose.x + way * math.cos(pose.heading),
                 pose.y + way * math.sin(pose.heading),
@@ -372,7 +364,7 @@ class Guard:
             for other, other_now, other_then in coming[:i]:
                 gap = math.hypot(then.x - other_then.x, then.y - other_then.y)
                 before = math.hypot(now.x - other_now.x, now.y - other_now.y)
-                if min(gap, before) < rules.separation and gap <= before:
+                if min(gap, before) * rules.mm < limits.separation_mm and gap <= before:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
@@ -392,5 +384,5 @@ class Guard:
         while self._damaged and self._damaged[0][0] < now_ns - SECOND:
             self._damaged.popleft()
         within = total - self._damaged[0][1]
-        if within > self.rules.damaged_frames and self._active:
+        if within > self.rules.limits.damaged_frames and self._active:
             self.abort(f"{within} damaged camera frames within a second")

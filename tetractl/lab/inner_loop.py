@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
-from tetractl.core.clock import Clock
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
@@ -177,8 +177,8 @@ class InnerLoop:
         if now < self._next_ns:
             return
         self._next_ns = now + self._actuator.period_ns
-        newest = self.frames.newest
-        if newest is None or now - newest.frame.received_ns > self.guard.rules.stream_lost_ns:
+        newest, lost_ns = self.frames.newest, self.guard.rules.limits.stream_lost * SECOND
+        if newest is None or now - newest.frame.received_ns > lost_ns:
             self._pass_on(self._actuator.stop())
             return
         every = (True,) * len(ruling.poses)

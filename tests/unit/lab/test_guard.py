@@ -7,7 +7,9 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
+from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.guard import Guard, GuardRules, GuardState
 
 MS = 1_000_000
@@ -20,8 +22,7 @@ RULES = GuardRules(
     bottom=0.0,
     right=2000.0,
     top=2000.0,
-    separation=110.0,
-    jump=30.0,
+    limits=LabLimits(),
 )
 PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))
 
@@ -160,11 +161,11 @@ def test_a_heading_that_walks_is_not_believed_for_long():
 def test_late_steps_abort_in_a_row_only():
     course = running()
     for _ in range(20):
-        for _ in range(RULES.late_steps - 1):
+        for _ in range(RULES.limits.late_steps - 1):
             course.guard.late(True)
         course.guard.late(False)
     assert course.guard.state is GuardState.RUN
-    for _ in range(RULES.late_steps):
+    for _ in range(RULES.limits.late_steps):
         course.guard.late(True)
     assert course.guard.reason == "5 control steps in a row were late"
 
@@ -409,8 +410,8 @@ class GuardMachine(RuleBasedStateMachine):
         assert (ruling.state is GuardState.RUN) <= all(ruling.moving)
         for i, moving in enumerate(ruling.moving):
             if moving:
-                assert self.now - self.exposed <= RULES.stale_ns
-                assert self.exposed - self.seen[i] <= RULES.untracked_stop_ns
+                assert self.now - self.exposed <= RULES.limits.stale * SECOND
+                assert self.exposed - self.seen[i] <= RULES.limits.untracked_stop * SECOND
                 pose = ruling.poses[i]
                 assert pose is not None
 

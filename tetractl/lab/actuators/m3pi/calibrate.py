@@ -153,7 +153,7 @@ class _Bench:
             speeds=(FASTEST_MM_S / self.rig.mm,),
             turning=(FASTEST_RAD_S,),
             silence_ns=SILENCE_NS,
-            wheel_error=UNKNOWN,
+            limits=lab.limits.model_copy(update={"wheel_error": UNKNOWN}),
         )
 
     def open(self) -> None:

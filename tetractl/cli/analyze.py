@@ -52,7 +52,7 @@ def analyze(
     if out:
         from tetractl.view.style import file_format
 
-        file_format(out)  # before anything is searched
+        file_format(out)  # checked before the search, which takes some seconds
     experiment = load(spec, sets or []).experiment
     with progress("Planning") as planned:
         found = found_of(experiment, plans, planned)

@@ -169,7 +169,7 @@ def run_app() -> int:
     except SystemExit as end:
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        return Exit.DONE  # also a closed pipe, as typer reports it
+        return Exit.DONE  # typer also reports a closed pipe in this way
     except FileNotFoundError as error:
         complain(f"{error.filename}: no such file or folder")
         return Exit.USAGE

@@ -10,7 +10,7 @@ import typer
 from tetractl.cli.options import AsJson
 from tetractl.core.errors import Exit
 
-SHOWN = 240  # characters shown of a line; --json prints the whole line
+SHOWN = 240  # largest number of characters shown of a line; --json prints the whole line
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

@@ -124,7 +124,7 @@ def _example(name: str) -> int:
         (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
     for number, (inner, text) in enumerate(files.items()):
         path = Path(FOLDER) / inner
-        if number and path.exists():  # a file that another example wrote
+        if number and path.exists():  # the file was written with another example
             continue
         _write(path, text, "rename that file, or edit it")
     return Exit.DONE

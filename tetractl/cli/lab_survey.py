@@ -14,7 +14,7 @@ from tetractl.core.errors import Exit, UsageError
 if TYPE_CHECKING:
     from tetractl.experiment.choice import FoundCell
 
-NORMAL = 1.96  # standard deviations to either end of a 95 % interval
+NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
 
 
 def survey(

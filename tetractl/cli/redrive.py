@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tetractl.core.table.table import Table
     from tetractl.replay.redrive import Apart
 
-ROWS = 12  # rows of the table of distances
+ROWS = 12  # number of rows in the table of distances
 
 
 def redrive(

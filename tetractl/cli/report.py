@@ -36,7 +36,7 @@ def report(
     from tetractl.core.files import save_whole
     from tetractl.report import page
 
-    if not output.parent.is_dir():  # before anything is read
+    if not output.parent.is_dir():  # checked before the logs are read
         raise UsageError(f"{output}: there is no folder {output.parent}")
 
     with progress("Reading logs") as on_log:

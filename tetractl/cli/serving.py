@@ -54,7 +54,8 @@ def wanted_port(serve: bool, port: int | None) -> int | None:
 
 @contextmanager
 def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
-    """Yield the observers that serve trials run inside the block; none if `port` is None."""
+    """Yield the observers that send the trials of a `with` block to viewers; none if `port` is
+    None."""
     if port is None:
         yield []
         return

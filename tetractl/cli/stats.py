@@ -63,7 +63,7 @@ def stats(
     if plot:
         from tetractl.view.style import file_format
 
-        file_format(plot)  # before the logs are read
+        file_format(plot)  # checked before the logs are read
     listed = [*sources(paths), *([one_source(against)] if against else [])]
     groups = _described(listed)
     found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-# output is dropped after stderr, or a terminal on stdout, has accepted nothing for this long
-MESSAGES_S = 1.0
-TERMINAL_S = 10.0  # a pipe on stdout may be read at any time
+# times without accepting output after which output is dropped [s]; a pipe on stdout has no limit
+MESSAGES_S = 1.0  # for stderr
+TERMINAL_S = 10.0  # for a terminal on stdout
 INTERRUPTED_S = 2.0  # for stdout after a signal to end the command
 PIECE = 4096  # bytes written at a time: few, so that each write to a slow reader ends soon
 POLL_S = 0.2  # time between two checks whether any process still reads the output
@@ -204,7 +204,7 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
     def watch() -> None:
         poll = select.poll()
         for one in read:
-            poll.register(one, 0)  # errors are always reported
+            poll.register(one, 0)  # 0: report errors only
         left = len(read)
         while left and not closing.is_set():
             for one, event in poll.poll(1000 * POLL_S):

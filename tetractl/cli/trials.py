@@ -203,7 +203,7 @@ def stoppable(
     experiment.plant.require_devices()  # before compiling, which may take a minute
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
-    leave_on_signals(Exit.INTERRUPTED)  # for signals after the block
+    leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
     in_lab = not experiment.plant.simulated
     with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
         yield interrupt

@@ -11,7 +11,7 @@ from tetractl.core.errors import Exit
 if TYPE_CHECKING:
     from tetractl.replay.verify import Verification
 
-SHOWN = 20  # number of problems printed of one log
+SHOWN = 20  # largest number of problems printed per log
 
 
 def verify(

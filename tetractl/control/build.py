@@ -7,7 +7,7 @@ from threading import Timer
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
-ANNOUNCE_AFTER_S = 1.0  # longer than loading from the cache takes [s]
+ANNOUNCE_AFTER_S = 1.0  # compiling is announced after this time; loading takes less [s]
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:

@@ -44,8 +44,8 @@ from tetractl.core.poses import Floats, Observation, Poses
 GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
 FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
 REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
-UNLIKELY = 25.0  # difference of the ln of a likelihood by which a dead time is dropped
-KEPT = 64  # number of commands kept after they acted
+UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
+KEPT = 64  # number of commands kept after they have acted
 POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
 HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
 SLIP = 0.02  # random walk of the position, over the speed [sqrt(s)]
@@ -127,7 +127,7 @@ class FilterBank:
         walk[9:11] = 0.1 * prior.helix_radius
         helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
         self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix, prior.lag)
-        self._when, self._u = np.empty(0), np.empty(0)  # commands that may still act
+        self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
         self._from_ns: int | None = None if drive_first else 0

@@ -40,7 +40,8 @@ class CircleSearch(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Number of evaluations of the rotations, the previous plan and one round."""
+        """Least number of cost evaluations of a search: all rotations, the previous plan and one
+        round."""
         return len(PHASES) * len(RATES) + 1 + SAMPLES
 
     def search(

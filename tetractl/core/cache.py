@@ -49,7 +49,7 @@ def _wanted() -> Path | None:
     base = os.environ.get("XDG_CACHE_HOME")
     try:
         return (Path(base) if base else Path.home() / ".cache").absolute() / "tetractl"
-    except RuntimeError:  # neither $HOME nor an entry in the user database
+    except RuntimeError:  # there is neither $HOME nor an entry in the user database
         return None
 
 
@@ -118,7 +118,7 @@ def say_once(text: str) -> None:
 
 
 def digest(sources: Iterable[Path], options: str = "") -> str:
-    """Return 12 hex digits that name the contents of files and the options to compile them with."""
+    """Return 12 hex digits of a hash of the contents of files and of compiler options."""
     found = hashlib.sha256()
     for source in sorted(sources):
         found.update(source.read_bytes())

@@ -29,6 +29,6 @@ def _own_color(name: str, color: str | None) -> str | None:
 
 def known_colors() -> dict[str, str]:
     """Return the colours of CSS by name, as #RRGGBB."""
-    from matplotlib.colors import CSS4_COLORS, to_hex  # slow to import; only names need it
+    from matplotlib.colors import CSS4_COLORS, to_hex  # slow to import, and only names need it
 
     return {name: to_hex(color).upper() for name, color in CSS4_COLORS.items()}

@@ -12,8 +12,8 @@ class Exit(IntEnum):
     """Exit codes of the command line."""
 
     DONE = 0
-    FAILED = 1  # a trial aborted, a check failed, a log is damaged
-    USAGE = 2  # bad usage or a bad spec
+    FAILED = 1  # a trial was aborted, a check failed, or a log is damaged
+    USAGE = 2  # the arguments or the spec are wrong
     LOSSY = 3  # a log was recovered, but not all of it
     INTERRUPTED = 130  # Ctrl-C or another signal, after stopping the robots and closing the log
 

@@ -16,12 +16,12 @@ from tetractl.core.setup import Shape
 class Outcome(StrEnum):
     """How a trial ended; the first four are decided by the controller."""
 
-    ARRIVED = "arrived"  # every robot within the arrival tolerance
+    ARRIVED = "arrived"  # every robot is within the arrival tolerance of its target
     SEQUENCE_COMPLETED = "sequence completed"  # the whole sequence was applied: normal completion
     NOTHING_BETTER = "nothing better"  # stopping is as good as any plan
-    STEPS_MAX = "steps max"  # k_max control steps done
-    INTERRUPTED = "interrupted"  # Ctrl-C or another signal
-    ABORTED = "aborted"  # a fault or an error; the reason says which
+    STEPS_MAX = "steps max"  # the limit of control steps, k_max, was reached
+    INTERRUPTED = "interrupted"  # the user ended the trial, by Ctrl-C or another signal
+    ABORTED = "aborted"  # a fault or an error ended the trial
 
     @classmethod
     def _missing_(cls, value: object) -> "Outcome | None":

@@ -119,7 +119,7 @@ SWEEPS = Registry(
     },
     "tetractl.study.sweep:Sweep",
 )
-STATISTICS = Registry(  # in the order of the tables
+STATISTICS = Registry(  # in the order in which tables show them
     "tetractl.statistics",
     "statistic",
     {

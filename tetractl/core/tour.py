@@ -125,6 +125,6 @@ class TourMeasure:
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Fraction of the hold's frames with each robot within the radius, (N,); empty without a
-        hold."""
+        """Fraction of the hold's frames in which each robot was within the radius, (N,); empty
+        without a hold."""
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

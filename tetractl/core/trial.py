@@ -36,7 +36,7 @@ class Start:
     spec_name: str  # file name of the spec
     resolved: str
     spec_hash: str
-    seed: int  # of all random numbers of the batch
+    seed: int  # seed of all random numbers of the batch
     trial: int  # index in the batch, from 0
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation

@@ -14,7 +14,7 @@ from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Point, Positive, inconsistent
 
-DEVIATIONS = 2.0  # a cell is magnetised if its turning rate exceeds 0 by so many deviations
+DEVIATIONS = 2.0  # a cell is magnetised if its a exceeds 0 by this many standard deviations
 
 
 class Ring(Model):

@@ -12,7 +12,7 @@ from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
 UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
-NEAR_WALL = 0.5  # cells that could reach the arena's edge in this time are a last choice [s]
+NEAR_WALL = 0.5  # cells that could swim to the arena's edge in this time are chosen last [s]
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
 MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
 
@@ -72,7 +72,7 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
     assert experiment.chosen is not None, "the spec has robots: {choose: N}"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
-    vars(copied).pop("setup", None)  # it was computed for the stand-in robots
+    vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
     return copied
 
 

@@ -207,7 +207,7 @@ class Experiment(Model):
     def _with_assigned_targets(self) -> Self:
         """Assign the targets and set `assign` to `given`, so that they are assigned once only."""
         if isinstance(self.robots, Choice):
-            # the model is immutable, but not in use yet
+            # allowed, although the model is immutable: it is not in use yet
             object.__setattr__(self, "chosen", self.robots)
             object.__setattr__(self, "robots", _stand_ins(self.robots, self.arena))
         if self.assign == "given" or self.chosen is not None:

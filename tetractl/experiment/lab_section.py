@@ -24,7 +24,7 @@ from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
 
 STOPS = 10
-STOP_GAP_NS = SECOND // 50  # ten stops over 200 ms
+STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [ns]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,8 +153,8 @@ class LabLimits(Model):
     untracked_abort: Positive = 0.3
     """The run aborts if a robot was not tracked for this time [s]."""
     identity: Positive = 3.0
-    """The run aborts if, after cells have met, it is unknown for this time which of them is a robot
-    [s]; only with cameras that report identities.
+    """The run aborts if cells have met and the camera cannot distinguish them for this time [s];
+    only with cameras that report identities.
     """
     jump_mm: NonNegative = 30.0
     """A pose is rejected if its distance from a pose of the last second is larger than twice the

@@ -49,7 +49,7 @@ class KindSection:
         sections = {name: kind for name, kind in usable.items() if issubclass(kind, self._base)}
         options = {name: handler(kind.__pydantic_core_schema__) for name, kind in sections.items()}
         for name, option in options.items():
-            if name != self.default:  # without a type, only the default kind is meant
+            if name != self.default:  # a mapping without `type` has the default kind
                 kind = handler.resolve_ref_schema(option)
                 kind["required"] = list(dict.fromkeys(["type", *kind.get("required", ())]))
         mapping = {name: option["$ref"] for name, option in options.items() if "$ref" in option}
@@ -118,7 +118,7 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
         for field, about in type(value).model_fields.items():
             inner = getattr(value, field)
             yield from _kinds(inner)
-            for mark in about.metadata:  # a kind without a section is only a name
+            for mark in about.metadata:  # finds text fields with the name of a kind
                 registry = getattr(mark, "registry", None)
                 if isinstance(inner, str) and isinstance(registry, Registry):
                     yield registry, inner

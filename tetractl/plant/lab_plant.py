@@ -130,7 +130,7 @@ class LabPlant:
         self._raise_abort()
         sent = self.rig.loop.steer(direction)
         self._returned.add(sent.sent_ns)
-        if sent.direction is None:  # the guard presently holds every robot
+        if sent.direction is None:  # the guard holds all robots still at present
             nobody = (False,) * len(sent.moving)
             return Command(direction, sent.sent_ns, nobody, sent.left, sent.right)
         return self._command(sent)

@@ -45,7 +45,7 @@ class SimCamera:
         self._measured = overriding(disturbances, "measured")
         self._received = overriding(disturbances, "received")
         self._tracked = np.ones(robots, dtype=np.bool_)
-        self._tracked.setflags(write=False)  # one array for all frames
+        self._tracked.setflags(write=False)  # shared by all frames
         self._exposed = 0  # number of frames so far
         self._shown: Poses | None = None  # poses in the last frame
         self._under_way: deque[Sample] = deque()

@@ -53,8 +53,8 @@ class SimSection(PlantSection):
     frame, between two commands; `euler` moves by (4)-(6), on straight chords. Ignored with
     `drive`."""
     drive: WheelDriveSection | None = None
-    """Wheels that carry out the direction; by default robots turn towards the direction without
-    wheels. Needs `wheels`."""
+    """Wheels by which robots turn towards the direction; by default robots turn towards it by (3),
+    without wheels. Needs the experiment's field `wheels`."""
     cells: CultureSection | None = None
     """Simulates swimming cells instead of points that follow (1)-(3); `motion` is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)

@@ -152,7 +152,8 @@ class TrueMotion:
         at `end`, so that the result does not depend on how often the plant is read.
         """
         nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
-        if end == self._time and nothing_due and not self._by_frame:  # a frame may move the robots
+        # disturbances by frame may move robots even if nothing else is due
+        if end == self._time and nothing_due and not self._by_frame:
             return
         frames = self._camera.due(end)
         ticks = due_ns(self._ticks, self._truth_rate, end)

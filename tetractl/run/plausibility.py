@@ -274,7 +274,7 @@ def _size(setup: Setup) -> float:
 
 
 def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
-    """Warn of targets that no path past the obstacles reaches, or no path with the margin."""
+    """Warn of targets to which no path leads past the obstacles, or no path with the margin."""
     if not spec.experiment.obstacles:
         return
     apart = shut_out(spec.setup, 0.0, spec.walls)

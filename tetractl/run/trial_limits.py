@@ -18,7 +18,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
 
-SAMPLES = 64  # positions per side, when a square is checked against arena and obstacles
+SAMPLES = 64  # positions per side of a square that are checked against arena and obstacles
 
 
 def limits(experiment: Experiment) -> dict[str, str]:

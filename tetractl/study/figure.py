@@ -17,9 +17,9 @@ from tetractl.study.row_store import Store
 from tetractl.view import style
 
 DECADES = 1.5  # least span of positive values for a logarithmic axis [decades]
-TICKS = 8  # largest number of values that each have a tick
-ASIDE_IN = 0.06  # offset between two controllers at the same value
-LABEL = 24  # largest length of a value's text
+TICKS = 8  # largest number of values for which each value has a tick
+ASIDE_IN = 0.06  # horizontal distance between two controllers at the same value [inches]
+LABEL = 24  # largest length of a value's text [characters]
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:

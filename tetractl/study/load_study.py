@@ -68,7 +68,7 @@ def shown(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.{DIGITS}g}"
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
-        return f"{len(value)}"  # a list such as `robots`
+        return f"{len(value)}"  # the length of a list such as `robots`
     return value if isinstance(value, str) else as_yaml(value)
 
 

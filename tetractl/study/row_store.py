@@ -31,7 +31,7 @@ class Store:
         self.folder = folder
         self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
         self._arms = {arm.name: arm for arm in arms}
-        self._placed: set[str] = set()  # arms whose folder has their spec
+        self._placed: set[str] = set()  # names of arms whose folder already has the arm's spec
 
     @contextmanager
     def opened(self) -> Iterator[None]:

@@ -77,7 +77,7 @@ def test_other_columns_are_refused_and_leave_no_file(tmp_path):
     path = tmp_path / "speeds.csv"
     with (
         pytest.raises(
-            UsageError, match=r"b\.mcap: its speeds and earlier ones differ in columns: other"
+            UsageError, match=r"b\.mcap: the columns of speeds differ from earlier ones: other"
         ),
         TableFiles({"speeds": path}, "csv") as files,
     ):

@@ -52,17 +52,17 @@ class CrossEntropy(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of updates of the distribution."""
+        """Largest number of iterations of one search; each updates the distribution once."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """Number of evaluations of one iteration and a warm start."""
+        """Least number of cost evaluations of a search: one iteration and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Number of evaluations of all iterations and a warm start."""
+        """Largest number of cost evaluations of a search: all iterations and a warm start."""
         return self.particles * self.iterations + 1
 
     @property

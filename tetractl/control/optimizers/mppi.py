@@ -53,17 +53,17 @@ class Mppi(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of moves of the nominal sequence."""
+        """Largest number of iterations of one search; each moves the nominal sequence once."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """Number of evaluations of one iteration."""
+        """Least number of cost evaluations of a search: one iteration."""
         return self.particles
 
     @property
     def evaluations_max(self) -> int:
-        """Number of evaluations of all iterations."""
+        """Largest number of cost evaluations of a search: all iterations."""
         return self.particles * self.iterations
 
     @property

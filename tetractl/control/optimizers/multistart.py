@@ -76,12 +76,12 @@ class Multistart(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations for one start."""
+        """Largest number of Levenberg-Marquardt iterations for one start."""
         return self.polish_steps
 
     @property
     def evaluations_min(self) -> int:
-        """Number of evaluations of one round and a warm start."""
+        """Least number of cost evaluations of a search: one round and a warm start."""
         return self.particles + 1
 
     @property

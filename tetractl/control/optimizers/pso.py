@@ -41,17 +41,17 @@ class PsoFields(OptimizerSection):
 
     @property
     def iterations_max(self) -> int:
-        """Largest number of iterations z_max."""
+        """Largest number of iterations of one search, z_max."""
         return self.iterations
 
     @property
     def evaluations_min(self) -> int:
-        """Number of evaluations of the scattered particles and a warm start."""
+        """Least number of cost evaluations of a search: the initial particles and a warm start."""
         return self.particles + 1
 
     @property
     def evaluations_max(self) -> int:
-        """Number of evaluations of all iterations and a warm start."""
+        """Largest number of cost evaluations of a search: all iterations and a warm start."""
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
@@ -60,7 +60,7 @@ class PsoFields(OptimizerSection):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:
             yield "evaluations"
-        with np.errstate(invalid="ignore"):  # the logarithms need a falling history
+        with np.errstate(invalid="ignore"):  # logarithms fail if the history does not fall
             why = stopped(found.history, self.stop) if len(found.history) > 1 else None
         if why is None and len(found.history) > self.iterations:
             why = StopReason.ITERATIONS

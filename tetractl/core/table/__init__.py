@@ -1,3 +1,1 @@
-"""Tables, and all code that writes them: for readers (terminal_table) and as data (table_files,
-data).
-"""
+"""Tables; `terminal_table` writes them for readers, `table_files` as data."""

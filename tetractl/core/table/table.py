@@ -116,7 +116,7 @@ class Table:
 
     @classmethod
     def of_records(cls, title: str, records: Sequence[Mapping[str, Any]]) -> Self:
-        """Return one row per record; a record that lacks a key has an unknown value there."""
+        """Return a table with a row per record; if a record lacks a key, its value is unknown."""
         keys = dict.fromkeys(key for record in records for key in record)
         return cls(title, tuple(Column(key, [one.get(key) for one in records]) for key in keys))
 
@@ -132,7 +132,7 @@ class Table:
 
     @property
     def words(self) -> bool:
-        """Whether any column other than the first is of words."""
+        """Whether any column other than the first contains words instead of numbers."""
         return any(column.words for column in self.columns[1:])
 
     def __len__(self) -> int:
@@ -144,5 +144,5 @@ class Table:
         return Table(self.title, (*first, *self.columns), self.note)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the values by column key, to make a data frame from."""
+        """Return the values by column key, from which a data frame can be made."""
         return {column.key: column.values for column in self.columns}

@@ -19,14 +19,14 @@ PART = ".part"
 
 
 class TableFile(Protocol):
-    """A file of one table that grows by rows."""
+    """A file of one table to which rows are added."""
 
     def add(self, table: Table) -> None:
         """Add rows, with the same columns as in the first call."""
         ...
 
     def close(self) -> None:
-        """Finish the file."""
+        """Write what is left, and close the file."""
         ...
 
 
@@ -135,7 +135,9 @@ def check_format(name: str) -> None:
 
 
 class TableFiles:
-    """The files of several tables, each complete or absent: NAME.part until the block ends well."""
+    """The files of several tables. Each is written as NAME.part, and renamed at the end of the
+    `with` block unless there was an error.
+    """
 
     def __init__(self, paths: Mapping[str, Path], format_name: str) -> None:
         self._paths = dict(paths)
@@ -162,7 +164,7 @@ class TableFiles:
         if keys != known:
             odd = sorted(set(keys) ^ set(known))
             raise UsageError(
-                f"{source}: its {name} and earlier ones differ in columns: {', '.join(odd[:4])}",
+                f"{source}: the columns of {name} differ from earlier ones: {', '.join(odd[:4])}",
                 "export the logs of each experiment separately",
             )
         try:

@@ -18,7 +18,7 @@ WORDS = 16
 """Least width of a column of words without a terminal, if any of its words are that wide."""
 
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
-_WORDS = r">{\raggedright\arraybackslash}X"  # a column that breaks its lines
+_WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text
 _SPECIAL = str.maketrans(
     {
         "\\": r"\textbackslash{}",
@@ -146,8 +146,8 @@ def _escaped(text: str) -> str:
 
 
 def html(tables: Sequence[Table], links: Mapping[str, str] | None = None) -> str:
-    """Return HTML tables, each in an element that scrolls; `links` maps the text of a first-column
-    cell to the address it links to.
+    """Return tables as HTML, each in an element that scrolls. `links` maps the text of a cell in
+    the first column to the address to which it links.
     """
     return "".join(_html(table, links or {}) for table in tables)
 

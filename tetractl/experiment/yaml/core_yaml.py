@@ -24,7 +24,8 @@ MAX_DIGITS = 300
 
 CORE = "tag:yaml.org,2002:"
 STR = CORE + "str"
-SCALARS = {  # YAML 1.2.2, section 10.3.2; the first characters are PyYAML's index
+# the patterns of YAML 1.2.2, section 10.3.2, each with the first characters that PyYAML looks up
+SCALARS = {
     CORE + "null": (r"(?:~|null|Null|NULL|)\Z", ["~", "n", "N", ""]),
     CORE + "bool": (r"(?:true|True|TRUE|false|False|FALSE)\Z", list("tTfF")),
     CORE + "int": (r"(?:[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+)\Z", list("-+0123456789")),

@@ -48,7 +48,7 @@ class ByTurns:
     def __init__(
         self, robots: int, well_s: Callable[[], float], unwell_s: Callable[[], float]
     ) -> None:
-        self._durations_s = (unwell_s, well_s)  # for unwell and well robots
+        self._durations_s = (unwell_s, well_s)  # indexed by whether a robot is well
         self._well = np.ones(robots, dtype=np.bool_)
         self._until_s = np.array([well_s() for _ in range(robots)])
 

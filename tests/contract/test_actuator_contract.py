@@ -63,6 +63,21 @@ def test_robots_move_when_steered_and_halt_when_stopped_if_they_can(rig):
             assert rig.wait(lambda: not any(rig.moves()))
 
 
+def test_robots_that_halt_turn_on_the_spot_and_others_cannot(rig):
+    with rig.actuator:
+        moving = (True,) * len(rig.setup.names)
+        args = 1.5, starts(rig), moving, rig.clock.now()
+        if not rig.actuator.halts:
+            with pytest.raises(AbortError, match="on the spot"):
+                rig.actuator.turn(*args)
+            return
+        sent = rig.actuator.turn(*args)
+        assert (sent.direction, sent.facing, sent.moving) == (None, 1.5, moving)
+        assert np.abs(sent.speed).max() < 0.1 * rig.setup.speed.min()
+        wished = rig.setup.a * np.sin(1.5 - rig.setup.starts.heading)
+        np.testing.assert_allclose(sent.turning, wished, atol=0.2 * rig.setup.a.max())
+
+
 def test_one_robot_can_be_held_if_the_actuator_says_so(rig):
     if not rig.actuator.individual:
         pytest.skip("it moves all robots together")

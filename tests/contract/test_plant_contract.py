@@ -10,6 +10,7 @@ from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
+from tetractl.core.poses import wrap
 
 PERIOD = SECOND // 5
 
@@ -206,6 +207,31 @@ def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
                 assert way.max() <= 2 * rig.true_to + 1e-6
             else:
                 assert way.min() > 5
+
+
+def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
+    rig = make(1)
+    if rig.plant.setup.wheel_radius is None:
+        pytest.skip("these robots cannot turn on the spot")
+    with opened(rig):
+        rig.plant.steer(0.7)
+        rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        rig.plant.pause()
+        rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
+        before = rig.plant.observe().poses
+        facing = float(before.heading[0]) + 1.0
+        for _ in range(4):
+            turned = rig.plant.turn(facing)
+            assert turned.stops
+            assert (turned.direction, turned.facing) == (None, facing)
+            rig.clock.sleep_until(rig.clock.now() + PERIOD)
+        rig.plant.pause()
+        rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
+        after = rig.plant.observe().poses
+        assert before.distances(after.xy).max() < 25 + 2 * rig.true_to  # a flow carries some
+        off = np.abs([wrap(facing - poses.heading) for poses in (before, after)])
+        assert (off[1] < off[0]).all()
+        assert off[1, 0] < 0.5
 
 
 def test_stop_and_close_need_no_open(make):

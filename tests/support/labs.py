@@ -1,7 +1,7 @@
 """A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from support.virtual_wires import LabClock
@@ -31,6 +31,7 @@ class World:
     clock: LabClock
     direction: float = 0.0
     moving: tuple[bool, ...] = ()
+    ahead: float = 1.0  # 0 while robots turn on the spot
     deaf: set[int] = field(default_factory=set)
     then_ns: int = 0
 
@@ -42,7 +43,11 @@ class World:
         seconds = (self.clock.now() - self.then_ns) / SECOND * np.array(self.moving)
         self.then_ns = self.clock.now()
         moved = exact(
-            *self.poses.T, np.array(self.direction), self.setup.a, self.setup.speed, seconds
+            *self.poses.T,
+            np.array(self.direction),
+            self.setup.a,
+            self.setup.speed * self.ahead,
+            seconds,
         )
         self.poses = np.column_stack(moved)
 
@@ -141,11 +146,25 @@ class FakeActuator:
     ) -> Transmission:
         return self._send(direction, tuple(moving))
 
+    def turn(
+        self,
+        facing: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        if not self.halts:
+            raise AbortError("cells cannot turn on the spot")
+        sent = self._send(facing, tuple(moving), ahead=0.0)
+        return replace(sent, direction=None, facing=facing)
+
     def stop(self, emergency: bool = False) -> Transmission:
         self.emergencies += emergency
         return self._send(None, (not self.halts,) * len(self.world.moving))
 
-    def _send(self, direction: float | None, moving: tuple[bool, ...]) -> Transmission:
+    def _send(
+        self, direction: float | None, moving: tuple[bool, ...], ahead: float = 1.0
+    ) -> Transmission:
         if self.failure is not None:
             raise AbortError(self.failure)
         world, setup = self.world, self.world.setup
@@ -155,16 +174,18 @@ class FakeActuator:
             for i, (was, now) in enumerate(zip(world.moving, moving, strict=True))
         )
         world.direction = world.direction if direction is None else direction
+        world.ahead = ahead
         let = np.array(moving, dtype=float)
+        speed = setup.speed * let * ahead
         heading = world.poses[:, 2]
         turning = setup.a * np.sin(world.direction - heading) * let
         wheels = (None, None)
         if setup.wheel_radius is not None:
-            wheels = wheel_speeds(heading, world.direction, setup.a, setup.speed * let, 0.0)
+            wheels = wheel_speeds(heading, world.direction, setup.a, speed, 0.0)
             left, right = wheels
             wheels = left - turning * setup.wheel_radius, right + turning * setup.wheel_radius
         now = world.clock.now()
-        made = Transmission(now, direction, moving, setup.speed * let, turning, *wheels)
+        made = Transmission(now, direction, moving, speed, turning, *wheels)
         self.sent.append(made)
         return made
 

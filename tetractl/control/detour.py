@@ -4,12 +4,13 @@ Algorithm 2 shortens its sequence from step to step. A few remaining signals can
 disturbance: three robots have six coordinates. If no sequence of length H - 1, H or H + 1 ends
 within an accepted total error, longer ones are searched from scratch; these lead the robots away
 and back. The trial ends if stopping at the best moment of the coming control period is as good as
-any plan. It also ends if a robot is about to enter an obstacle, and neither a collision-free plan
-nor a way out of the corner was found.
+any plan. If a robot that stands is about to enter an obstacle, and neither a collision-free plan
+nor a way out of the corner was found, all robots turn on the spot until there is a way out. The
+trial ends if no direction gives one.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +20,8 @@ from tetractl.control.lengths import GROWTH
 from tetractl.control.margins import Margins
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Floats, wrap
+from tetractl.core.poses import Floats, Poses, wrap
+from tetractl.model.motion.exact import step as exact
 
 ENOUGH = 0.1  # the search for a detour ends at a cost of this fraction of the accepted error
 ACCEPT_GROWTH = 0.1  # fraction by which the accepted error grows with each detour
@@ -30,6 +32,8 @@ LAST_LEAST_S = 2.0  # least value of that time, for all robots together [s]
 OUT_SIGNALS = 8  # number of signals of a way out of a corner
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
+TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
+TURN_S = 1.5  # time of turning after which robots must have a way out [s]
 FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
 MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
 
@@ -83,11 +87,36 @@ def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
 
     Sequences whose direction changes at a constant rate are tried; targets are ignored.
     """
+    signals, least, _ = _roomiest(problem, margins, apart)
+    return signals if least > -np.inf else None
+
+
+def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
+    """Return the direction [rad] towards which standing robots turn on the spot so that they have a
+    way out after TURN_S; None if no direction gives one.
+    """
+    x, y, heading = problem.poses.x, problem.poses.y, problem.poses.heading
+    bias, found = 0.0 if problem.bias is None else problem.bias, []
+    for facing in TURN_TO.tolist():
+        towards = facing + bias + np.zeros_like(heading)
+        turned = Poses(x, y, exact(x, y, heading, towards, problem.a, problem.speed, TURN_S)[2])
+        _, *room = _roomiest(replace(problem, poses=turned), margins, apart)
+        found.append((*room, facing))
+    least, _, facing = max(found)
+    return facing if least > -np.inf else None
+
+
+def _roomiest(problem: Problem, margins: Margins, apart: float) -> tuple[Floats, float, float]:
+    """Return the signals of `way_out`, the least clearance of their path, -inf if no sequence leads
+    the robots away safely, and its sum with a share of the final clearance [length unit].
+    """
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
     signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))
     path = predict(problem, signals)
     room = margins.room(path[..., 0], path[..., 1], apart)  # (OUT_SIGNALS + 1, B)
     least = room.min(axis=0)
-    best = int(np.argmax(least + FINAL_ROOM * room[-1]))
+    total = least + FINAL_ROOM * room[-1]
+    best = int(np.argmax(total))
     outside = room[0, best] < 0  # a robot that is inside already must not go deeper
-    return signals[best] if least[best] > 0 or (outside and least[best] >= room[0, best]) else None
+    safe = least[best] > 0 or (outside and least[best] >= room[0, best])
+    return signals[best], float(least[best]) if safe else -np.inf, float(total[best])

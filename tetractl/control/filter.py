@@ -131,6 +131,7 @@ class FilterBank:
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
         self._from_ns: int | None = None if drive_first else 0
+        self._turning = False  # whether robots have turned on the spot since the last direction
         self._noisy = False  # whether standing robots were measured at different poses
         low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
         high = prior.dead_time + REACH * prior.dead_time_std
@@ -172,6 +173,8 @@ class FilterBank:
         """Add a direction or a stop with the time at which it was sent."""
         if command.field_off:
             return
+        if not command.stops or command.facing is not None:
+            self._turning = command.facing is not None
         when = command.sent_ns / SECOND
         if self._from_ns is None:
             settled = self.prior.dead_time + REACH * self.prior.dead_time_std
@@ -189,7 +192,8 @@ class FilterBank:
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
                 continue
-            if self._last is None or self._from_ns is None or frame.sampled_ns < self._from_ns:
+            since = None if self._turning else self._from_ns
+            if self._last is None or since is None or frame.sampled_ns < since:
                 self._place(frame)
             else:
                 self._follow(frame)

@@ -16,13 +16,13 @@ Where each line of Algorithm 2 is:
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
     21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
 
-Extensions of Algorithm 2, each with its own field: the plan's grid may be coarser than the
-control's (`hold`); the state may be predicted over the dead time; the motion may be identified
-while the robots drive (`estimate`); margins may grow with the uncertainty (`collision.adaptive`);
-robots may pause before an obstacle that no plan avoids, and at the end (`stop_before_collision`);
-longer sequences may be searched if no short one ends at the targets (`accept_error`); the stop may
-come between two steps (`stop_between`); and robots may pass way-points (`robots.via`) and stay at
-their targets (`hold`).
+Extensions, each with its own field: the plan's grid may be coarser than the control's (`hold`); the
+state may be predicted over the dead time; the motion may be identified while the robots drive
+(`estimate`); margins may grow with the uncertainty (`collision.adaptive`); robots may pause, and
+turn on the spot, before an obstacle that no plan avoids, and pause at the end
+(`stop_before_collision`); longer sequences may be searched if no short one ends at the targets
+(`accept_error`); the stop may come between two steps (`stop_between`); and robots may pass
+way-points (`robots.via`) and stay at their targets (`hold`).
 """
 
 import time
@@ -35,7 +35,7 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ENOUGH, best_stop, growth, late, longer, way_out
+from tetractl.control.detour import ENOUGH, best_stop, growth, late, longer, turn_away, way_out
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -55,6 +55,8 @@ from tetractl.experiment.controller import OptimizerSection, Square, same
 
 RESTED_S = 2.0  # least time between two pauses for lack of a safe plan [s]
 NEXT = 2  # number of next signals of the present plan that must be safe
+TURN_STEPS = 4  # number of steps for which robots turn on the spot
+TURNS = 3 * TURN_STEPS  # largest number of these steps before robots drive again
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
@@ -78,17 +80,12 @@ class Mpc:
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.section = section
-        problem = section.problem(setup)
-        prior = section.prior.of(problem, section.dead_time, setup.lag_s)
+        problem, dead_time_s = section.problem(setup), section.dead_time
+        prior = section.prior.of(problem, dead_time_s, setup.lag_s) if section.estimate else None
         square = isinstance(section.first_plan, Square)
         self.setup, self.legs, self.leg = setup, setup.legs, 0
         self.estimator = StateEstimator(
-            problem,
-            section.period,
-            section.dead_time,
-            prior if section.estimate else None,
-            square,
-            setup.loss,
+            problem, section.period, dead_time_s, prior, square, setup.loss
         )
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
         self.held: tuple[int, Outcome] | None = None  # start of the hold [ns], and its outcome
@@ -100,6 +97,8 @@ class Mpc:
         self.blocked = False  # whether the last plan touches an obstacle or its margin
         self.left_over = 0.0  # predicted total error at the end of the last plan
         self.began = 0  # step k of the last plan for standing robots
+        self.facing: float | None = None  # direction to which robots now turn on the spot [rad]
+        self.turns = 0  # number of steps in which robots turned on the spot since they drove
         self.stuck = False  # whether no standing robot could move safely
         self.resume = 0  # length with which the search for longer sequences continues, or 0
 
@@ -160,9 +159,8 @@ class Mpc:
         """Decide how robots stay within the hold's radius of their targets, until its time ends."""
         assert self.hold is not None
         assert self.held is not None
-        since, outcome = self.held
-        if observation.sampled_ns - since >= round(self.hold.seconds * SECOND):
-            return outcome
+        if observation.sampled_ns - self.held[0] >= round(self.hold.seconds * SECOND):
+            return self.held[1]
         if self.k > self.section.steps_max:
             return Outcome.STEPS_MAX
         if not self.stands:
@@ -178,8 +176,7 @@ class Mpc:
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
-        self.warm = found.signals
-        self.k += 1
+        self.warm, self.k = found.signals, self.k + 1
         plan = make_plan(problem, [found], 0, step_key)
         return replace(plan, estimate=self.estimator.estimate)
 
@@ -192,6 +189,8 @@ class Mpc:
             return Outcome.STEPS_MAX
         if self.stuck:
             return Outcome.NOTHING_BETTER
+        if self.facing is not None:  # turn further, then rest
+            return self._pause(problem, facing=self.facing if self.turns % TURN_STEPS else None)
         if self.warm is None and self.k > 0 and self.accept > 0:
             least = min(least_length(problem), self.section.horizon_max)
             in_time = self.moving or least <= self._signals_left()
@@ -214,40 +213,41 @@ class Mpc:
         if stops and self.blocked and self.k > 0:
             if self.warm is None:
                 enters = self._enters(problem, observation, plan.signals)
-                apart = self.section.collision.separation
-                out = way_out(problem, self.margins, apart) if enters or not self.leaving else None
+                room = problem, self.margins, self.section.collision.separation
+                out = way_out(*room) if enters or not self.leaving else None
                 if out is not None:
                     self.began, self.leaving = self.k, True
                     return self._given(problem, out, plan.searches)
                 if enters:
+                    facing = turn_away(*room) if self.turns < TURNS else None
                     # the trial ends after a pause, in whose step the searches are logged
-                    self.stuck = True
-                    return self._pause(problem, plan)
+                    self.stuck = facing is None
+                    return self._pause(problem, plan, facing)
             rested = (self.k - self.began) * self.section.period
             if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
                 return self._pause(problem, plan)
         if self.warm is None:
             self.began = self.k
-        self.warm, self.leaving = plan.signals, False
-        self.k += 1
+        self.warm, self.leaving, self.turns, self.k = plan.signals, False, 0, self.k + 1
         return plan
 
-    def _pause(self, problem: Problem, found: Plan | None = None) -> Plan:
-        """Return the plan that stops all robots, so that the next plan is for standing robots; the
-        searches of the plan `found` are logged with it."""
-        step_key = mix(self.key, self.k)
+    def _pause(
+        self, problem: Problem, found: Plan | None = None, facing: float | None = None
+    ) -> Plan:
+        """Return the plan that stops all robots, or turns them on the spot to `facing` [rad]; the
+        searches of the plan `found` are logged with it. The next plan is for standing robots."""
         if found is None:
-            found = make_plan(problem, [given_search(problem, np.zeros(1))], 0, step_key)
-        self.warm, self.blocked, self.resume = None, False, 0
-        self.k += 1
-        return replace(found, estimate=self.estimator.estimate, pauses=True)
+            stand = given_search(problem, np.zeros(1))
+            found = make_plan(problem, [stand], 0, mix(self.key, self.k))
+        self.warm, self.blocked, self.resume, self.k = None, False, 0, self.k + 1
+        self.facing, self.turns = facing, self.turns + (facing is not None)
+        return replace(found, estimate=self.estimator.estimate, pauses=True, facing=facing)
 
     def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
         """Return a plan of given signals (L,), after searches `before` without a safe plan."""
         searches = [*before, given_search(problem, signals)]
         plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
-        self.warm, self.blocked = signals, True
-        self.k += 1
+        self.warm, self.blocked, self.k = signals, True, self.k + 1
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
@@ -364,12 +364,12 @@ class Mpc:
         command for `silence` or until their watchdog stops them.
 
         The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
+        collision = self.section.collision
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
-        if not self.section.collision.silence or count <= 0:
+        if not collision.silence or count <= 0:
             return True
         path = compiled_path(problem, signals[:count])[:-1]
-        collision = self.section.collision
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
         return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)

@@ -40,9 +40,9 @@ class Collision(Model):
     stop_before_collision: bool = False
     """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
     is about to enter one, or if no plan within `accept_error` keeps clear. When they stand, a new
-    plan is searched; the trial ends if no robot can move safely. With an `accept_error`, robots
-    also pause at the end, and drive on if their total error at rest is larger. For robots that can
-    stand still."""
+    plan is searched. If they cannot drive ahead safely, they turn on the spot first; the trial ends
+    if no turn helps. With an `accept_error`, robots also pause at the end, and drive on if their
+    total error at rest is larger. For robots that can stand still."""
     silence: NonNegative = 0.0
     """Time for which robots may receive no command and keep their direction [s]. Plans are
     preferred in which robots keep clear even if that happens after any one of the signals.

@@ -29,7 +29,8 @@ class Command:
     (`field_off`): robots then go straight on. `sent_ns` is the time of sending on the trial's
     clock. `delivered` (N,) is False for a robot that the plant knows did not receive the command.
     `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots without
-    wheels.
+    wheels. If `facing` is given, the robots stand and turn on the spot towards this direction
+    [rad]; `direction` is then None.
     """
 
     direction: float | None
@@ -38,10 +39,11 @@ class Command:
     left: Floats | None = None
     right: Floats | None = None
     field_off: bool = False
+    facing: float | None = None
 
     @property
     def stops(self) -> bool:
-        """Whether the command stops the robots."""
+        """Whether the robots stand under the command, though they may turn on the spot."""
         return self.direction is None and not self.field_off
 
 
@@ -104,7 +106,8 @@ class Transmission:
     None for a stop; `moving` (N,) is False for robots that are held still. `speed` (N,) [length
     unit/s] and `turning` (N,) [rad/s] are the motion commanded to each robot. `left`, `right`
     (N,) are the wheel speeds [length unit/s] of robots with wheels. `outputs` are further numbers
-    of the actuator by a name that includes the unit, such as `current_x_a`.
+    of the actuator by a name that includes the unit, such as `current_x_a`. `facing` is the
+    direction towards which robots turn on the spot [rad]; `direction` is then None.
     """
 
     sent_ns: int
@@ -115,6 +118,7 @@ class Transmission:
     left: Floats | None = None
     right: Floats | None = None
     outputs: Mapping[str, float] = field(default_factory=dict)
+    facing: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -148,8 +148,9 @@ class Plan:
     of this step. `estimate` are the estimates used for the plan, None if the controller estimates
     nothing. If `field_off`, the field is switched off in this step, signals[0] is not sent, and
     robots go straight on. If `pauses`, all robots are stopped instead, `delay_ns` after the
-    decision, and stand for PAUSE_S. `leg` is the number of way-points passed; while the robots
-    hold, it is one more than the number of way-points.
+    decision, and stand for PAUSE_S; if `facing` is given, they turn on the spot towards it [rad].
+    `leg` is the number of way-points passed; while the robots hold, it is one more than the number
+    of way-points.
     """
 
     signals: Floats
@@ -165,6 +166,7 @@ class Plan:
     pauses: bool = False
     delay_ns: int = 0
     leg: int = 0
+    facing: float | None = None
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
         """Return this plan, made for the robots in the mask `left` (N,), with a path of all N

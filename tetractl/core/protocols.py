@@ -48,6 +48,12 @@ class Plant(Protocol):
         """Stop every robot until the next `steer`; only for robots that can stand still."""
         ...
 
+    def turn(self, facing: float) -> Command:
+        """Turn standing robots on the spot towards a direction [rad], by (3) at speed 0; only on
+        plants whose robots have wheels, between two calls of `pause`.
+        """
+        ...
+
     def samples(self) -> list[Sample]:
         """Return every camera frame since the last call, oldest first."""
         ...
@@ -151,6 +157,20 @@ class Actuator(Device, Protocol):
         `poses` are the newest of each robot, exposed at `exposed_ns`, None for a robot that is not
         tracked. Robots for which `moving` is false are held still; for an actuator that is not
         `individual`, `moving` is true for all.
+        """
+        ...
+
+    def turn(
+        self,
+        facing: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Turn robots on the spot towards a direction [rad], by (3) at speed 0; the other arguments
+        are those of `steer`.
+
+        Raises AbortError if the robots cannot stand still, as `halts` says.
         """
         ...
 

@@ -21,7 +21,8 @@ class DelayedCommand:
     (N,) is True for robots that receive it; it acts on each `late_ns` (N,) later, None for no
     further delay. `headings` (N,) are the headings that the host had measured when it sent the
     command [rad]; `wheels` (2, N) are the left and right wheel speeds commanded [length unit/s],
-    None if robots are sent the direction itself.
+    None if robots are sent the direction itself. `facing` is the direction towards which they turn
+    on the spot [rad]; `direction` is then None.
     """
 
     sent_ns: int
@@ -32,6 +33,12 @@ class DelayedCommand:
     headings: Floats | None = None
     wheels: Floats | None = None
     field_off: bool = False
+    facing: float | None = None
+
+    @property
+    def stops(self) -> bool:
+        """Whether robots that receive the command neither drive nor turn."""
+        return self.direction is None and self.facing is None and not self.field_off
 
 
 class Disturbance:

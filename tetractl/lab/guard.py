@@ -100,6 +100,7 @@ class Guard:
     _driven: bool = False  # whether `go` was called: robots are not carried any more
     _last_tick_ns: int | None = None
     _steered_ns: int = 0
+    _ahead: bool = True
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
     _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
@@ -159,9 +160,9 @@ class Guard:
                 if track.refused and newest - track.seen_ns > limit
             }
 
-    def steered(self, now_ns: int) -> None:
-        """Record that the controller gave a direction."""
-        self._steered_ns = now_ns
+    def steered(self, now_ns: int, ahead: bool = True) -> None:
+        """Record that the controller gave a direction; not `ahead`, robots turn on the spot."""
+        self._steered_ns, self._ahead = now_ns, ahead
 
     def late(self, missed: bool) -> None:
         """Count a control step that missed its deadline; abort after `late_steps` in a row."""
@@ -349,7 +350,8 @@ class Guard:
                 pose = self._filters[i].pose  # the robot stands at its last pose
             if pose is None:
                 continue
-            way = 0.0 if i in self.lost else rules.speeds[i] * limits.reaction
+            still = i in self.lost or not self._ahead
+            way = 0.0 if still else rules.speeds[i] * limits.reaction
             then = Pose(
                 pose.x + way * math.cos(pose.heading),
                 pose.y + way * math.sin(pose.heading),

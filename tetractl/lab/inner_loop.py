@@ -49,7 +49,7 @@ class InnerLoop:
         self._wake, self._emergency = wake, emergency
         self._lock = threading.Lock()
         self._direction = 0.0  # the direction held while steering [rad]
-        self._steering = False
+        self._steering, self._ahead = False, True
         self._new = False  # whether the direction is still to be sent
         # which robots were allowed to move by the last transmission
         self._let: tuple[bool, ...] = ()
@@ -65,8 +65,9 @@ class InnerLoop:
         """Start the loop's thread; nothing is sent before the first direction."""
         self._thread.start()
 
-    def steer(self, direction: float) -> Transmission:
-        """Hold a direction u [rad] from now on; return the first transmission that carries it.
+    def steer(self, direction: float, ahead: bool = True) -> Transmission:
+        """Hold a direction u [rad] from now on; return the first transmission that carries it. If
+        not `ahead`, the robots turn towards it on the spot.
 
         The transmission is a stop if the guard presently lets no robot move. AbortError with the
         guard's reason if no robot may move any more.
@@ -76,8 +77,8 @@ class InnerLoop:
                 self.guard.abort("the inner loop did not answer")
                 raise AbortError(self.guard.reason)
             self.guard.go(self._clock.now())
-            self.guard.steered(self._clock.now())
-            self._direction, self._steering, self._new = direction, True, True
+            self.guard.steered(self._clock.now(), ahead)
+            self._direction, self._ahead, self._steering, self._new = direction, ahead, True, True
             self._guarded_tick()
             if self._new or self.last is None:
                 self.guard.abort("the guard lets no robot be steered")
@@ -206,9 +207,8 @@ class InnerLoop:
         if self._actuator.individual or any(ruling.moving):
             newest = self.frames.newest
             exposed_ns = 0 if newest is None else newest.frame.sampled_ns
-            self._note(
-                self._actuator.steer(self._direction, ruling.poses, ruling.moving, exposed_ns)
-            )
+            send = self._actuator.steer if self._ahead else self._actuator.turn
+            self._note(send(self._direction, ruling.poses, ruling.moving, exposed_ns))
         else:
             self._note(self._actuator.stop())
         self._let, self._new = ruling.moving, False

@@ -29,6 +29,7 @@ class DirectDrive:
         self._held = Held(*(np.zeros(a.size) for _ in range(4)))
         self._free = np.zeros(a.size, dtype=np.bool_)  # robots on which no field acts
         self._sine = np.zeros(a.size)  # sin(u - heading) when the command was received
+        self._ahead = np.ones(a.size)  # 0 for robots that turn on the spot, 1 for others
         self.vary(a, speed)
 
     @property
@@ -51,7 +52,9 @@ class DirectDrive:
         t = seconds[:, None] * self.moving
         if self._free.any():  # a robot without field does not turn: its u is its heading
             held.direction = np.where(self._free, p.heading, held.direction)
-        x, y, heading = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._speed, t)
+        x, y, heading = self._motion.hold(
+            p.x, p.y, p.heading, held, self._a, self._ahead * self._speed, t
+        )
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
@@ -63,11 +66,11 @@ class DirectDrive:
         """
         got, held = command.reached, self._held
         heading = self.poses.heading
-        held.moving = np.where(
-            got, float(command.field_off or command.direction is not None), held.moving
-        )
+        u = command.direction if command.facing is None else command.facing
+        held.moving = np.where(got, float(not command.stops), held.moving)
+        self._ahead = np.where(got, float(command.facing is None), self._ahead)
         self._free = np.where(got, command.field_off, self._free)
-        if command.direction is None:
+        if u is None:
             self._sine = np.where(got, 0.0, self._sine)
             held.turning = self._a * self._sine
             held.course = np.where(got, heading, held.course)
@@ -75,7 +78,7 @@ class DirectDrive:
         answered = heading
         if self._motion.name == "arc" and command.headings is not None:
             answered = command.headings
-        self._sine = np.where(got, np.sin(command.direction - answered), self._sine)
-        held.direction = np.where(got, command.direction, held.direction)
+        self._sine = np.where(got, np.sin(u - answered), self._sine)
+        held.direction = np.where(got, u, held.direction)
         held.turning = self._a * self._sine
         held.course = np.where(got, heading, held.course)

@@ -167,6 +167,14 @@ class LabPlant:
         wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
         return Command(None, self.clock.now(), reached, *wheels)
 
+    def turn(self, facing: float) -> Command:
+        """Turn standing robots on the spot; return the first transmission that does."""
+        self._observed_ns = None
+        self._raise_abort()
+        sent = self.rig.loop.steer(facing, ahead=False)
+        self._returned.add(sent.sent_ns)
+        return self._command(sent)
+
     def settle(self) -> Verdict:
         """Wait until every robot is tracked and, if robots can stand, at rest; check the path.
 
@@ -267,7 +275,8 @@ class LabPlant:
         delivered = sent.moving  # assumed, since broadcasts are not acknowledged
         if sent.direction is None:
             delivered = (True,) * len(sent.moving)
-        return Command(sent.direction, sent.sent_ns, delivered, sent.left, sent.right)
+        wheels = sent.left, sent.right
+        return Command(sent.direction, sent.sent_ns, delivered, *wheels, facing=sent.facing)
 
 
 def _time_ns(item: Command | Note) -> int:

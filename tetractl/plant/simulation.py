@@ -238,7 +238,7 @@ class SimPlant:
         answered = self.observe()
         now = self._plan()
         if self._drive.host is None:
-            command = self._send_direction(direction, now, answered)
+            command = self._send_direction(direction, now, answered, direction is None)
         else:
             self._drive.host.direct(direction)
             command = self._transmit(now)
@@ -289,6 +289,18 @@ class SimPlant:
         still = None if self.setup.wheel_radius is None else zeros
         self._motion.advance(now)
         return Command(None, now, tuple(heard.tolist()), still, still)
+
+    def turn(self, facing: float) -> Command:
+        """After the planning time, turn standing robots on the spot towards a direction [rad]."""
+        answered = self.observe()
+        now = self._plan()
+        if self._drive.host is None:
+            command = self._send_direction(None, now, answered, facing=facing)
+        else:
+            self._drive.host.direct(facing, ahead=False)
+            command = self._transmit(now)
+        self._motion.advance(now)
+        return command
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and a frame shows them standing, and check the true path."""
@@ -350,19 +362,27 @@ class SimPlant:
         """Draw at random which robots receive a command, (N,)."""
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
-    def _send_direction(self, direction: float | None, now: int, answered: Observation) -> Command:
+    def _send_direction(
+        self,
+        direction: float | None,
+        now: int,
+        answered: Observation,
+        off: bool = False,
+        facing: float | None = None,
+    ) -> Command:
         headings = answered.poses.heading
         due = self._due_ns(answered, now)
-        off = direction is None
         heard = self._heard()
-        command = DelayedCommand(now, due, direction, heard, None, headings, field_off=off)
+        command = DelayedCommand(now, due, direction, heard, None, headings, None, off, facing)
         reached = self._motion.dispatch(command).reached
         left = right = None
         setup = self.setup
         if setup.wheel_radius is not None:
-            towards = headings if direction is None else direction
-            left, right = wheel_speeds(headings, towards, setup.a, setup.speed, setup.wheel_radius)
-        return Command(direction, now, tuple(reached.tolist()), left, right, off)
+            u = direction if facing is None else facing
+            speed = setup.speed * (facing is None)
+            towards = headings if u is None else u
+            left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
+        return Command(direction, now, tuple(reached.tolist()), left, right, off, facing)
 
     def _transmit(self, now: int) -> Command:
         """Send wheel speeds computed from the newest frame that the host has."""
@@ -371,8 +391,9 @@ class SimPlant:
         assert seen is not None, "open() waits for the first frame"
         sent, made = host.speeds(now, seen)
         due = self._due_ns(seen, now)
-        u = host.direction
+        u, facing = (host.direction, None) if host.ahead else (None, host.direction)
+        off = host.direction is None
         headings = seen.poses.heading
-        command = DelayedCommand(now, due, u, self._heard(), None, headings, made, u is None)
+        command = DelayedCommand(now, due, u, self._heard(), None, headings, made, off, facing)
         reached = tuple(self._motion.dispatch(command).reached.tolist())
-        return Command(u, now, reached, sent[0], sent[1], u is None)
+        return Command(u, now, reached, sent[0], sent[1], off, facing)

@@ -111,8 +111,7 @@ class TrueMotion:
         """Apply a command to the robots that it reaches."""
         self.drive.apply(command)
         if self._watchdog_s < math.inf:
-            stops = command.direction is None and not command.field_off
-            until = NEVER if stops else command.due_ns + round(self._watchdog_s * SECOND)
+            until = NEVER if command.stops else command.due_ns + round(self._watchdog_s * SECOND)
             self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
 
     def _silent(self, now: int) -> DelayedCommand:

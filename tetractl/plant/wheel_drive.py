@@ -73,8 +73,8 @@ class WheelHost:
     """Computes the wheel speeds sent to N robots, and the resulting true wheel speeds.
 
     `repeats_ns` is the time of the next transmission [ns]. `direction` is the held direction [rad],
-    None while the field is off and both wheels have equal speeds. The generator `erring` draws true
-    gains and dead zones, once per trial.
+    None while the field is off and both wheels have equal speeds; if not `ahead`, robots turn on
+    the spot. The generator `erring` draws true gains and dead zones, once per trial.
     """
 
     def __init__(
@@ -84,6 +84,7 @@ class WheelHost:
         count = setup.a.size
         self.repeats_ns = NEVER
         self.direction: float | None = 0.0
+        self.ahead = True
         self._section = section
         self._a, self._speed, self._radius = setup.a, setup.speed, setup.wheel_radius
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, (2, count))
@@ -108,12 +109,12 @@ class WheelHost:
         self._turns = LaggingTurns(setup.lag_s, count) if setup.lag_s > 0 else None
         self._last: tuple[Floats, Floats] | None = None
 
-    def direct(self, direction: float | None) -> None:
+    def direct(self, direction: float | None, ahead: bool = True) -> None:
         """Hold a direction u [rad] from now on, None for no field.
 
         The caller sends wheel speeds for this direction at once.
         """
-        self.direction, self._last = direction, None
+        self.direction, self.ahead, self._last = direction, ahead, None
 
     def halt(self, now: int) -> None:
         """Hold no direction from now on, because a stop is sent `now` [ns]."""
@@ -146,7 +147,8 @@ class WheelHost:
             ahead = (now - seen.sampled_ns) / SECOND + self._section.lead
             nowhere = np.zeros_like(heading)
             _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead)
-        wished = np.array(wheel_speeds(heading, u, self._a, self._speed, self._radius))
+        speed = self._speed * self.ahead
+        wished = np.array(wheel_speeds(heading, u, self._a, speed, self._radius))
         if self._turns is not None:
             _, turning = body_velocity(wished[0], wished[1], self._radius)
             self._turns.sent(self._acts_ns(now), turning)

@@ -105,7 +105,7 @@ class Trial:
             if decision.pauses:
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 began += decision.delay_ns
-                command = self._pause(again=standing and k > 0)
+                command = self._pause(decision.facing, again=standing and k > 0)
             else:
                 command = self._steer(decision.direction)
             if begins:
@@ -201,8 +201,14 @@ class Trial:
             if self.interrupt.requested:
                 raise KeyboardInterrupt
 
-    def _pause(self, again: bool) -> Command:
-        """Stop the robots for a pause, with a message unless they pause already (`again`)."""
+    def _pause(self, facing: float | None, again: bool) -> Command:
+        """Stop the robots for a pause, with a message unless they pause already (`again`), or turn
+        them on the spot towards `facing` [rad].
+        """
+        if facing is not None:
+            command = self.plant.turn(facing)
+            self._say(command, "all robots turn on the spot: they have no safe way ahead")
+            return command
         command = self.plant.pause()
         if not again:
             self._say(

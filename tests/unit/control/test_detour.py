@@ -8,9 +8,11 @@ import pytest
 from support.trials import experiment
 
 from tetractl.control.cost import predict
-from tetractl.control.detour import LATE_GROWTH, late, way_out
+from tetractl.control.delay import driven
+from tetractl.control.detour import LATE_GROWTH, TURN_S, late, turn_away, way_out
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
+from tetractl.core.setup import Bounds
 
 SETUP = experiment().setup
 CIRCLE = float((SETUP.speed / SETUP.a).max())  # the widest that a robot drives at full turn
@@ -40,6 +42,23 @@ def test_robots_that_face_a_wall_turn_away_from_it_where_there_is_room():
 def test_there_is_none_where_every_arc_leads_out():
     problem, margins = standing(facing_the_wall(0.5 * CIRCLE))
     assert way_out(problem, margins, 95.0) is None
+
+
+def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
+    problem, margins = standing(facing_the_wall(0.1 * CIRCLE))
+    facing = turn_away(problem, margins, 95.0)
+    assert facing is not None
+    assert facing < 0  # away from the upper edge
+    still = replace(problem, speed=np.zeros(3))
+    turned = Poses(*driven(still, problem.poses, np.full(3, facing), TURN_S))
+    assert way_out(replace(problem, poses=turned), margins, 95.0) is not None
+
+
+def test_no_turn_helps_in_an_arena_as_narrow_as_a_corridor():
+    problem, _ = standing(facing_the_wall(500.0))
+    middle = SETUP.arena.top - 500.0
+    corridor = Bounds(895.0, middle - 5.0, 1605.0, middle + 5.0)
+    assert turn_away(problem, Margins((), corridor, SETUP.targets), 95.0) is None
 
 
 def test_two_robots_do_not_come_too_near_on_it():

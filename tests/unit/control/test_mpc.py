@@ -1,9 +1,11 @@
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.trials import experiment
 
+from tetractl.control import mpc as mpc_module
 from tetractl.control.rng import mix
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan, Search, StopReason
@@ -309,18 +311,42 @@ def beside_a_wall(gap, stop=True):
     return controller, seen(poses, now=200_000_000)
 
 
-def test_robots_stop_rather_than_leave_where_every_plan_found_does():
-    """Green drives 36 mm in a control period."""
+def decisions_beside_a_wall(count):
+    """The decisions from the stop on, with green where it stopped; it drives 36 mm in a period."""
     controller, there = beside_a_wall(30)
     controller.blocked = True
-    assert controller.plan(there).pauses
-    stopped = Command(None, 200_000_000, (True,) * 3)
-    there = replace(there, sampled_ns=900_000_000, received_ns=900_000_000)
-    again = controller.plan(there, stopped)  # from standing nothing can move safely
+    found, command = [], None
+    for k in range(count):
+        now = 200_000_000 + k * 700_000_000
+        found.append(controller.plan(replace(there, sampled_ns=now, received_ns=now), command, ()))
+        facing = getattr(found[-1], "facing", None)
+        command = Command(None, now, (True,) * 3, facing=facing)
+    return found
+
+
+def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_does():
+    stop, *turns, rest = decisions_beside_a_wall(2 + mpc_module.TURN_STEPS)
+    assert all(plan.pauses for plan in (stop, *turns, rest))
+    assert stop.facing is None
+    assert len(turns[0].searches) > 1  # from standing nothing could move safely
+    assert math.cos(turns[0].facing) < 0  # away from the right wall
+    assert {plan.facing for plan in turns} == {turns[0].facing}
+    assert rest.facing is None  # plans are for robots at rest
+
+
+def test_a_trial_ends_after_a_pause_where_no_turn_gives_a_way_out(monkeypatch):
+    monkeypatch.setattr(mpc_module, "turn_away", lambda *_: None)
+    stop, again, end = decisions_beside_a_wall(3)
+    assert stop.pauses
     assert again.pauses
     assert len(again.searches) > 1
-    there = replace(there, sampled_ns=1_600_000_000, received_ns=1_600_000_000)
-    assert controller.plan(there, replace(stopped, sent_ns=900_000_000)) is Outcome.NOTHING_BETTER
+    assert end is Outcome.NOTHING_BETTER
+
+
+def test_robots_turn_only_so_often_before_they_drive():
+    *plans, end = decisions_beside_a_wall(3 + mpc_module.TURNS // mpc_module.TURN_STEPS * 5)
+    assert sum(plan.facing is not None for plan in plans) == mpc_module.TURNS
+    assert end is Outcome.NOTHING_BETTER
 
 
 @pytest.mark.parametrize(

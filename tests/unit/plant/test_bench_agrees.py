@@ -8,6 +8,7 @@ from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.poses import wrap
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.model.motion.exact import step as exact
 from tetractl.plant.simulation import SimPlant
@@ -103,6 +104,43 @@ def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     shifts = np.arange(-0.02, 0.02, 0.0005)
     best = shifts[np.argmin([np.square(gap(shift)).sum() for shift in shifts])]
     assert abs(best) < 0.003
+
+
+def turned_on_the_spot(plant, clock):
+    """The poses before and after the robots turned on the spot for a second, from a pause."""
+    plant.open()
+    clock.sleep_until(clock.now() + SECOND // 10)
+    plant.observe()
+    plant.steer(0.5)
+    found = []
+    for facing in (None, -0.8, -0.8, None):
+        clock.sleep_until(clock.now() + SECOND // 2)
+        found.append(plant.observe().poses)
+        command = plant.pause() if facing is None else plant.turn(facing)
+        assert command.stops
+        assert command.facing == facing
+    clock.sleep_until(clock.now() + SECOND // 2)
+    repeats = [one for one in plant.news() if getattr(one, "facing", None) is not None]
+    assert len(repeats) > 20
+    assert {one.facing for one in repeats} == {-0.8}
+    after = plant.observe().poses
+    verdict = plant.settle()
+    plant.stop()
+    plant.close()
+    assert verdict.not_at_rest == ""
+    return found[1], after
+
+
+def test_robots_of_both_turn_on_the_spot_alike():
+    lab, bench, clock = lab_spec().experiment, bench_spec(*EVEN).experiment, VirtualClock()
+    emulated = virtual_lab(lab, M3piSettings(), lab.setup.starts.array(), 3)
+    simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
+    for plant, time in ((emulated.plant, emulated.clock), (simulated, clock)):
+        before, after = turned_on_the_spot(plant, time)
+        assert np.hypot(*(after.xy - before.xy).T).max() < 3
+        off = [wrap(poses.heading + 0.8) for poses in (before, after)]
+        expected = 2 * np.arctan(np.tan(off[0] / 2) * np.exp(-lab.setup.a * 1.0))  # (3), 1 s
+        assert np.abs(off[1] - expected).max() < 0.1
 
 
 def test_the_labs_dead_time_is_what_its_parts_add_up_to(paths):

@@ -144,7 +144,7 @@ def decode_poses(message: pb.MocapSample | pb.Truth, robots: int) -> Poses:
 
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
-    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right")
+    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right", "facing")
     return pb.WheelCommand(stop=command.stops, **fields)
 
 
@@ -158,6 +158,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
         left=_floats(message.left) if message.left else None,
         right=_floats(message.right) if message.right else None,
         field_off=not directed and not message.stop,
+        facing=message.facing if message.HasField("facing") else None,
     )
 
 
@@ -205,6 +206,7 @@ def decode_step(
         estimate=_decode_estimate(estimate, robots) if estimate else None,
         field_off=command.field_off,
         pauses=command.stops,
+        facing=command.facing,
         leg=message.leg,
         delay_ns=message.delay_ns,
     )

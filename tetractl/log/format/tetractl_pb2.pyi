@@ -62,20 +62,22 @@ class Truth(_message.Message):
     def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class WheelCommand(_message.Message):
-    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right")
+    __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing")
     DIRECTION_FIELD_NUMBER: _ClassVar[int]
     STOP_FIELD_NUMBER: _ClassVar[int]
     SENT_NS_FIELD_NUMBER: _ClassVar[int]
     DELIVERED_FIELD_NUMBER: _ClassVar[int]
     LEFT_FIELD_NUMBER: _ClassVar[int]
     RIGHT_FIELD_NUMBER: _ClassVar[int]
+    FACING_FIELD_NUMBER: _ClassVar[int]
     direction: float
     stop: bool
     sent_ns: int
     delivered: _containers.RepeatedScalarFieldContainer[bool]
     left: _containers.RepeatedScalarFieldContainer[float]
     right: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ...) -> None: ...
+    facing: float
+    def __init__(self, direction: _Optional[float] = ..., stop: bool = ..., sent_ns: _Optional[int] = ..., delivered: _Optional[_Iterable[bool]] = ..., left: _Optional[_Iterable[float]] = ..., right: _Optional[_Iterable[float]] = ..., facing: _Optional[float] = ...) -> None: ...
 
 class Search(_message.Message):
     __slots__ = ("length", "signals", "cost", "history", "evaluations", "stopped")

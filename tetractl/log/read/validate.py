@@ -60,8 +60,8 @@ def check_frames(frames: Frames) -> None:
 
 def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
-    if command.direction is not None:
-        _within("a direction", [command.direction], -ANGLE_MAX, ANGLE_MAX)
+    directions = [u for u in (command.direction, command.facing) if u is not None]
+    _within("a direction", directions, -ANGLE_MAX, ANGLE_MAX)
     check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")

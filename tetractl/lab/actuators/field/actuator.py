@@ -105,6 +105,10 @@ class FieldActuator:
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
         return self._transmission(direction, (x_ma / 1000, y_ma / 1000), headings)
 
+    def turn(self, *_: object) -> Transmission:
+        """Raise AbortError: cells swim ahead while the field turns them."""
+        raise AbortError("cells cannot turn on the spot")
+
     def stop(self, emergency: bool = False) -> Transmission:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -87,10 +88,19 @@ class M3piActuator:
         exposed_ns: int,
     ) -> Transmission:
         """Send each robot its wheel counts for a direction [rad], 0 if it must not move."""
-        wished = self.counts(direction, poses, exposed_ns)
-        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
-        sent_ns = self._protocol.drive(counts)
-        return self._transmission(sent_ns, direction, counts, tuple(moving))
+        sent = self._send(self.counts(direction, poses, exposed_ns), moving)
+        return replace(sent, direction=direction)
+
+    def turn(
+        self,
+        facing: float,
+        poses: Sequence[Pose | None],
+        moving: Sequence[bool],
+        exposed_ns: int,
+    ) -> Transmission:
+        """Send each robot the wheel counts that turn it on the spot towards a direction [rad]."""
+        sent = self._send(self.counts(facing, poses, exposed_ns, ahead=False), moving)
+        return replace(sent, facing=facing)
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every robot; the mbed firmware latches an emergency stop until the robot is switched
@@ -98,7 +108,7 @@ class M3piActuator:
         """
         sent_ns = self._protocol.emergency() if emergency else self._protocol.stop()
         still = [STOP] * len(self.robots)
-        return self._transmission(sent_ns, None, still, (False,) * len(still))
+        return self._transmission(sent_ns, still, (False,) * len(still))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery and state."""
@@ -106,9 +116,14 @@ class M3piActuator:
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
     def counts(
-        self, direction: float, poses: Sequence[Pose | None], exposed_ns: int
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        exposed_ns: int,
+        ahead: bool = True,
     ) -> list[Counts]:
-        """Return the wheel counts by (24)-(25) for a direction [rad] and the predicted headings.
+        """Return the wheel counts by (24)-(25) for a direction [rad] and the predicted headings, at
+        speed 0 unless the robots drive `ahead`.
 
         The headings are predicted to the time when the command arrives: the poses' age plus the
         radio's delay. If wheels lag, these are the headings in which the robots would come to rest
@@ -123,7 +138,7 @@ class M3piActuator:
         else:
             nowhere, ahead_s = np.zeros(len(poses)), (arrives - since) / SECOND
             _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead_s)
-        left, right = wheel_speeds(heading, u, self._a, self._speed, self._radius)
+        left, right = wheel_speeds(heading, u, self._a, self._speed * ahead, self._radius)
         found: list[Counts] = []
         for i, pose in enumerate(poses):
             if pose is None:
@@ -135,12 +150,12 @@ class M3piActuator:
             found.append(counts)
         return found
 
+    def _send(self, wished: Sequence[Counts], moving: Sequence[bool]) -> Transmission:
+        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
+        return self._transmission(self._protocol.drive(counts), counts, tuple(moving))
+
     def _transmission(
-        self,
-        sent_ns: int,
-        direction: float | None,
-        counts: Sequence[Counts],
-        moving: tuple[bool, ...],
+        self, sent_ns: int, counts: Sequence[Counts], moving: tuple[bool, ...]
     ) -> Transmission:
         pairs = zip(counts, self.drivetrains, strict=True)
         left, right = np.array([speeds_of_counts(*pair) for pair in pairs]).T
@@ -148,7 +163,7 @@ class M3piActuator:
         mm = self._mm
         if self._turns is not None:
             self._turns.sent(sent_ns + RADIO_NS, turning)
-        return Transmission(sent_ns, direction, moving, speed / mm, turning, left / mm, right / mm)
+        return Transmission(sent_ns, None, moving, speed / mm, turning, left / mm, right / mm)
 
     def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:
         if answer is None:

@@ -121,7 +121,11 @@ class ManualActuator(M3piActuator):
     held: tuple[Counts, ...] = ()
 
     def counts(
-        self, direction: float, poses: Sequence[Pose | None], exposed_ns: int
+        self,
+        direction: float,
+        poses: Sequence[Pose | None],
+        exposed_ns: int,
+        ahead: bool = True,
     ) -> list[Counts]:
         """Return the counts in `held`."""
         return list(self.held)

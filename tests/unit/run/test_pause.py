@@ -2,10 +2,12 @@
 
 import json
 
+import numpy as np
 import pytest
 from support.paths import ROOT
 
 from tetractl.core.plan import PAUSE_S, Outcome
+from tetractl.core.poses import wrap
 from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.identify import identify
@@ -55,13 +57,36 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     assert found.checked == len(log.steps)
 
 
-def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(tmp_path):
+POOR = (*SLOW, "controller.optimizer={type: pso, particles: 2, iterations: 1}")
+
+
+def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
+    tmp_path, monkeypatch
+):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
-    poor = "controller.optimizer={type: pso, particles: 2, iterations: 1}"
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", (*SLOW, poor))
+    monkeypatch.setattr("tetractl.control.mpc.turn_away", lambda *_: None)
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
     result = run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
     assert result.outcome is Outcome.NOTHING_BETTER
     assert log.steps[-1].plan.pauses
     assert len(log.steps[-1].plan.searches) > 1
+    assert verify(log_path(tmp_path, 3)).problems == ()
+
+
+def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(tmp_path):
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
+    run_trial(spec, tmp_path, 3, (), Interrupt())
+    log = read_trial(log_path(tmp_path, 3))
+    turns = [k for k, step in enumerate(log.steps) if step.plan.facing is not None]
+    assert turns
+    assert turns[-1] + 1 < len(log.steps)
+    for k in turns:
+        before, after = (log.steps[i].observation.poses for i in (k, k + 1))
+        assert before.distances(after.xy).max() < 1.0
+        off = [wrap(log.steps[k].plan.facing - poses.heading) for poses in (before, after)]
+        assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
+    assert "all robots turn on the spot: they have no safe way ahead" in {
+        note.text for note in log.notes
+    }
     assert verify(log_path(tmp_path, 3)).problems == ()

@@ -88,7 +88,7 @@ def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():
         ("via: [[900, 700]]", "via: [[900, 7000]]", "robots.0.via.0: [900, 7000]: is outside"),
         (", a: 5, speed: 300}", ", a: 5, speed: 300}, {name: b, start: [1, 1], target: [2, 2], "
          "a: 4, speed: 9}", "have 0 and 1 way-points in via"),
-        (MPC, "{type: sequence, directions: [0]}", "neither passes"),
+        (MPC, "{type: sequence, directions: [0]}", "supports neither way-points"),
         ("time: 6", "time: 0", "hold.time"),
     ],
 )  # fmt: skip

@@ -106,7 +106,7 @@ lab emulate spec.yaml | has no lab
 lab emulate LAB --port-link /no/such/folder/radio | cannot make the port
 lab emulate LAB --port-link . | exists already
 lab emulate LAB --script none.yaml | no such file
-init Käse | 'Käse' cannot be the name of an experiment | use up to 64 of a to z, A to Z, 0 to 9, dot
+init Käse | 'Käse' cannot be the name of an experiment | use up to 64 characters: a to z, A to Z
 init --lab --cells | --lab and --cells
 init no/first | no/first.yaml: cannot be written: No such file or directory
 init spec | spec.yaml: exists already | give another NAME

@@ -39,15 +39,16 @@ class Change:
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
-    `steering` analyses the plans, of the `plans` searched, that reach the targets; None if no plan
-    does. An error is NaN if no plan was found. `left_out` lists disturbances of the plant that are
-    not in the predictions. A plan reaches the targets if its cost is at most `tolerance` [length
-    unit], from the optimiser or the accepted error. `alike` are the two robots whose a differ
-    least, `gap` is this difference relative to the smaller a; None and inf for one robot. `by_gap`
-    pairs relative differences of a with errors: the robots keep the order and the geometric mean of
-    their a, and each a is larger than the next by this difference. `by_count` pairs a number n with
-    the error of the spec's first n robots. `change` is the advised change if two robots are too
-    alike and another a helps; `looked` is whether changes were tried.
+    `plans` plans were searched; `steering` is the analysis of those that reach the targets, None if
+    there is none. An error is NaN if no plan was found. `left_out` lists disturbances of the plant
+    that are not in the predictions. A plan reaches the targets if its cost is at most `tolerance`
+    [length unit], from the optimiser or the accepted error. `alike` are the two robots whose a
+    differ least, `gap` is this difference relative to the smaller a; None and inf for one robot.
+    `by_gap` pairs relative differences of a with errors: the robots keep the order and the
+    geometric mean of their a, and each a is larger than the next by this difference. `by_count`
+    pairs a number n with the error of the spec's first n robots. `change` is the advised change if
+    two robots are too alike and another a reduces the error; `looked` is whether changes were
+    tried.
     """
 
     setup: Setup

@@ -111,8 +111,8 @@ class Steering:
 def steering(
     section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
-    """Analyse the robots of a setup along the plans, of `count` searched, that reach the targets;
-    None if no plan does.
+    """Search `count` plans for the robots of a setup, and analyse the plans that reach the targets;
+    None if no plan reaches them.
     """
     found = [planned for planned in plans(section, setup, seed, count) if planned.reaches]
     if not found:

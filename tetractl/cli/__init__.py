@@ -46,7 +46,7 @@ def _address_limit() -> float:
     """Return the largest address space that the process may use [bytes]."""
     try:
         import resource
-    except ImportError:  # Windows has no such module
+    except ImportError:  # Windows does not have this module
         return float("inf")
     limit, _ = resource.getrlimit(resource.RLIMIT_AS)
     return float("inf") if limit == resource.RLIM_INFINITY else limit

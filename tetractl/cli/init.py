@@ -110,7 +110,7 @@ def init(
     if not NAME.fullmatch(path.stem):
         raise UsageError(
             f"'{printable(name, 80)}' cannot be the name of an experiment",
-            "use up to 64 of a to z, A to Z, 0 to 9, dot, underscore and hyphen",
+            "use up to 64 characters: a to z, A to Z, 0 to 9, dot, underscore and hyphen",
         )
     kind = "cells" if cells else "lab" if lab else "robots"
     _write(path, template(path.stem, path.name, kind), "give another NAME")

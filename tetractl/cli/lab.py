@@ -28,7 +28,7 @@ def check(
     as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
-    """Check the lab without moving a robot: camera, actuator, robots, batteries, starts.
+    """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
     Exit code 0 means that a run could start now. Questions that only a person can answer, such as
     the firmware of an unknown radio, are asked; without a terminal, give --yes.

@@ -50,8 +50,8 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Reduce the candidates to what `searches` of the smallest size allow: to evenly spread lengths
-    at step 0, later to those nearest to the present one."""
+    """Select candidates if the limit of evaluations allows only `searches` searches of the smallest
+    size: evenly spread lengths at step 0, later those nearest to the present length."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]

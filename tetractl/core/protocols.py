@@ -217,7 +217,7 @@ class Controller(Protocol):
 
 
 class Observer(Protocol):
-    """Is notified of the events of a trial, such as the log writer, live view and progress bar."""
+    """An object that is notified of the events of a trial, such as the log writer or live view."""
 
     def on_start(self, start: Start) -> None:
         """Called before the first step."""

@@ -78,7 +78,7 @@ class Shape(Protocol):
         ...
 
     def row(self) -> tuple[float, ...]:
-        """Return the shape's parameters, a row of `packed`."""
+        """Return the shape's parameters as a row for `packed`."""
         ...
 
 

@@ -118,12 +118,12 @@ class LoadedSpec:
 
     @cached_property
     def resolved(self) -> str:
-        """The experiment as `resolved_yaml`."""
+        """The experiment's spec as YAML with every field, by `resolved_yaml`."""
         return resolved_yaml(self.experiment)
 
     @cached_property
     def hash(self) -> str:
-        """The experiment's `spec_hash`."""
+        """The SHA-256 of the experiment, by `spec_hash`."""
         return spec_hash(self.experiment)
 
 

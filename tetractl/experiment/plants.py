@@ -116,8 +116,8 @@ def _merged(
 ) -> Any:
     """Return `base`, the value at `loc` in the spec, updated by the values of `over`.
 
-    `at` is the location of `over` in the calibration's document; the place of each value there is
-    added to `places`.
+    `at` is the location of `over` in the calibration file. For each value, `places` gets its line
+    and column in that file.
     """
     places[loc] = document.place(at)
     if isinstance(base, Mapping) and isinstance(over, Mapping):

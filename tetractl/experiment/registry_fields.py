@@ -16,7 +16,8 @@ STRICT = {"strict": True}
 
 
 class KindSection:
-    """Annotation of a field: the class that the mapping's `type` names validates the mapping.
+    """Annotation of a field that holds a mapping with a `type`, the name of a class in a registry;
+    this class validates the mapping.
 
     `Annotated[Base, KindSection(REGISTRY)]` accepts an instance of Base, or a mapping whose `type`
     is a name in the registry; `default` is the type of a mapping without `type`. Each class of the

@@ -46,4 +46,4 @@ class ShapeSection(Model):
 
     @abstractmethod
     def row(self) -> tuple[float, ...]:
-        """Return the shape's parameters, a row of `packed`."""
+        """Return the shape's parameters as a row for `packed`."""

@@ -29,8 +29,8 @@ class CultureSection(Model):
 
 
 class CellDrive:
-    """Moves N cells. A pose is the centre of the body and the heading of the helix, which are what
-    the `cells` camera measures.
+    """Moves N cells. As measured by the `cells` camera, a pose is the centre of the body and the
+    heading of the helix.
 
     Simulated cells do not swim before the first command or after a stop, so that a trial ends with
     the poses at the stop; real cells swim on.

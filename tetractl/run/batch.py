@@ -90,7 +90,7 @@ class TimeLeft:
 
 
 class RunObserver(Protocol):
-    """Is notified when trials start and end; they may end in any order."""
+    """An object that is notified when trials start and end; they may end in any order."""
 
     def trial_started(self, task: Task) -> None:
         """Called when a trial starts."""

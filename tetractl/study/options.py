@@ -121,8 +121,8 @@ wait $!
 
 
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
-    """Return the script of a job array for the shares of a study, each in a folder next to
-    `folder`."""
+    """Return the script of a Slurm job array that runs the shares of a study; each share has its
+    own folder next to `folder`."""
     part = shlex.quote(f"{folder}-shard")
     file, out = shlex.quote(str(study)), shlex.quote(str(folder))
     task = "$SLURM_ARRAY_TASK_ID"

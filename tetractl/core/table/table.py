@@ -66,7 +66,7 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """The heading for a reader."""
+        """The heading of the column in a printed table."""
         return f"{self.name} [{self.unit}]" if self.unit else self.name
 
     @property
@@ -76,7 +76,7 @@ class Column:
 
     @property
     def texts(self) -> list[str]:
-        """The text of each value for a reader."""
+        """The formatted text of each value."""
         return [self.format(value) for value in self.values]
 
     @property
@@ -122,12 +122,12 @@ class Table:
 
     @property
     def header(self) -> list[str]:
-        """The headings for a reader."""
+        """The headings of the columns."""
         return [column.heading for column in self.columns]
 
     @property
     def rows(self) -> Iterator[tuple[str, ...]]:
-        """The rows for a reader."""
+        """The rows, as formatted texts."""
         return zip(*(column.texts for column in self.columns), strict=True)
 
     @property

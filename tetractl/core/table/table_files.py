@@ -92,7 +92,7 @@ class ParquetFile:
         self._path, self._writer = path, None
 
     def add(self, table: Table) -> None:
-        """Add rows; the first call decides the type of each column."""
+        """Add rows; the first call determines the type of each column."""
         import pyarrow
         import pyarrow.parquet
 
@@ -111,7 +111,7 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a pyarrow array; without a known value, its type is text for words, else float."""
+    """Return a column as a pyarrow array; without a known value, words are text, others float."""
     import pyarrow
 
     values = column.known

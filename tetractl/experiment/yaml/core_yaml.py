@@ -1,4 +1,4 @@
-"""The core schema of YAML 1.2 on PyYAML, with limits.
+"""Reads and writes YAML by the core schema of YAML 1.2, with PyYAML.
 
 PyYAML resolves scalars as YAML 1.1 does (`on` is true, 12:30 is 750, 1e3 is text, 2020-01-01 a
 date). Here only the core schema applies, and only one document of limited depth and size is

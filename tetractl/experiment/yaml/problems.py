@@ -11,7 +11,7 @@ Loc = tuple[str | int, ...]
 
 SHOWN_PROBLEMS = 100
 SHOWN_LENGTH = 60
-MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})  # as in um
+MICRO = str.maketrans({"\N{MICRO SIGN}": "u", "\N{GREEK SMALL LETTER MU}": "u"})  # both read as u
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Converts specs of an earlier tetractl: keys and values that have been renamed since.
+"""Converts specs of an earlier version of tetractl, whose keys or values have been renamed.
 
 A spec, a `--set` and the resolved spec in a log are converted before they are checked. Values keep
 their locations, so that errors point at the original text; each change adds a notice to the

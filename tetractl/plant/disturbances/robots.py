@@ -40,7 +40,8 @@ class Battery(Disturbance):
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A constant rate is added to the turning rate of (3), as by uneven wheels or a bent cell."""
+    """A constant rate is added to the turning rate of (3): the wheels are uneven, or a cell is
+    bent."""
 
     type: Literal["heading-drift"]
     rate: NonNegative

@@ -83,7 +83,7 @@ export logs -o x.csv --table steps --format parquet | ends in .csv
 export missing -o x | missing: no such file or folder
 identify | LOG
 identify logs --yes | No such option
-identify logs poses.csv | logs and CSV files cannot be identified together
+identify logs poses.csv | logs and CSV files cannot be combined
 design spec.yaml --yes | --logs and --yes need --plant
 design lab.yaml --plant lab | there is no terminal to ask at | add --yes
 redrive LOG --plant lab --yes | lab

@@ -127,7 +127,8 @@ def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
 
 
 def respaced(setup: Setup, gap: float) -> Setup:
-    """Return the setup with each a 1 + gap times the next lower a, and the same geometric mean."""
+    """Return the setup with other turning rates a: each is 1 + `gap` times the next lower one, and
+    their geometric mean is unchanged."""
     rank = np.argsort(np.argsort(setup.a, kind="stable"))
     middle = np.exp(np.log(setup.a).mean())
     return replace(setup, a=middle * (1 + gap) ** (rank - (len(rank) - 1) / 2))

@@ -12,7 +12,7 @@ from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
-# rounds: fraction of these choices that are compared, and fraction of the plans used
+# for each round, the fraction of the choices that are compared, and of the plans that are used
 ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 3), (0.1, 1.0))
 LEAST = 5  # least number of choices compared in each round
 # difference of log(a) below which cells cannot be distinguished in time after they meet

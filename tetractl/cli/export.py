@@ -1,4 +1,4 @@
-"""`tetractl export`: logs as tables that other programs read."""
+"""`tetractl export`: writes logs as tables that other programs can read."""
 
 import sys
 from pathlib import Path

@@ -53,7 +53,7 @@ def identify(
     refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
-        raise UsageError("logs and CSV files cannot be identified together")
+        raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
     if tables:
         show_found(found_in(csv_tracks(tables), None), out, as_json)
         return Exit.DONE

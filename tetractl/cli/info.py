@@ -1,4 +1,4 @@
-"""`tetractl info`: the contents of a log."""
+"""`tetractl info`: prints the contents of a log."""
 
 import json
 import math

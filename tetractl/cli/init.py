@@ -85,7 +85,8 @@ def init(
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
     With --example it writes a shipped spec, study or fault script, and the files it names, to
-    experiments/, as the examples of other commands expect. An unknown NAME lists the names.
+    experiments/, as the examples of other commands expect. With an unknown NAME, the names are
+    listed.
 
     Example: tetractl init first
 

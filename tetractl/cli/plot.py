@@ -1,4 +1,4 @@
-"""`tetractl plot`: the paper's figures from a log."""
+"""`tetractl plot`: draws figures of logs, such as those of the paper."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`tetractl report`: one HTML page of trials and their statistics."""
+"""`tetractl report`: writes one HTML page of trials and their statistics."""
 
 import sys
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`tetractl schema`: the JSON schema of a spec or a study."""
+"""`tetractl schema`: prints the JSON schema of a spec or a study."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`tetractl stats`: statistics of batches, and comparisons between them."""
+"""`tetractl stats`: prints statistics of batches, and comparisons between them."""
 
 import sys
 from collections.abc import Sequence

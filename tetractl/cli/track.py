@@ -60,10 +60,10 @@ def track(
     ] = None,
     as_json: AsJson = False,
 ) -> int:
-    """Follow the cells of a film: speed, path and sway of each, with 95 % intervals.
+    """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
-    If the field's direction over time is given, also a, heading bias, and whether the cell has a
-    magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
+    If the field's direction over time is given, it also prints a, heading bias, and whether the
+    cell has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """

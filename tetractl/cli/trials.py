@@ -192,7 +192,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
 def stoppable(
     experiment: "Experiment", console: "Console", unattended: bool = False
 ) -> "Iterator[Interrupt]":
-    """Compile the controller, then yield an interrupt that signals set inside the block.
+    """Compile the controller, then yield an interrupt, which signals set during the `with` block.
 
     In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """

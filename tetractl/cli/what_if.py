@@ -33,7 +33,7 @@ def what_if(
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
 
-    Printed for each control step: the direction, its change, and the distance between the two
+    For each control step it prints the direction, its change, and the distance between the two
     predicted ends. This is an open-loop prediction: the robots do not follow the other controller.
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20

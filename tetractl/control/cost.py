@@ -30,7 +30,8 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost of each further radius R of distance, relative to a cost of 1 for being outside R."""
+"""Additional cost of each radius R of distance beyond R, relative to a cost of 1 for being outside
+R."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def foresee(problem: Problem, signals: Floats) -> Foreseen:
 
 
 def predict(problem: Problem, signals: Floats) -> Floats:
-    """Predict the poses under sequences (..., L): (L + 1, ..., N, 3), beginning with the start."""
+    """Return the poses (L + 1, ..., N, 3), the start first, predicted for sequences (..., L)."""
     motion: Motion = MOTIONS.load(problem.motion)
     shape = (*signals.shape[:-1], problem.targets.shape[0])
     path = np.empty((signals.shape[-1] + 1, *shape, 3))

@@ -82,9 +82,10 @@ def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
 def driven(
     problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and heading (..., N) of robots from `start` after `seconds`, one or (..., 1).
+    """Return x, y and heading (..., N) of robots that leave `start` and drive for `seconds`.
 
-    Robots follow `direction` (N,) [rad], NaN for a robot that stands still.
+    `seconds` [s] is a number or an array (..., 1). Robots follow `direction` (N,) [rad], NaN for a
+    robot that stands still.
     """
     stands = np.isnan(direction)
     moving = np.where(stands, 0.0, seconds)

@@ -61,8 +61,8 @@ def growth(problem: Problem, count: int) -> float:
 
 
 def late(part: float) -> float:
-    """Return the factor on the accepted error after a fraction `part` of the steps. It grows, so
-    that a trial ends with a good stop before its last step.
+    """Return the factor by which the accepted error is multiplied after a fraction `part` of the
+    steps. It grows, so that a trial ends with a good stop before its last step.
     """
     return LATE_GROWTH ** (max(part - LATE_FROM, 0) / (1 - LATE_FROM))
 

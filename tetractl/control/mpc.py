@@ -172,7 +172,7 @@ class Mpc:
         return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
 
     def _circle(self, problem: Problem) -> Plan:
-        """Return a plan that keeps robots which cannot stand still near their targets."""
+        """Return a plan that keeps robots near their targets if they cannot stand still."""
         step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
         length = signals_ahead(problem.period)
         found = self.circler.search(problem, length, self.warm, step_key, limits)
@@ -391,8 +391,8 @@ class MpcSection(MpcFields):
         return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile by use: search for one signal from the starts, predict its path, and identify the
-        robots from a few frames."""
+        """Compile by calling the functions: search for one signal, predict its path, and identify
+        the robots from a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)

@@ -22,7 +22,7 @@ class Progress:
         self.ended: StopReason | None = None
 
     def affords(self, evaluations: int) -> bool:
-        """Return whether the limits allow `evaluations` more; if not, end the search."""
+        """Return whether the limits allow this many further evaluations; if not, end the search."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
         if self.ended is None and self.limits.expired():
@@ -30,7 +30,7 @@ class Progress:
         return self.ended is None
 
     def add(self, signals: Floats, costs: Floats) -> None:
-        """Add the costs (P,) of sequences (length, P), with one entry of the history."""
+        """Add the costs (P,) of an iteration's sequences (length, P) to the history."""
         self.evaluations += costs.size
         leader = int(np.argmin(costs))
         self.keep(signals[:, leader], float(costs[leader]))

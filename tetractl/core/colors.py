@@ -10,7 +10,8 @@ NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 
 
 def robot_colors(names: Sequence[str], colors: Sequence[str | None]) -> list[str]:
-    """Return a colour (#rrggbb) per robot: the spec's, its name if in `NAMED`, or the next free."""
+    """Return a colour (#rrggbb) for each robot: the spec's, or the colour that the robot is named
+    after, or the next unused colour of the palette."""
     chosen = [_own_color(name, color) for name, color in zip(names, colors, strict=True)]
     free = [color for color in PALETTE if color not in chosen] or list(PALETTE)
     unnamed = iter(range(len(chosen)))

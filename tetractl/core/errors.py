@@ -1,4 +1,4 @@
-"""Errors a user can cause, the exit codes they end with, and text that is safe to print.
+"""Errors that a user can cause, their exit codes, and functions that make text safe to print.
 
 Every message is one line (plus an optional hint); the command line prints it without a
 traceback. Anything that is not a `TetractlError` is a bug in tetractl.

@@ -94,8 +94,9 @@ class Search:
     """One search of the optimiser: one horizon in one control step.
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, entry 0 before the first (Figure 3). `stopped` is the reason why the search ended,
-    a text only if a log of another version of tetractl has a reason that is not a StopReason.
+    iteration z, and `history[0]` is J(u_gb) before the first (Figure 3). `stopped` is the reason
+    why the search ended; it is a text only in a log of another version of tetractl, if the reason
+    is not a StopReason.
     """
 
     length: int
@@ -195,7 +196,7 @@ class Plan:
 
 
 class Region(Protocol):
-    """The obstacle region O of (13); its edge belongs to it. Lengths in the spec's unit."""
+    """The obstacle region O of (13), including its edge; lengths are in the spec's unit."""
 
     def contain(self, x: Floats, y: Floats) -> Bools:
         """Return whether each point lies in the region, p(s) of (13)."""

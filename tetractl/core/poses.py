@@ -55,7 +55,7 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distance of each robot to its own point of points (N, 2), (N,)."""
+        """Return the distances (N,) of each robot i to row i of `points` (N, 2)."""
         return np.hypot(*(self.xy - points).T)
 
 

@@ -184,7 +184,7 @@ class Actuator(Device, Protocol):
 
 
 class Optimizer(Protocol):
-    """Finds a sequence of directions of small cost."""
+    """Finds a sequence of directions with a low cost."""
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits

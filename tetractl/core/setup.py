@@ -47,7 +47,7 @@ class Bounds:
 
 
 class Shape(Protocol):
-    """The shape of an obstacle in the plane; its edge belongs to it. Lengths in the spec's unit."""
+    """The shape of an obstacle in the plane, including its edge; lengths are in the spec's unit."""
 
     packed: ClassVar[Any]
     """The `PackedShapes` class that holds these shapes for compiled code."""

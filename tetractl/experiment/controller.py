@@ -33,14 +33,14 @@ class Square(Model):
     side: Positive = 2.0
     """Time spent on each side [s]; several times 1/a, so that the square closes."""
     laps: int = Field(default=1, ge=1, le=100)
-    """Whole squares to drive: exactly this many in simulation, at least this many in the lab."""
+    """Number of whole squares to drive; in the lab, at least this number."""
 
 
 FirstPlan = Annotated[NoWait | Square, Field(discriminator="type")]
 
 
 class OptimizerSection(Model):
-    """An optimiser and its parameters: an `Optimizer`.
+    """An optimiser with its parameters; each subclass implements the protocol `Optimizer`.
 
     `search` must import compiled code only when it is called, because specs are checked without it.
     """

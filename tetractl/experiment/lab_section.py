@@ -97,7 +97,7 @@ class ActuatorSection(DeviceSection):
     """The function that implements `calibrate`, as "module:function"; "" if there is none."""
 
     def require_port(self) -> None:
-        """Raise AbortError if the device's port does not exist; quick, nothing is opened."""
+        """Raise AbortError if the device's port does not exist. No device is opened."""
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
@@ -124,7 +124,7 @@ class ActuatorSection(DeviceSection):
         emergency: threading.Event,
         report: Callable[[str], None],
     ) -> Measured:
-        """Measure the named robots by moving them in turn; AbortError if a measurement fails.
+        """Calibrate the named robots by moving one after another; AbortError if this fails.
 
         `limit` bounds the output, in the actuator's own unit. `report` is called with lines for the
         operator; setting `emergency` stops the robots.
@@ -157,8 +157,8 @@ class LabLimits(Model):
     only with cameras that report identities.
     """
     jump_mm: NonNegative = 30.0
-    """A pose is rejected if its distance from a pose of the last second is larger than twice the
-    robot's speed allows, plus this length [mm]."""
+    """A pose is rejected if it is further from an accepted pose of the last second than the robot
+    drives in that time at twice its speed, plus this length [mm]."""
     height_mm: tuple[Finite, Finite] = (-100.0, 500.0)
     """Least and greatest height of a body above the floor, the camera system's zero [mm]; a body
     outside this range is rejected, since it may have come off its robot. Only for cameras that

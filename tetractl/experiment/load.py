@@ -161,7 +161,7 @@ def spec_hash(experiment: Experiment) -> str:
 
 
 def arm_hash(experiment: Experiment) -> str:
-    """Return the hash of an experiment without its number of trials, which changes no trial."""
+    """Return the hash of an experiment without its number of trials, which affects no trial."""
     trials = experiment.trials.model_copy(update={"count": 1})
     return spec_hash(experiment.model_copy(update={"trials": trials}))
 
@@ -185,7 +185,8 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the attached files plus one; SpecError if a log has another file of that name."""
+    """Return the attached files and a further one; SpecError if every log has a file with its
+    name."""
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(

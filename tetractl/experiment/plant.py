@@ -41,7 +41,7 @@ class PlantSection(Model):
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
 
     def require_devices(self) -> None:
-        """Raise AbortError if a lab's port does not exist; quick, nothing is opened."""
+        """Raise AbortError if a lab's port does not exist. No device is opened."""
 
     @abstractmethod
     def build(

@@ -12,7 +12,7 @@ from tetractl.core.registry import Registry
 from tetractl.experiment.base import Model
 
 STRICT = {"strict": True}
-"""Validation context under which sections refuse values of another type, as specs are read."""
+"""Validation context in which values of another type are refused, as when a spec is read."""
 
 
 class KindSection:
@@ -59,7 +59,7 @@ class KindSection:
         return choice | ({"default": {"type": self.default}} if self.default else {})
 
     def make(self) -> Any:
-        """Return a section of the default type with default values, the default of a field."""
+        """Return a section of the default type with default values, as a field's default value."""
         return self._section({}).model_validate({})
 
     def _section(self, value: Any) -> Any:

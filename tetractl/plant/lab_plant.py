@@ -235,8 +235,8 @@ class LabPlant:
             self._lose_cells(now)
 
     def _lose_cells(self, now: int) -> None:
-        """Report robots as lost whose cell has divided, left or cannot be identified; replace them
-        by other cells if the spec says so.
+        """Report a robot as lost if its cell has divided, has left or cannot be identified; replace
+        it by another cell if the spec requires that.
         """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
         for i in getattr(self.rig.camera, "divided", ()):

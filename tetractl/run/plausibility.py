@@ -102,7 +102,7 @@ def angles(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield location and value of each number in a section whose description contains [rad]."""
+    """Yield location and value of each number of a section that has [rad] in its description."""
     for name, field in type(part).model_fields.items():
         value = getattr(part, name)
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:

@@ -44,7 +44,7 @@ class Arm:
     name: str  # name of the arm's folder
     controller: str  # "" if the study names none
     values: Mapping[str, Any]
-    sets: tuple[str, ...]  # changes of the base, in the form of `--set`
+    sets: tuple[str, ...]  # differences from the base, in the form of `--set`
     spec: LoadedSpec
     hash: str
     code: str  # hash of the code that runs its trials

@@ -81,13 +81,13 @@ class PlanningTimeSection(DisturbanceSection):
 
     type: Literal["planning-time"]
     least: float = Field(ge=0, le=10, allow_inf_nan=False)
-    """Shortest time of a control step [s]."""
+    """Shortest planning time of a control step [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional time of a control step, uniformly distributed [s]."""
+    """Largest additional planning time of a control step, uniformly distributed [s]."""
 
     @property
     def planning_max_s(self) -> float:
-        """Longest time of a control step [s]."""
+        """Longest planning time of a control step [s]."""
         return self.least + self.spread
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "PlanningTime":
@@ -96,11 +96,11 @@ class PlanningTimeSection(DisturbanceSection):
 
 
 class PlanningTime(Disturbance):
-    """Draws the time of each control step."""
+    """Draws the planning time of each control step."""
 
     def __init__(self, section: PlanningTimeSection, rng: np.random.Generator) -> None:
         self._section, self._rng = section, rng
 
     def planning_s(self, time_s: float) -> float:
-        """Return the time of one control step [s]."""
+        """Return the planning time of one control step [s]."""
         return self._section.least + self._section.spread * self._rng.random()

@@ -4,16 +4,14 @@ import os
 import struct
 import subprocess
 import sys
-import zlib
 from dataclasses import replace
 
 import pytest
-import zstandard
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel
 from support.commands import COSTLY
-from support.mutate import rewrite
+from support.mutate import chunk, rewrite
 from support.paths import ROOT
 from support.random_trials import trial, write
 
@@ -23,13 +21,6 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
 SECONDS, MEMORY_MB = 30, 1000
-
-
-def chunk(data):
-    packed = zstandard.ZstdCompressor(level=19).compress(data)
-    head = struct.pack("<QQQI", 0, 0, len(data), zlib.crc32(data)) + b"\x04\0\0\0zstd"
-    body = head + struct.pack("<Q", len(packed)) + packed
-    return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
 
 
 def message(channel, data):
@@ -136,28 +127,11 @@ def only_in_the_summary(contents, path):
     more = {"/only": (Channel(77, "/only", "none", {}, 0), None)}
     changed = RawLog(contents.path, records=records, channels=contents.channels | more)
     whole = path.with_suffix(".whole")
-    write_with(changed, whole)
+    rewrite(changed, whole, {}, apart=True)
     data = bytearray(whole.read_bytes())
     data[data.index(b"\x04\0\0\0zstd") + 60] ^= 1
     path.write_bytes(data)
     return path
-
-
-def write_with(contents, path):
-    from tetractl.log.write.sink import Sink
-
-    sink = Sink(path)
-    for channel, schema in contents.channels.values():
-        sink.channel(channel, schema)
-    for record in contents.records:
-        if isinstance(record, Entry):
-            sink.messages([record])
-            sink.flush()
-        elif isinstance(record, Attachment):
-            sink.attachment(record.name, record.media_type, record.log_time, record.data)
-        else:
-            sink.copy_metadata(record.name, record.metadata)
-    sink.close(complete=True)
 
 
 QUICK = [steps_of_searches, huge_spec, far_pose, escapes, only_in_the_summary]

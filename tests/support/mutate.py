@@ -1,13 +1,16 @@
 """Logs with one number changed, and every checksum and the digest made to fit."""
 
 import math
+import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
 from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import zstandard
 from google.protobuf.message import Message
+from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
 from tetractl.log.format.channels import CHANNELS, RESULT, TIMING, Entry
@@ -74,14 +77,17 @@ def rewrite(
     path: Path,
     entries: Mapping[Entry, Entry],
     facts: Callable[[str, dict[str, str]], dict[str, str]] = lambda name, facts: facts,
+    apart: bool = False,
 ) -> Path:
-    """Write a log again with some entries and facts replaced."""
+    """Write a log again with some entries and facts replaced, or each message in its own chunk."""
     sink, own = Sink(path), (CHECKSUM, DIGEST, HOST_DIGEST)
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
     for record in contents.records:
         if isinstance(record, Entry):
             sink.messages([entries.get(record, record)])
+            if apart:
+                sink.flush()
         elif isinstance(record, Attachment):
             sink.attachment(record.name, record.media_type, record.log_time, record.data)
         elif isinstance(record, Metadata):
@@ -95,6 +101,15 @@ def rewrite(
                 sink.copy_metadata(record.name, add_checksum(plain))
     sink.close(complete=True)
     return path
+
+
+def chunk(data, size=None, raw=None):
+    """A chunk record that unpacks to `data`, or says it unpacks to `size`."""
+    packed = zstandard.compress(data) if raw is None else raw
+    said = len(data) if size is None else size
+    head = struct.pack("<QQQI", 0, 0, said, zlib.crc32(data)) + b"\x04\0\0\0zstd"
+    body = head + struct.pack("<Q", len(packed)) + packed
+    return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
 
 
 def _step(holder: Any, part: str | int) -> Any:

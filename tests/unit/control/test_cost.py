@@ -45,29 +45,12 @@ def test_a_length_counts_signals_and_the_last_cannot_move_an_euler_robot():
     assert turned.tolist() == [0, 0]
 
 
-def test_the_observed_position_is_not_a_predicted_one():
-    """(9) sums over s(k+1) ... s(k+h+1): standing in an obstacle now costs nothing."""
-    box = Rectangle(type="rectangle", left=-5, bottom=-5, width=10, height=10)
-    world = oracle.World([robot_at(0, 0)], [box], weight=1000)
-    costs = evaluate(problems.problem(world), np.zeros((1, 4)))
-    assert costs.obstacle.tolist() == [0]
-    assert costs.target.tolist() == [80]
-
-
 def test_13_sees_samples_only_and_swept_sees_the_corner_cut():
     wall = Rectangle(type="rectangle", left=25, bottom=-50, width=10, height=100)
     world = oracle.World([robot_at(0, 0)], [wall], weight=1000)
     sampled = problems.problem(world)
     assert evaluate(sampled, np.zeros((1, 3))).obstacle.tolist() == [0]
     assert evaluate(replace(sampled, swept=True), np.zeros((1, 3))).obstacle.tolist() == [1]
-
-
-def test_overlapping_obstacles_are_one_region():
-    box = Rectangle(type="rectangle", left=10, bottom=-5, width=100, height=10)
-    world = oracle.World([robot_at(0, 0), robot_at(0, 100)], [box, box], weight=7)
-    costs = evaluate(problems.problem(world), np.zeros((1, 3)))
-    assert costs.obstacle.tolist() == [3]  # one robot, three samples
-    assert costs.total[0] == costs.target[0] + 21
 
 
 def test_the_first_signal_may_be_held_for_another_time():

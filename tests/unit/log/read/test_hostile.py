@@ -4,7 +4,6 @@ import os
 import random
 import re
 import struct
-import zlib
 from pathlib import Path
 
 import pytest
@@ -12,9 +11,8 @@ import zstandard
 from hypothesis import given
 from hypothesis import strategies as st
 from mcap.data_stream import RecordBuilder
-from mcap.opcode import Opcode
 from support.fuzz import Original, fuzz
-from support.mutate import rewrite
+from support.mutate import chunk, rewrite
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
@@ -85,15 +83,6 @@ def test_any_bytes_are_a_log_or_one_line(tmp_path_factory, data, magic):
         with pytest.raises(LogError) as caught:
             read(path)
         assert "\n" not in str(caught.value)
-
-
-def chunk(data, size=None, raw=None):
-    """A chunk record that unpacks to `data`, or says it unpacks to `size`."""
-    packed = zstandard.compress(data) if raw is None else raw
-    said = len(data) if size is None else size
-    head = struct.pack("<QQQI", 0, 0, said, zlib.crc32(data)) + b"\x04\0\0\0zstd"
-    body = head + struct.pack("<Q", len(packed)) + packed
-    return bytes([Opcode.CHUNK]) + struct.pack("<Q", len(body)) + body
 
 
 def with_chunks(log, path, chunks):

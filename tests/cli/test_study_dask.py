@@ -94,7 +94,7 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
             assert running.end() == 1
     assert running.err.read_text() == (
         f"error: {address}: the scheduler is gone; results so far are stored\n"
-        "hint: start a scheduler, and continue by the same command with its address\n"
+        "hint: start a scheduler, and give the same command with its address to continue\n"
     )
     assert 10 <= rows(out) < 96
     with cluster(tmp_path) as (address, _, _):

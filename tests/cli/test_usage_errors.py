@@ -85,7 +85,7 @@ identify | LOG
 identify logs --yes | No such option
 identify logs poses.csv | logs and CSV files cannot be combined
 design spec.yaml --yes | --logs and --yes need --plant
-design lab.yaml --plant lab | there is no terminal to ask at | add --yes
+design lab.yaml --plant lab | there is no terminal at which to ask | add --yes
 redrive LOG --plant lab --yes | lab
 what-if logs | --set
 what-if LOG --set plant.dead_time=0 | only fields of 'controller' can be replaced

@@ -128,7 +128,7 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="Greatest output to drive with; for m3pi the wheel count, up to 127.",
+            help="Largest output while a robot moves; for m3pi robots a wheel count.",
         ),
     ] = 45,
     micrometer: Annotated[

@@ -32,7 +32,7 @@ def survey(
             min=1,
             max=1000,
             metavar="N",
-            help="Plans to search for each of the best choices of cells.",
+            help="Number of plans to search for each of the best choices of cells.",
         ),
     ] = 48,
     yes: Yes = False,

@@ -92,7 +92,7 @@ def require_confirmation(yes: bool) -> None:
     move."""
     if not yes and (sys.stdin is None or not sys.stdin.isatty()):
         raise UsageError(
-            "robots would move, and there is no terminal to ask at",
+            "robots would move, and there is no terminal at which to ask",
             "add --yes to move them without asking",
         )
 

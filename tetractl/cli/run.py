@@ -45,7 +45,7 @@ def run(
         ),
     ] = 1,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Run only the trials without a log in DIR.")
+        bool, typer.Option("--resume", help="Run only the trials without a complete log in DIR.")
     ] = False,
     dry_run: DryRun = False,
     strict: Strict = False,

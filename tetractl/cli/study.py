@@ -42,7 +42,7 @@ def study(
     ] = None,
     logs: Annotated[
         str,
-        typer.Option(metavar="all|failed|sample:N|none", help="Which trials keep their logs."),
+        typer.Option(metavar="all|failed|sample:N|none", help="Trials whose logs are kept."),
     ] = "all",
     fail_fast: Annotated[
         bool, typer.Option("--fail-fast", help="Stop at the first trial that fails.")
@@ -51,7 +51,7 @@ def study(
         bool,
         typer.Option(
             "--rerun-outdated",
-            help="Run again the trials with outdated rows, written by other code.",
+            help="Run again the trials whose rows were written by other code.",
         ),
     ] = False,
     shard: Annotated[

@@ -342,7 +342,7 @@ class SimPlant:
             arriving = self._camera.arriving_ns
             self.clock.sleep_until(self._camera.next_ns if arriving is None else arriving)
             if self.clock.now() > patience:
-                raise AbortError(f"no camera frame came for {NO_FRAME_S} s")
+                raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
             self._motion.advance(self.clock.now())
 
     def _plan(self) -> int:

@@ -138,7 +138,7 @@ class Cluster:
     def _gone(self) -> AbortError:
         return AbortError(
             f"{self._address}: the scheduler is gone; results so far are stored",
-            "start a scheduler, and continue by the same command with its address",
+            "start a scheduler, and give the same command with its address to continue",
         )
 
     def _found(

@@ -106,7 +106,7 @@ class Processes:
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
         """Yield the tasks in the order in which they end."""
-        with _signals_held_back():  # the block starts the process that tracks semaphores
+        with _signals_held_back():  # Python starts its semaphore tracker in the block
             self._ending = self._context.Event()
         waiting = deque(tasks)
         while waiting and not self._ending.is_set():

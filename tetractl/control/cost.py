@@ -30,8 +30,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Additional cost of each radius R of distance beyond R, relative to a cost of 1 for being outside
-R."""
+"""Cost of each further R of distance outside the radius R; being outside costs 1 in addition."""
 
 
 @dataclass(frozen=True, slots=True)

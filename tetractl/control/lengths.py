@@ -41,7 +41,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
         for length in range(1, horizon_max + 1):
             yield length, None
         return
-    count = len(warm)  # H; Part II. The paper indexes from 1
+    count = len(warm)  # H of Part II, whose signals are counted from 1 in the paper
     if count > 1:
         yield count - 1, warm[1:]
     if count > 0:

@@ -54,7 +54,7 @@ class Identified(Model):
     dead_time: IdentifiedValue
     """Time from the sending of a direction until it acts [s]."""
     frame_age: NonNegative = 0.0
-    """Time from the exposure of the frame used for a direction to sending the direction [s]."""
+    """Time from the exposure of the frame used for a direction to the direction's sending [s]."""
     robots: dict[Name, IdentifiedRobot]
     """Identified values of each robot, by its name."""
 

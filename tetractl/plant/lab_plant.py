@@ -25,7 +25,7 @@ from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000
-RECENT = 600  # number of newest frames kept: those of some seconds
+RECENT = 600  # number of newest frames that are kept, those of some seconds
 
 
 class LabPlantSection(LabSection):
@@ -55,7 +55,7 @@ class LabPlantSection(LabSection):
         """Open the lab, rotate the field, and return the cells that the camera has found; the field
         goes on rotating until the first direction.
         """
-        from tetractl.lab.find_cells import turn_field  # imports OpenCV, which other labs lack
+        from tetractl.lab.find_cells import turn_field  # imports OpenCV, which is optional
 
         rig = build_rig(self, setup, clock, supervision.emergency)
 
@@ -245,7 +245,7 @@ class LabPlant:
             guard.lose(i, why)
         if loss is None or not loss.replaced:
             return
-        from tetractl.lab.find_cells import free_cells  # imports OpenCV, which other labs lack
+        from tetractl.lab.find_cells import free_cells  # imports OpenCV, which is optional
 
         for i, seen_ns in list(guard.lost.items()):
             if now - seen_ns < loss.after_s * SECOND:

@@ -13,7 +13,8 @@ from tetractl.experiment.disturbance import Disturbance, overriding
 
 
 def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
-    """Return the times [ns] up to `until` of samples number `first`, `first` + 1, ... at a rate."""
+    """Return the times [ns], up to `until`, of the samples number `first`, `first` + 1, ... that
+    are taken at a rate [Hz]."""
     times, when = list[int](), round(first * SECOND / rate_hz)
     while when <= until:
         times.append(when)

@@ -46,6 +46,15 @@ class Command:
         """Whether the robots stand under the command, though they may turn on the spot."""
         return self.direction is None and not self.field_off
 
+    @property
+    def undirected(self) -> str:
+        """What the robots do without a direction, for a person; "" if there is a direction."""
+        if self.direction is not None:
+            return ""
+        if self.facing is not None:
+            return "turn on spot"
+        return "field off" if self.field_off else "pause"
+
 
 @dataclass(frozen=True, slots=True)
 class Note:

@@ -12,9 +12,12 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
+from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
+from tetractl.report.trial_data import trial_data
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
+from tetractl.view.terminal.replay_screen import step_line
 
 SLOW = ("controller.period=0.2", "controller.hold=1")  # 5 Hz
 SILENT = (
@@ -86,6 +89,10 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         assert before.distances(after.xy).max() < 1.0
         off = [wrap(log.steps[k].plan.facing - poses.heading) for poses in (before, after)]
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
+    recording = Recording(log)
+    for k, text in ((turns[0], "turn on spot"), (turns[-1] + 1, "pause"), (0, " deg")):
+        assert text in step_line(recording, k)
+    assert trial_data(log, "t.mcap")["steps"]["undirected"][turns[0]] == "turn on spot"
     assert "all robots turn on the spot: they have no safe way ahead" in {
         note.text for note in log.notes
     }

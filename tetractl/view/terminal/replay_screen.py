@@ -175,10 +175,9 @@ def step_line(recording: Recording, index: int) -> str:
     """Return one control step as a line of text."""
     step = recording.log.steps[index]
     unit = recording.log.start.setup.unit
-    plan, u = step.plan, step.command.direction
-    direction = (
-        "field off" if u is None else f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
-    )
+    plan, direction = step.plan, step.command.undirected
+    if (u := step.command.direction) is not None:
+        direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
     time_s = recording.elapsed_s(int(recording.step_ns[index]))
     return (
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "

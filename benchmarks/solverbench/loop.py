@@ -191,10 +191,11 @@ def _budgets(report: Report, settings: Settings) -> None:
             figure = f"step-0 sweep of lengths 1 to {LONGEST}, 100 iterations each, median"
             report.bar(figure, "<= 100 ms", f"{middle:.1f} ms", middle <= 100)
     report.say(
-        f"**The whole budget of the compiled swarm, spent to the last evaluation**: a control "
-        f"step is {LENGTH - 1}, {LENGTH} and {LENGTH + 1} signals x {ITERATIONS} iterations x "
-        f"{PARTICLES} particles, a sweep all lengths from 1 to {LONGEST}; one thread, p50 / p99 / "
-        f"max in ms, by the clock and by the processor time of the thread. {load()}."
+        f"**Times of the compiled swarm with every evaluation of its budget**: a control "
+        f"step searches {LENGTH - 1}, {LENGTH} and {LENGTH + 1} signals with {ITERATIONS} "
+        f"iterations x {PARTICLES} particles each, a sweep all lengths from "
+        f"1 to {LONGEST}; one thread, p50 / p99 / max in ms, by the clock and by the "
+        f"processor time of the thread. {load()}."
     )
     clocks = ["step, clock", "step, processor", "sweep, clock", "sweep, processor"]
     report.table(["model", *clocks], rows)

@@ -116,9 +116,10 @@ def _sweeps(report: Report, settings: Settings) -> None:
             text = f"{share:.0%} solved, median {median:.1f} ms"
             report.bar(figure, ">= 99 %, <= 100 ms", text, share >= 0.99 and median <= 100)
     report.say(
-        f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length until "
-        f"solved, given up (ours) or {SWEEP_CAP_S * 1e3:g} ms have passed; solved where any length "
-        f"is. No optimiser can solve short lengths; the last column is the time to the first "
+        f"**All lengths {lengths[0]} to {lengths[-1]}, problem as printed**: each length is "
+        f"searched until it is solved, our optimiser gives up, or {SWEEP_CAP_S * 1e3:g} ms have "
+        f"passed; a sweep is solved if one of its lengths is. "
+        f"No optimiser can solve short lengths; the last column is the time to the first "
         f"length that was solved. "
         f"{load()}."
     )

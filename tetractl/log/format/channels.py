@@ -28,7 +28,7 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Largest length read of an operator message, with control characters as escapes."""
+"""Largest number of characters read of an operator message, with control characters escaped."""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
@@ -61,8 +61,9 @@ CHANNELS: dict[str, type[Message]] = {
     PICTURE: CompressedImage,
     BACKGROUND: CompressedImage,
 }
-"""Topic and message of each channel. The order is part of the format version: it makes the channel
-ids 1, 2, ..., which identify the messages of a log that has lost its channel records."""
+"""Topic and message of each channel. The order is part of the format version: channels get the ids
+1, 2, ... in this order, which identify the messages of a log whose channel records are lost.
+"""
 
 CHANNELS_1: dict[str, type[Message]] = {
     MOCAP: MocapSample,
@@ -77,7 +78,7 @@ CHANNELS_1: dict[str, type[Message]] = {
     HOST_TIMING: StepTiming,
     ESTIMATE: Estimate,
 }
-"""The channels of format 1 in their order; it had one message per camera frame."""
+"""The channels of format 1, in their order; this format had one message per camera frame."""
 
 RUN = "tetractl.run"
 HOST = "tetractl.host"

@@ -55,7 +55,7 @@ class Frames(NamedTuple):
         return cls(*columns, truth=np.concatenate(known) if known else None)
 
     def part(self, rows: slice | Integers) -> "Frames":
-        """Return the frames in a slice of rows."""
+        """Return the frames in the given rows."""
         columns: list[Any] = [None if one is None else one[rows] for one in self]
         return Frames(*columns)
 
@@ -93,7 +93,7 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     times = {len(m.sampled_ns), len(m.received_ns)}
     known = {len(column) for column in true}
     if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
-        raise ValueError(f"camera frames whose arrays do not have {count} times {robots} entries")
+        raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
     poses, truth = (
         np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
     )

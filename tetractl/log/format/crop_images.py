@@ -1,8 +1,8 @@
 """Encodes a microscope's film for a log: cells found, crops, and whole pictures.
 
 `/camera/cells` describes each crop and has the checksums of all messages of its picture. Crops are
-stored as raw pixels, since the log's chunks are compressed anyway, and can be searched again as
-they are. Whole pictures are JPEG, for display.
+stored as raw pixels, so that the search in them can be repeated; the log's chunks are compressed
+anyway. Whole pictures are JPEG, for display.
 """
 
 import zlib

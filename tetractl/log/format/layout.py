@@ -1,4 +1,4 @@
-"""The layout in which Lichtblick and Foxglove show a trial, as JSON for their import from a file.
+"""The layout in which Lichtblick and Foxglove show a trial, as JSON that they import from a file.
 
 The format is that of Lichtblick's `LayoutData`: `configById` holds a panel's settings by its type
 and an id, `layout` the arrangement, `userNodes` scripts that publish topics. The parts that are the
@@ -76,8 +76,8 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
     """Return the 3D panel: an orthographic view from above, with the arena as large as possible.
 
     An orthographic camera is always `far` / 2 above the plane, and its `distance` is the visible
-    height [m], so that a field of 5 mm fills the panel too. `near` and `far` are scaled by the same
-    factor, since a depth buffer has 24 bits.
+    height [m], so that an arena of 5 mm fills the panel too. `near` and `far` are scaled by the
+    same factor, since a depth buffer has 24 bits.
     """
     arena, metres = setup.arena, setup.metres
     height = MARGIN * max(arena.height, arena.width / ASPECT) * metres

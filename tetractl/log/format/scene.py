@@ -48,7 +48,7 @@ def stamp(unix_ns: int) -> Timestamp:
 
 
 def encode_note(note: Note, start_ns: int) -> Log:
-    """Encode one line for the /log channel; the trial starts at `start_ns` [Unix ns]."""
+    """Encode an operator message for /log; the trial starts at `start_ns` [Unix ns]."""
     unix = stamp(start_ns + note.t_ns)
     return Log(timestamp=unix, level=_LEVELS[note.level], message=note.text, name="tetractl")
 
@@ -221,13 +221,13 @@ def prism(outline: Floats, height: float) -> tuple[Floats, NDArray[np.int64]]:
 def triangulate(outline: Floats) -> NDArray[np.int64]:
     """Return triangles (M - 2, 3) of a simple anticlockwise polygon (M, 2), by ear clipping.
 
-    An ear is a corner that turns left and whose triangle holds no other corner.
+    An ear is a corner that turns left and whose triangle contains no other corner.
     """
     left = list(range(len(outline)))
     triangles = []
     while len(left) > 3:
         ears = (i for i in range(len(left)) if _is_ear(outline, left, i))
-        # no ear is left by rounding at nearly collinear corners: any corner may be cut
+        # rounding may leave no ear among nearly collinear corners: any corner may then be cut
         i = next(ears, 0)
         triangles.append((left[i - 1], left[i], left[i + 1 - len(left)]))
         del left[i]

@@ -1,10 +1,10 @@
 """The limits on memory and computing time for reading a log.
 
-A few bytes of a file can expand enormously: compressed zeros, empty messages, a spec with a million
-particles. Each log therefore has a `Budget`, which is charged in bytes of memory before anything is
-unpacked or decoded. With these limits no command takes more than 30 s and 1 GB on one log, and a
-log may hold about an hour of a trial at 120 Hz. The environment variable FACTOR raises the limits
-for a longer one.
+A few bytes of a file may need much memory or time: compressed zeros, empty messages, a spec with a
+million particles. Each log therefore has a `Budget` of memory, from which the bytes needed are
+subtracted before anything is unpacked or decoded. With these limits no command takes more than 30 s
+and 1 GB on one log, and a log may hold about an hour of a trial at 120 Hz. The environment variable
+FACTOR raises the limits for a longer trial.
 """
 
 import math
@@ -103,4 +103,4 @@ class Budget:
         """Subtract memory [bytes] used for `what`; TooMuchError if less is left."""
         self.left -= amount
         if self.left < 0:
-            raise TooMuchError(f"it holds {what}")
+            raise TooMuchError(f"it contains {what}")

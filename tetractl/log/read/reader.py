@@ -50,7 +50,7 @@ def trial_of(contents: RawLog) -> TrialLog:
     except (DecodeError, LookupError, OverflowError, RecursionError, ValueError) as error:
         # intact records with values that tetractl does not write
         raise LogError(
-            f"{contents.path}: holds a value that tetractl does not write: {error}"
+            f"{contents.path}: contains a value that tetractl does not write: {error}"
         ) from None
 
 
@@ -139,7 +139,7 @@ def recompute(trial: TrialLog) -> Result:
     """
     path, known = trial_path(trial)
     if not known.any(axis=0).all():
-        raise LogError(f"{trial.path}: holds no result, and no poses to compute it from")
+        raise LogError(f"{trial.path}: contains no result, and no poses to compute it from")
     last = len(path) - 1 - known[::-1].argmax(axis=0)
     final = Poses.of(path[last, np.arange(path.shape[1])])
     return Result.of(
@@ -159,7 +159,7 @@ def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> V
     setup = trial.start.setup
     samples, robots = path.shape[:2]
     if samples * robots * (len(setup.obstacles) + robots) > limits.path_limit():
-        raise LogError(f"{trial.path}: {TooMuchError('it holds very many poses and obstacles')}")
+        raise LogError(f"{trial.path}: {TooMuchError('it contains very many poses and obstacles')}")
     return check_path(setup, path, known, final)
 
 

@@ -160,14 +160,14 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
     """Return the results in a file of rows by trial, None if a row is damaged.
 
     The experiment is that of the spec next to the file. Raises LogError if the file or its spec
-    cannot be read, or if a row is of another spec.
+    cannot be read, or if a row belongs to another spec.
     """
     beside = path.with_name(SPEC)
     try:
         spec = parse_spec(read_text(beside), str(beside))
     except SpecError as error:
         raise LogError(str(error)) from None
-    # a spec with older names has another hash
+    # a spec with names of an earlier tetractl has another hash
     known_by = None if spec.notices else arm_hash(spec.experiment)
     found = read_rows(path, spec.experiment)
     for row in found.values():

@@ -4,7 +4,7 @@ MCAP has checksums for chunks and attachments, and tetractl's metadata has its o
 is verified by itself. The file is read from record to record; if a record is damaged, or the
 checksum over the data section does not match, the file is also searched for further records.
 
-A file may be hostile: what it can make tetractl unpack, copy and keep is charged to its budget.
+A file may be malicious: the bytes unpacked, copied and kept are subtracted from a budget.
 """
 
 import struct
@@ -56,16 +56,16 @@ _MESSAGE = struct.Struct("<HIQQ")
 def scan(path: Path) -> RawLog:
     """Return every intact record of a file.
 
-    Raises LogError if it is not an MCAP file, or would become more than `bounds` allows.
+    Raises LogError if it is not an MCAP file, or needs more memory than `limits` allows.
     """
     with _named(path):
         return _Scan(path).contents()
 
 
 def peek(path: Path) -> RawLog | None:
-    """Return metadata and attachments alone, found by the file's index; None for a damaged file.
+    """Return only metadata and attachments, found by the file's index; None for a damaged file.
 
-    The checksums over the data section and the index are tested, and so every byte of the file.
+    The checksums over the data section and the index are tested, which cover the whole file.
     """
     with _named(path):
         return _Scan(path).indexed()
@@ -89,14 +89,14 @@ class _Scan:
         self._problems = self._result.problems
         if problem:
             self._problems.append(problem)
-        self._found: dict[int, Verified] = {}  # by offset in the file
-        self._messages: dict[int, list[RawMessage]] = {}  # of the chunk at an offset
+        self._found: dict[int, Verified] = {}  # records by offset in the file
+        self._messages: dict[int, list[RawMessage]] = {}  # messages of the chunk at an offset
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
-        self._read = 0  # bytes
-        self._indexed: list[tuple[int, int]] = []  # offset and opcode, by the index
-        self._summary = 0  # where the index begins
-        self._expected: int | None = None  # messages, by the index
+        self._read = 0  # number of bytes decoded
+        self._indexed: list[tuple[int, int]] = []  # offsets and opcodes in the index
+        self._summary = 0  # offset of the index
+        self._expected: int | None = None  # number of messages stated in the index
 
     def contents(self) -> RawLog:
         """Read the file from record to record, search it if that fails, and sort the records."""
@@ -123,7 +123,7 @@ class _Scan:
         return self._result
 
     def _sealed(self) -> bool:
-        """Return whether the record before the index states the checksum of all before it."""
+        """Return whether the data section has a checksum, and the checksum matches."""
         offset = self._summary - _HEAD - _DATA_END_BODY
         head = bytes([Opcode.DATA_END]) + _DATA_END_BODY.to_bytes(8, "little")
         if offset < len(MAGIC) or self._data[offset : offset + _HEAD] != head:
@@ -132,9 +132,10 @@ class _Scan:
         return stated != 0 and stated == self._crc(0, offset)
 
     def _read_index(self, channels: bool = True) -> None:
-        """Read the index at the end of the file: the number of messages, and where records are.
+        """Read the index at the end of the file: the number of messages, and the records' offsets.
 
-        Its `channels` and their schemas, which take the longest, are for those who read messages.
+        With `channels`, it also reads channels and schemas, needed for messages; this takes
+        longest.
         """
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")
@@ -153,7 +154,7 @@ class _Scan:
             self._spend(limits.RECORD_COST, "very many records in its index")
             if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
-                self._channels[channel.id] = channel  # the chunk that holds it may be lost
+                self._channels[channel.id] = channel  # the chunk with this record may be lost
             elif opcode == Opcode.SCHEMA and channels:
                 schema = Schema.read(self._stream(offset + _HEAD))
                 self._schemas[schema.id] = schema
@@ -186,13 +187,13 @@ class _Scan:
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
     def _search(self) -> None:
-        """Find records by typical bytes in them, whatever the bytes around them are."""
+        """Find further records anywhere in the file, by their typical bytes."""
         for offset, opcode in self._traces():
             if offset >= 0 and offset not in self._found:  # else bytes that look like a record
                 self._verify(offset, opcode)
 
     def _traces(self) -> Iterator[tuple[int, int]]:
-        """Yield where a record may begin, and its opcode."""
+        """Yield each offset at which a record may begin, and its opcode."""
         for at in self._all(b"\x04\0\0\0zstd"):
             yield at - 28 - _HEAD, Opcode.CHUNK
         for at in self._all(b"\0\0\0tetractl."):
@@ -219,7 +220,7 @@ class _Scan:
             self._keep(offset, opcode, stream, self._head(offset)[1])
         except TooMuchError:
             raise
-        except Exception as error:  # zstd, UTF-8, struct, MCAP: they have no other common base
+        except Exception as error:  # errors of zstd, UTF-8, struct and MCAP
             return str(error).splitlines()[0] if str(error) else type(error).__name__
         finally:
             self._read += _HEAD + stream.count
@@ -270,7 +271,7 @@ class _Scan:
         if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
             raise ValueError("its checksum does not match")
         schemas, channels, messages = _inside(data)
-        self._spend(len(data), "chunks that unpack to very much")
+        self._spend(len(data), "chunks that unpack to very many bytes")
         self._spend(limits.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
         self._spend(limits.MESSAGE_COST * len(messages), "very many messages")
         return schemas, channels, messages
@@ -285,7 +286,7 @@ class _Scan:
             topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
-                continue  # it may be damaged, or another program's, without a checksum
+                continue  # without a checksum it may be damaged, or written by another program
             if isinstance(record, int):
                 result.chunks += 1
                 result.records += [
@@ -327,7 +328,7 @@ def _inside(data: bytes) -> Inside:
         body = offset + _HEAD
         offset = body + int.from_bytes(data[offset + 1 : body], "little")
         if offset > end or opcode == 0:
-            raise ValueError("it holds a record that does not fit into it")
+            raise ValueError("it contains an invalid record")
         if opcode == Opcode.MESSAGE:
             channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, body)
             messages.append((channel, log_ns, publish_ns, data[body + _MESSAGE.size : offset]))

@@ -1,8 +1,8 @@
 """Validates decoded values before they are used.
 
 A checksum shows that a log was not changed, not that tetractl wrote it. Values that pass these
-checks can be computed with, drawn and printed. Each function raises ValueError that names the first
-value that no trial can have.
+checks can be computed with, drawn and printed. Each function raises ValueError with the first value
+that no trial can have.
 """
 
 import math

@@ -156,7 +156,7 @@ class Sink:
         self._sync_written()
 
     def flush_if_due(self) -> float | None:
-        """Flush and sync every CHUNK_S and SYNC_S; return the time until the next is due [s]."""
+        """Flush every CHUNK_S, sync every SYNC_S; return the time until one of them is due [s]."""
         now, times = time.monotonic(), []
         if self._chunk_since is not None:
             times.append(self._chunk_since + CHUNK_S)
@@ -238,7 +238,7 @@ def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
 def _owned(path: Path) -> BinaryIO:
     """Create or empty a file, open and lock it; OSError if another process has locked it.
 
-    The lock ends with the process, however that ends.
+    The lock ends when the process ends, even if it is killed.
     """
     file = path.open("a+b")
     try:

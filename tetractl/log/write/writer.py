@@ -23,7 +23,8 @@ BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
 CHUNK_NS = 2 * SECOND
 """Trial time of a chunk of a simulation [ns], so that a repeated simulation has the same chunks. If
-it is slower than real time, `sink.CHUNK_S` also ends chunks."""
+a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
+"""
 LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
 
 
@@ -106,10 +107,10 @@ class Encoder:
 class LogWriter:
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
-    One thread encodes and writes; the calls only queue. While the queue is full a call waits: up to
-    PATIENCE_S in a simulation, which runs faster than any disk, and not at all in `real_time`. If
-    the queue stays full or a write fails, the log is given up: the next call raises LogError, later
-    calls do nothing, and the records in the file stay readable.
+    One thread encodes and writes; calls only put records in a queue. While the queue is full,
+    a call waits: up to PATIENCE_S in a simulation, which runs faster than any disk, and not at all in
+    `real_time`. If the queue stays full or a write fails, the log is given up: the next call raises
+    LogError, later calls do nothing, and the records in the file stay readable.
     """
 
     def __init__(self, path: Path, real_time: bool = False) -> None:

@@ -113,7 +113,7 @@ def test_many_chunks_together_are_bounded(log, tmp_path):
     padding = bytes([0x80]) + struct.pack("<Q", 15_000_000) + b"\0" * 15_000_000
     path = with_chunks(log, tmp_path / "many.mcap", [chunk(padding)] * 60)
     assert path.stat().st_size < 200_000
-    with pytest.raises(LogError, match="unpack to very much, more than tetractl reads"):
+    with pytest.raises(LogError, match="unpack to very many bytes, more than tetractl reads"):
         scan(path)
 
 
@@ -290,7 +290,7 @@ def test_a_message_that_tetractl_would_not_write_is_refused(tmp_path, contents, 
     entry = next(entry for entry in contents.entries if entry.topic == topic)
     new = entry._replace(data=message.SerializeToString())
     path = rewrite(contents, tmp_path / "trial.mcap", {entry: new})
-    with pytest.raises(LogError, match="holds a value that tetractl does not write"):
+    with pytest.raises(LogError, match="contains a value that tetractl does not write"):
         read_trial(path)
 
 

@@ -59,7 +59,7 @@ def host() -> dict[str, str]:
         "os": platform.platform(),
         "cpu": _cpu(),
         "cpu_target": binding.get_host_cpu_name(),
-        "cpu_features": _present(binding.get_host_cpu_features()),  # differ for the same name
+        "cpu_features": _present(binding.get_host_cpu_features()),  # more exact than the name
         "numba_settings": compiler_settings(),
         "numpy_dispatch": _present(numpy_uses),
         "cpus": str(os.cpu_count() or 0),

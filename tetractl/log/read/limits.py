@@ -3,8 +3,8 @@
 A few bytes of a file may need much memory or time: compressed zeros, empty messages, a spec with a
 million particles. Each log therefore has a `Budget` of memory, from which the bytes needed are
 subtracted before anything is unpacked or decoded. With these limits no command takes more than 30 s
-and 1 GB on one log, and a log may hold about an hour of a trial at 120 Hz. The environment variable
-FACTOR raises the limits for a longer trial.
+and 1 GB on one log, and a log may contain about an hour of a trial at 120 Hz. The environment
+variable FACTOR raises the limits for a longer trial.
 """
 
 import math
@@ -67,8 +67,8 @@ def seconds_limit() -> float:
 def swarm_limit() -> float:
     """Return the largest size of one round of an optimiser, which cannot be interrupted.
 
-    The size counts robot motions under one signal, each times (1 + obstacles): a few nanoseconds,
-    and one coordinate in memory.
+    The size is the number of motions of a robot under one signal, times (1 + number of obstacles);
+    each takes a few nanoseconds and the memory of one coordinate.
     """
     return 2e8 * factor()
 
@@ -79,7 +79,7 @@ def simulation_limit() -> float:
 
 
 def path_limit() -> float:
-    """Return the largest product of positions and obstacles for a check of a path, 20 ns each."""
+    """Return the largest product of positions and obstacles to check a path: 20 ns per pair."""
     return 5e8 * factor()
 
 

@@ -1,6 +1,6 @@
 """The rows of a study: one record per trial, with or without a log.
 
-The folder of an arm holds its spec and a file with one line of JSON per trial, in which `result`
+The folder of an arm contains its spec and a file with one line of JSON per trial, in which `result`
 and `timing` have the items of the log's metadata records of these names.
 """
 
@@ -31,8 +31,9 @@ class Row:
 
     `arm_hash` identifies the experiment, `code` and `processor` the code and the type of processor
     that ran it. `trial_digest` is computed by `log.format.trial_digest`, `count` is the number of
-    trials stated in its log, and `logged` is whether the log was kept. `wall_s` and `cpu_s` are
-    wall and processor time [s]. `place`, the file and line of the row, is not written.
+    trials of the batch, as stated in the trial's log, and `logged` is whether the log was kept.
+    `wall_s` and `cpu_s` are wall and processor time [s]. `place`, the file and line of the row, is
+    not written.
     """
 
     trial: int
@@ -66,7 +67,7 @@ class Row:
     def read(cls, stated: Any, experiment: Experiment, place: str) -> Self:
         """Return the row of a line decoded from JSON, after a check of every value.
 
-        Raises an error of `UNREADABLE` for a line that tetractl does not write.
+        Raises one of the exceptions `UNREADABLE` for a line that tetractl does not write.
         """
         texts = {name: _text(stated[name]) for name in ("arm_hash", "code", "processor")}
         result, timing = _texts(stated["result"]), _texts(stated["timing"])

@@ -46,7 +46,7 @@ _KIND = b"\x10\0\0\0application/"
 """Length and start of the media type of tetractl's attachments."""
 _NAME_MAX = 200
 
-Verified = int | Attachment | Metadata  # for a chunk, its number of messages
+Verified = int | Attachment | Metadata  # a record; for a chunk, its number of messages
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
 Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
@@ -99,7 +99,7 @@ class _Scan:
         self._expected: int | None = None  # number of messages stated in the index
 
     def contents(self) -> RawLog:
-        """Read the file from record to record, search it if that fails, and sort the records."""
+        """Read the file record by record, search it if it is damaged, and sort the records."""
         begins = self._data[: len(MAGIC)] == MAGIC
         if not begins:
             self._problems.append("the file does not begin as an MCAP file")
@@ -169,7 +169,7 @@ class _Scan:
             offset = end
 
     def _walk(self) -> None:
-        """Verify record after record of the data section."""
+        """Verify each record of the data section, in order."""
         offset = len(MAGIC)
         while offset + _HEAD <= len(self._data):
             opcode, end = self._head(offset)
@@ -211,7 +211,7 @@ class _Scan:
             at = self._data.find(trace, at + 1)
 
     def _verify(self, offset: int, opcode: int) -> str:
-        """Decode and keep the record at an offset; return why that is not possible, or ""."""
+        """Decode and keep the record at an offset; return the reason if that fails, else ""."""
         self._spend(limits.RECORD_COST, "very many records")
         if self._read > limits.OVERLAP * len(self._data):
             return "too many records claim the same bytes"

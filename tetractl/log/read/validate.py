@@ -26,7 +26,7 @@ ANGLE_MAX = 1e9
 """Limit of headings and directions, which are not wrapped [rad]."""
 COST_MAX = 1e100
 TIME_MAX_NS = 10**18
-"""Limit of times since the trial began: thirty years."""
+"""Limit of times since the trial began [ns]: thirty years."""
 COUNT_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS

@@ -34,7 +34,7 @@ TRIAL_PART = ".part"
 
 P = ParamSpec("P")
 Method = Callable[Concatenate["Sink", P], None]
-_sync_data = getattr(os, "fdatasync", os.fsync)  # Windows has no such module
+_sync_data = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasync
 
 
 def _while_open(method: Method[P]) -> Method[P]:

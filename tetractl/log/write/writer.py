@@ -107,10 +107,10 @@ class Encoder:
 class LogWriter:
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
-    One thread encodes and writes; calls only put records in a queue. While the queue is full,
-    a call waits: up to PATIENCE_S in a simulation, which runs faster than any disk, and not at all in
-    `real_time`. If the queue stays full or a write fails, the log is given up: the next call raises
-    LogError, later calls do nothing, and the records in the file stay readable.
+    One thread encodes and writes; calls only put records in a queue. While the queue is full, a
+    call waits: up to PATIENCE_S in a simulation, which runs faster than any disk, and not at
+    all in `real_time`. If the queue stays full or a write fails, the log is given up: the next
+    call raises LogError, later calls do nothing, and the records in the file stay readable.
     """
 
     def __init__(self, path: Path, real_time: bool = False) -> None:

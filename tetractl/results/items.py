@@ -67,7 +67,7 @@ def group_items(group: Group) -> dict[str, Any]:
 
 
 def contrast_items(found: Contrast) -> dict[str, Any]:
-    """Return the items of one comparison; differences are of `one` minus `other`."""
+    """Return the items of one comparison; differences are `one` minus `other`."""
     sides = {
         f"{side}_{key}": value
         for side, group in (("one", found.one), ("other", found.other))

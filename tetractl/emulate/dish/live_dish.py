@@ -37,7 +37,7 @@ class FieldDriver(Protocol):
 class Dish:
     """Cells between the coils of a driver.
 
-    `coils` are the true coils, `reference_mt` the field strength at which the cells' a holds.
+    `coils` are the true coils, `reference_mt` the field strength for which the cells' a is given.
     `walls` [um] are the edges that cells slide along, None for a dish without edges. If cells are
     `held`, a placed cell stays at its place until the driver makes a field, as if a helper held it
     with a pipette, so that a trial begins with the cells on their starts.

@@ -22,7 +22,7 @@ from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
 from tetractl.replay.identification.tracks import Drives, Track
 from tetractl.replay.identification.turning import Turning, Turns
 
-OUTLYING = 4.0  # standard deviations
+OUTLYING = 4.0  # largest deviation of a used interval [standard deviations]
 ROUNDS = 5
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the filters start
 WEAK = (0.5, 2.0, 1.0)  # prior standard deviations of tau [s], ln a and beta [rad]

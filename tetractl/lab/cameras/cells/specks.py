@@ -26,7 +26,7 @@ MISSED = 3  # pictures without a blob after which a speck is hidden or dropped
 HIDDEN = 90  # pictures for which a hidden speck is remembered: a cell may cover it
 
 Entry = tuple[float, float, float, float, float, float]
-"""A blob: seconds, x, y [um], axis [rad], length and width [um]."""
+"""A blob: time [s], x, y [um], axis [rad], length and width [um]."""
 
 
 @dataclass(slots=True)

@@ -138,7 +138,7 @@ class ActuatorSection(DeviceSection):
 
 
 class LabLimits(Model):
-    """Limits that stop robots or end a run, and its waiting times. The fault table assumes the
+    """Limits that stop robots or end a run, and waiting times of a run. The fault table assumes the
     defaults.
     """
 
@@ -211,7 +211,7 @@ class LabSection(PlantSection):
     actuator: Annotated[ActuatorSection, KindSection(ACTUATORS)]
     """The actuator that moves the robots."""
     limits: LabLimits = LabLimits()
-    """Limits that stop robots or end a run, and its waiting times."""
+    """Limits that stop robots or end a run, and waiting times of a run."""
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
     in `camera` and `actuator`."""

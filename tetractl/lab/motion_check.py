@@ -74,7 +74,7 @@ class MotionCheck:
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
     ) -> None:
-        """Take a transmission: speeds [length unit/s], turning rates [rad/s], share of wheel error."""
+        """Take a transmission: speeds [length unit/s], turning rates [rad/s], relative error."""
         v, w = np.array(speed), np.array(turning)
         off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
         around = off / self._radius if self._radius else share * np.abs(w)

@@ -51,7 +51,7 @@ class CoilsSection(Model):
     x: CoilPair
     """The pair whose axis is the spec's x axis turned by `rotation`."""
     y: CoilPair
-    """The pair whose axis is a right angle anticlockwise from the x pair's."""
+    """The coil pair whose axis is 90 degrees anticlockwise from that of pair x."""
     rotation: Finite = 0.0
     """Angle from the spec's x axis to the x pair's axis [rad]."""
 

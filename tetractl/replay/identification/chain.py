@@ -94,7 +94,7 @@ class Chain:
         return found
 
     def deviance(self, noise: ChainNoise, r: Floats, by: Floats) -> float:
-        """Return -2 ln restricted likelihood of residuals (K,); `by` (K, P) is X."""
+        """Return -2 ln restricted likelihood of residuals (K,); `by` (K, P) is X of the module."""
         factor = self.factor(noise)
         whitened = self.whiten(factor, np.column_stack([r, by]))
         y, x = whitened[:, 0], whitened[:, 1:]
@@ -107,7 +107,7 @@ class Chain:
         return float(total - explained + np.linalg.slogdet(normal)[1])
 
     def noise_of(self, r: Floats, by: Floats) -> ChainNoise:
-        """Return the most likely noise of residuals (K,); `by` (K, P) is X."""
+        """Return the most likely noise of residuals (K,); `by` (K, P) is X of the module."""
         size = _size(r[self.used])
         begin = np.log([0.5 * size, size])
         best = minimize(

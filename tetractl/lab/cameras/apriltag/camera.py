@@ -143,7 +143,7 @@ def _floor_findings(
     if estimated and plane.doubt_mm > DOUBTFUL_MM:
         yield (
             plane.doubt_mm > MISFIT_MM,
-            f"the floor tags say too little about the lens: robots may be {plane.doubt_mm:.0f} mm "
+            f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
             "off; tilt the camera more or set lab.camera.lens",
         )
 

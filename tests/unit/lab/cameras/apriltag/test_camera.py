@@ -131,7 +131,7 @@ DOWN = {"tilt": 0.0}
         ),
         ({}, {}, {"floor": turned(0.06)}, [], "the floor tags lie up to "),
         ({}, {}, {"floor": turned(1.5)}, ["the floor tags lie up to "], ""),
-        ({}, DOWN, {}, ["the floor tags say too little about the lens: robots may be "], ""),
+        ({}, DOWN, {}, ["the floor tags do not determine the lens well: robots may be "], ""),
         ({}, DOWN, {"lens": {"focal_px": rendered(facing=DOWN).optics.focal_px}}, [], ""),
         ({}, {}, {"robots": SMALLER}, [], "green: its tag looks 11 % smaller than it should: are"),
     ],

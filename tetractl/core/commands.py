@@ -52,7 +52,7 @@ class Command:
         if self.direction is not None:
             return ""
         if self.facing is not None:
-            return "turn on spot"
+            return "turn"
         return "field off" if self.field_off else "pause"
 
 

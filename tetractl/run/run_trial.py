@@ -40,6 +40,7 @@ class Trial:
     _solve_ns: list[int] = field(default_factory=list)
     _solving_ns: int = 0
     _misses: int = 0
+    _turning: bool = False  # whether robots turn on the spot
     _began_ns: int | None = None  # time at which the first direction was sent
     _samples: list[Sample] = field(default_factory=list)  # frames not yet passed to the observers
     _tour: TourMeasure = field(init=False)
@@ -207,8 +208,11 @@ class Trial:
         """
         if facing is not None:
             command = self.plant.turn(facing)
-            self._say(command, "all robots turn on the spot: they have no safe way ahead")
+            if not self._turning:
+                self._say(command, "all robots turn on the spot: they have no safe way ahead")
+            self._turning = True
             return command
+        self._turning = False
         command = self.plant.pause()
         if not again:
             self._say(

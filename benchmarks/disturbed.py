@@ -5,7 +5,7 @@
     python benchmarks/disturbed.py --part knowledge         what wrong assumptions cost
     python benchmarks/disturbed.py --part accept --figure accept.svg    time against error
     python benchmarks/disturbed.py --part hurting --trials 100      realisations that hurt
-    python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: its `plant`
+    python benchmarks/disturbed.py --bench three_m3pi_bench.yaml    another world: this spec
 
 All rows have the same seeds. Everything is simulated. The plant without --bench: dead time 0.14 s,
 a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost. That of `hurting`:
@@ -81,6 +81,7 @@ ABLATION: list[Row] = [
     ("without going round", ("controller.accept_error=0",)),
     ("without a stop between steps", ("controller.stop_between=false",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
+    ("without the wheels' lag, on a bench", ("wheels.lag=0",)),
     ("all lengths at step 0", ("controller.initial_lengths=all",)),
     ("none of them, dead time given", (*PLAIN, TOLD)),
     ("none of them, dead time not given", PLAIN),
@@ -322,10 +323,10 @@ class World:
         rate, settings = () if slow else self.rate, [self._filled(one) for one in settings]
         if self.bench is None:
             return load_experiment(file, *self.plain, *rate, *settings)
-        own = [setting for setting in settings if not setting.startswith("plant.")]
-        theirs = [setting for setting in settings if setting.startswith("plant.")]
-        plant = load_experiment(self.bench, *theirs).plant
-        return load_experiment(file, *rate, *own).model_copy(update={"plant": plant})
+        if file == OURS:
+            return load_experiment(self.bench, *self.plain, *rate, *settings)
+        plant = load_experiment(self.bench).plant
+        return load_experiment(file, *self.plain).model_copy(update={"plant": plant})
 
     def _filled(self, setting: str) -> str:
         head, told, more = setting.partition("{}")
@@ -345,11 +346,11 @@ def main() -> None:
     parser.add_argument("--dead-time", type=float, default=0.14, help="of the world [s]")
     parser.add_argument("--figure", type=Path, help="of the rows: error over time")
     chosen = parser.parse_args()
-    plain = HURT if chosen.part == "hurting" else WORLD
+    plain = () if chosen.bench else HURT if chosen.part == "hurting" else WORLD
     if chosen.seed is not None:
         plain = (*plain, f"trials.seed={chosen.seed}")
     world = World(chosen.bench, chosen.rate, chosen.dead_time, plain)
-    where = chosen.bench or ", ".join(f"`{setting}`" for setting in plain)
+    where = ", ".join(([chosen.bench] if chosen.bench else []) + [f"`{one}`" for one in plain])
     print(f"Simulated, {chosen.trials} trials a row, {chosen.rate} Hz, {where}. {load()}.\n")
     if chosen.part == "hurting":
         hurting(world, chosen.trials)

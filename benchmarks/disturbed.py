@@ -147,7 +147,7 @@ class Knowing(Mpc):
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        if last_command is not None and last_command.direction is not None:
+        if last_command is not None:
             self.estimator.sent(last_command)
             self.estimator.predictor.recent[-1].arrived = np.array(last_command.delivered)
         return super().plan(observation, None, earlier)

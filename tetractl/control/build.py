@@ -18,9 +18,9 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     """Compile the functions that the controller runs, or load them from the cache.
 
-    If that takes longer than ANNOUNCE_AFTER_S, `announce` is called with a message when it is
-    noticed and when it is done. Compiled code is cached on disk, for all specs with the same kinds
-    of controller, optimiser, motion and obstacles.
+    If that takes longer than ANNOUNCE_AFTER_S seconds, `announce` is called with one message at
+    that moment and another at the end. Compiled code is cached on disk, for all specs with the same
+    kinds of controller, optimiser, motion and obstacles.
     """
     began_s, said = time.monotonic(), list[str]()
 

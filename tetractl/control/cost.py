@@ -15,8 +15,8 @@ stay `within` R of their targets,
     f(u) = R sum_i mean_j h(|| s_i(k+j|k) - tar_i || / R),   h(d) = 1 + STRAY (d - 1) if d > 1,
                                                              else 0,
 
-which is R times the sum of the robots' fractions of time outside, plus a small cost of the
-distance.
+which is R times the sum of the robots' fractions of time outside, plus a small cost that grows
+with the distance.
 """
 
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Cost of each further R of distance outside the radius R; being outside costs 1 in addition."""
+"""Increase of h per length R of a robot's distance beyond the radius R; being outside costs 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +44,7 @@ class Costs:
 
 @dataclass(frozen=True, slots=True)
 class Foreseen:
-    """Prediction for a sequence of L signals: poses (L + 1, N, 3), beginning with the start, and
+    """The prediction for a sequence of L signals: poses (L + 1, N, 3), the first at the start, and
     the costs f and P."""
 
     path: Floats

@@ -1,4 +1,4 @@
-"""Smooth random sequences: few knots with straight lines between them."""
+"""Smooth random sequences: a few random knots joined by straight lines."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,10 @@ def interpolate(knots: Floats, length: int) -> Floats:
 
 
 def places(count: int, length: int) -> tuple[NDArray[np.int64], Floats]:
-    """Return, for each of `length` signals, the index of the knot before it and its fraction of
-    the distance to the next knot, for `count` evenly spread knots.
+    """Place `length` signals among `count` evenly spread knots.
+
+    Return, for each signal, the index of the knot before it, and the signal's distance from that
+    knot as a fraction of the distance between two knots.
     """
     at = np.linspace(0, count - 1, length)
     below = np.minimum(at.astype(np.int64), max(count - 2, 0))

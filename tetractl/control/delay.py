@@ -30,8 +30,8 @@ class Predictor:
     """The directions sent so far, each of which acts `dead_time_s` after it was sent.
 
     Before the first direction acts the robots stand still. A robot that did not receive a direction
-    follows the previous one. `before` (N,) [rad] are the directions held before the `recent` ones,
-    NaN for a robot that stands still.
+    follows the previous one. `recent` holds the latest directions, and `before` (N,) [rad] the
+    direction that each robot followed before the first of them, NaN for a robot that stood still.
     """
 
     def __init__(self, dead_time_s: float, count: int) -> None:
@@ -50,7 +50,7 @@ class Predictor:
         self.recent.append(Sent(sent_ns, u, np.ones(self._count, dtype=np.bool_)))
 
     def held(self, since: int, until: int) -> list[Held]:
-        """Return the directions that act between two times [ns], oldest first."""
+        """Return the directions that act from `since` to `until` [ns], oldest first."""
         found: list[Held] = []
         held, begin, delay = self.before, since, self.delay_ns
         for sent in self.recent:
@@ -64,14 +64,15 @@ class Predictor:
         return found
 
     def forget(self, before: int) -> None:
-        """Drop the directions that stopped acting before a time [ns]."""
+        """Drop the directions that stopped acting before the time `before` [ns]."""
         while len(self.recent) > 1 and self.recent[1].sent_ns + self.delay_ns <= before:
             dropped = self.recent.popleft()
             self.before = np.where(dropped.arrived, dropped.u, self.before)
 
 
 def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
-    """Return the poses after the directions `held`, by the problem's motion, bias and flow."""
+    """Return the poses of robots that leave `poses` and follow the directions `held`, by the
+    problem's motion, bias and flow."""
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, u in held:
         seconds = (until - since) / SECOND

@@ -1,12 +1,13 @@
 """Chooses between a detour and a stop if the plan no longer ends at the targets.
 
-Algorithm 2 shortens its sequence from step to step. A few remaining signals cannot correct a late
-disturbance: three robots have six coordinates. If no sequence of length H - 1, H or H + 1 ends
-within an accepted total error, longer ones are searched from scratch; these lead the robots away
-and back. The trial ends if stopping at the best moment of the coming control period is as good as
-any plan. If a robot that stands is about to enter an obstacle, and neither a collision-free plan
-nor a way out of the corner was found, all robots turn on the spot until there is a way out. The
-trial ends if no direction gives one.
+Algorithm 2 shortens its sequence from step to step. The few signals left near the end cannot
+correct a late disturbance: three robots have six coordinates. If no sequence of length H - 1, H or
+H + 1, with H the length of the present plan, ends within the accepted total error, longer sequences
+are searched from scratch; these lead the robots away from their targets and back. The trial ends if
+stopping at the best moment of the coming control period is as good as any plan. If a standing robot
+is about to enter an obstacle, and the search found neither a collision-free plan nor a way out of
+the corner, all robots turn on the spot until there is a way out. The trial ends if the robots have
+no way out in any direction.
 """
 
 from collections.abc import Iterator
@@ -55,20 +56,21 @@ def longer(count: int, most: int) -> Iterator[int]:
 
 
 def growth(problem: Problem, count: int) -> float:
-    """Return the factor by which a detour with `count` signals left raises the accepted error."""
+    """Return the factor by which a detour raises the accepted error: above 1 only if the plan that
+    it replaces has so few signals left, `count`, that it is nearly done."""
     nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
     return 1 + ACCEPT_GROWTH if nearly_done else 1.0
 
 
 def late(part: float) -> float:
     """Return the factor by which the accepted error is multiplied after a fraction `part` of the
-    steps. It grows, so that a trial ends with a good stop before its last step.
+    steps. The factor grows, so that a trial ends with a good stop before its last step.
     """
     return LATE_GROWTH ** (max(part - LATE_FROM, 0) / (1 - LATE_FROM))
 
 
 def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
-    """Return the best moment of the coming control period for a stop.
+    """Return the stop within the coming control period that leaves the least sum of distances.
 
     The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
     follow `direction` (N,) [rad], NaN for a robot that stands still.
@@ -107,8 +109,8 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
 
 
 def _roomiest(problem: Problem, margins: Margins, apart: float) -> tuple[Floats, float, float]:
-    """Return the signals of `way_out`, the least clearance of their path, -inf if no sequence leads
-    the robots away safely, and its sum with a share of the final clearance [length unit].
+    """Return the signals for `way_out`, the least clearance on their path [length unit], -inf if
+    the path is not safe, and that clearance plus FINAL_ROOM times the clearance at its end.
     """
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
     signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))

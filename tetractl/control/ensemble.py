@@ -6,8 +6,8 @@ When their headings are such that the control Lyapunov function
     V = sum_i || s_i - tar_i ||
 
 would fall without a field, the field is switched off, and the robots drive straight until V would
-rise. The paper gives no parameters of this earlier algorithm of its authors; the defaults here are
-this module's choice. Obstacles are ignored.
+rise. The paper gives no parameters for this algorithm, an earlier one by its authors; the defaults
+here are tetractl's choice. Obstacles are ignored.
 """
 
 import time
@@ -72,7 +72,7 @@ class EnsembleSection(ControllerSection):
 
 
 class Ensemble:
-    """The controller of one trial; the keys logged for its steps are derived from `key`."""
+    """The controller of one trial. It draws no random numbers; `key` only gives the keys logged."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key

@@ -1,8 +1,8 @@
 """Estimates the robots' state at a control step from frames and commands.
 
-It predicts the poses that robots will have when the direction decided now acts. The prediction
-starts at the newest frame and uses the spec's values of the motion, or those that a bank of filters
-identifies from all frames and commands while the robots drive.
+It predicts the poses that the robots will have when the direction decided now begins to act. The
+prediction starts at the newest frame. It uses the spec's values of the motion, or the values that a
+bank of filters identifies from all frames and commands while the robots drive.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,9 +25,10 @@ REMEMBERED = SECOND  # time for which commands are kept after they stopped actin
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
-    `problem` has the spec's values of a and speed; with a `prior` both are identified. If the
-    robots `drive_first` in a square, identification starts when the first direction acts. Robots
-    that the `loss` rule counts as lost (`losses.lost`) are left out of every result.
+    `problem` has the spec's values of a and speed; with a `prior` both are identified. With
+    `drive_first`, robots drive a square before the first plan, and identification starts when the
+    first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left out of
+    every result.
     """
 
     def __init__(
@@ -117,8 +118,8 @@ class StateEstimator:
         return self.predictor.held(self._newest_ns, until)
 
     def held_at_action(self, observation: Observation) -> Floats:
-        """Return the direction [rad] that each robot not lost follows when the next one acts, NaN
-        for a robot that stands still.
+        """Return, for each robot that is not lost, the direction [rad] that it follows at the
+        moment when the next direction begins to act, NaN for a robot that stands still.
         """
         return self.held(self.acts(observation) + 1)[-1][2][self.left]
 
@@ -126,9 +127,9 @@ class StateEstimator:
         """Return the time at which a direction decided on a frame acts [ns].
 
         The spec's dead time counts from the exposure of the frame. An identified dead time counts
-        from the sending of the direction. It is assumed to be sent one control period after the
-        previous one, or at the frame's reception if that time is past or more than 1.5 periods
-        away; the time for planning is neglected.
+        from the sending of the direction. The direction is assumed to be sent one control period
+        after the previous one or, if that moment is before the frame's reception or more than 1.5
+        periods after it, at the reception; the time for planning is neglected.
         """
         if self.filter is None:
             return observation.sampled_ns + self.predictor.delay_ns

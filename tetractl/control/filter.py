@@ -1,9 +1,10 @@
 """Estimates the robots' poses and motion from the camera's frames and all directions sent.
 
 Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
-the heading theta of its course, its turning rate a and speed v, a turn bias beta, the marker bias m
-of the heading that the camera measures, the flow (f_x, f_y) that carries it and, for cells that
-swim on a helix of angular frequency w, the helix as sine p and cosine q. Under a direction u
+the heading theta of its course, its turning rate a and speed v, a turn bias beta, a marker bias m
+that is added to the measured heading, the flow (f_x, f_y) that carries the robot and, for a cell
+that swims on a helix of angular frequency w, its sideways swing as sine p and cosine q. Under a
+direction u
 
     dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,  dtheta/dt = a sin(u + beta - theta),
     dp/dt = w q,  dq/dt = -w p,
@@ -16,9 +17,9 @@ The state has the logarithms of a and v, and all parameters drift as random walk
 measurements lose their weight.
 
 A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
-that it follows the latest direction, that it follows one of the two before because later ones were
-lost, and that it is stuck and stands still. A pose that fits no hypothesis is an outlier; after
-some time without a fit, the filter restarts from the camera's pose.
+that it follows the latest direction, that it follows one of the two directions before, because
+later ones were lost, and that it is stuck and stands still. A pose that fits no hypothesis is an
+outlier; after some time without a fit, the filter restarts from the camera's pose.
 
 The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
 robots. A bank has one filter for each tau of a grid, weighted by its likelihood; the grid is
@@ -58,11 +59,12 @@ FLOW_DRIFT = 0.05  # random walk of the flow, over its prior deviation [1/sqrt(s
 class Prior(NamedTuple):
     """The prior on N robots: means and standard deviations.
 
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative deviations, the dead time [s] an
-    absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are 0.
-    `position_noise` [length unit] and `heading_noise` [rad] are those of one measurement, 0 if
-    unknown. The helix has a frequency [Hz] and a radius [length unit], 0 for none. Wheels follow
-    commands with a time constant `lag` [s], 0 for robots without wheels.
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
+    time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
+    0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
+    measurement, 0 if unknown. The helix has a frequency [Hz] and a radius [length unit], which is 0
+    if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for robots
+    without wheels.
     """
 
     a: Floats
@@ -81,7 +83,7 @@ class Prior(NamedTuple):
     lag: float = 0.0
 
     def estimate(self) -> Estimate:
-        """Return the prior as an estimate."""
+        """Return the prior's means as an estimate, with absolute standard deviations."""
         std = math.hypot(self.heading_bias_std, self.marker_bias_std)
         return Estimate(
             a=self.a,
@@ -107,7 +109,8 @@ def _kernel() -> Any:
 class FilterBank:
     """The bank of filters that identifies N robots during one trial.
 
-    If the robots `drive_first`, in a square, the filters start when the first direction acts.
+    With `drive_first`, robots drive a square before the first plan, and the filters start when the
+    first direction acts.
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
@@ -187,7 +190,8 @@ class FilterBank:
             self._bank.next[:] -= done
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
-        """Update the filters by a frame and by `earlier` ones at least SPACING_S apart."""
+        """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
+        the frame `observation`."""
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
             if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
@@ -213,8 +217,8 @@ class FilterBank:
                 _kernel().place(self._bank, b, i, self._model, self._last.poses.array()[i])
 
     def _place(self, frame: Observation) -> None:
-        """Set the poses to those of a frame; robots then follow the last command that acts by its
-        exposure.
+        """Set the poses to those of a frame, and let robots follow the last command that acts at
+        or before the frame's exposure.
         """
         now, bank = frame.sampled_ns / SECOND, self._bank
         for i in range(len(self.prior.a)):

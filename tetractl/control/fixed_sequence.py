@@ -13,8 +13,8 @@ from tetractl.core.setup import Setup
 
 
 def plain_problem(setup: Setup, period: float, obstacles: Region, swept: bool = False) -> Problem:
-    """Return the problem of robots at their starts, predicted by the exact motion over control
-    periods [s]; touching an obstacle costs nothing."""
+    """Return the problem of robots at their starts, predicted by the exact motion with the control
+    period `period` [s]; touching an obstacle costs nothing."""
     return Problem(
         poses=setup.starts,
         targets=setup.targets,

@@ -1,9 +1,10 @@
 """Searches directions that keep robots near their targets if they cannot stand still.
 
 A field that rotates at W, below the least a, keeps each robot on a circle of radius v / W; a field
-turned by pi makes robots drive back. The search minimises the time outside `Problem.within`: it
-tries rotations first, then random normal steps about the best sequence so far, half of them
-independent and half cumulative, which shrink from round to round.
+turned by pi makes robots drive back. The search minimises the time that robots spend farther than
+`Problem.within` from their targets. It tries rotations first, and then adds random normal changes
+to the best sequence so far: half of the changes are independent from signal to signal, half
+accumulate along the sequence. The changes become smaller from round to round.
 """
 
 import math
@@ -47,8 +48,8 @@ class CircleSearch(OptimizerSection):
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
-        """Search sequences of `length` signals; the previous plan `warm` is extended at its last
-        rate of change."""
+        """Search sequences of `length` signals; the previous plan `warm` is extended to that
+        length by repeating the last change from signal to signal."""
         progress, times = Progress(length, limits), problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)

@@ -15,8 +15,8 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""If evaluations are limited, each length of step 0 gets this multiple of the smallest number of
-evaluations that a search can do.
+"""If evaluations are limited, each length of step 0 may use this many times the least number of
+evaluations that a search needs.
 """
 GROWTH = 1.2  # ratio of successive lengths tried for a detour
 SPREAD = 1.3  # ratio of successive lengths tried at step 0
@@ -31,7 +31,7 @@ SEARCH_S = 0.005
 such a search, to leave time for the rest of the step.
 """
 Candidate = tuple[int, Floats | None]
-"""A length to try, and the u_gb^0 of its search."""
+"""A length to try, and the sequence u_gb^0 from which its search starts, None at step 0."""
 
 
 def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
@@ -51,7 +51,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
     """Select candidates if the limit of evaluations allows only `searches` searches of the smallest
-    size: evenly spread lengths at step 0, later those nearest to the present length."""
+    size: evenly spread lengths at step 0, later the lengths nearest to the present plan's."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -61,10 +61,11 @@ def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> li
 
 
 def choose(searches: Sequence[Search], good_enough: float | None, count: int) -> int:
-    """Return the index of the search to use, lines 5 and 23: that of the least cost.
+    """Return the index of the search with the least cost, lines 5 and 23 of Algorithm 2.
 
-    Among costs that the optimiser counts as equally good, the length nearest to the present plan's,
-    `count` (H), is chosen; at step 0, where `count` is 0, the shortest.
+    All costs up to `good_enough` count as equal. Of searches with such costs, the one whose length
+    is nearest to the present plan's, `count` (H), is chosen; at step 0, where `count` is 0, that
+    is the shortest.
     """
     if good_enough is not None:
         good = [i for i, search in enumerate(searches) if search.cost <= good_enough]
@@ -119,7 +120,7 @@ class Searcher:
     ) -> Search | None:
         """Search one length; return None if the limits do not allow it.
 
-        The evaluations left are shared equally by this and the next searches, `among` in total.
+        The evaluations left are shared equally by `among` searches: this one and the next ones.
         """
         share = None if self._left is None else self._left // among
         if self.found and (self._expired() or (share is not None and share < self._least)):
@@ -153,8 +154,8 @@ class Searcher:
                 break
 
     def search_longer(self, lengths: list[int], period_s: float, good_enough: float) -> int:
-        """Search the lengths from scratch until a cost is good enough; return 0 or, if the control
-        period is over, the length to continue with.
+        """Search the lengths in turn, each from scratch, until a cost is good enough; return 0 or,
+        if the control period is over first, the length with which the next step continues.
         """
         for i, length in enumerate(lengths):
             in_time = (i + 1) * SEARCH_S < period_s or i == 0
@@ -166,10 +167,10 @@ class Searcher:
         return 0
 
     def search_spread(self, least: int, most: int, good_enough: float) -> None:
-        """Search growing lengths from `least` on until a cost is good enough, then refine the
-        length.
+        """Search growing lengths from `least` to `most` until a cost is good enough.
 
-        Bisection between the last two lengths refines the length to a fraction FINE of it.
+        Bisection between the last two lengths then approaches the shortest length that is good
+        enough, up to a difference of the fraction FINE of the length.
         """
         length, failed = min(least, most), 0
         while True:
@@ -192,10 +193,10 @@ class Searcher:
                 failed = middle
 
     def search_thoroughly(self, problem: Problem, most: int, good_enough: float) -> Problem:
-        """Search THOROUGH lengths thoroughly until a cost is good enough.
+        """Search up to THOROUGH growing lengths, each thoroughly, until a cost is good enough.
 
-        The searches use `problem`, which has the same robots as the searcher's own problem. Returns
-        the one of the two problems in which the least cost was found.
+        The searches use `problem`, which has the same robots as the searcher's own problem. Of the
+        two problems, the one in which the least cost was found is returned.
         """
         robots, posed, before = len(problem.a), self._problem, len(self.found)
         least = max(least_length(problem), 2 * SIGNALS * robots if robots > 1 else 1)

@@ -1,19 +1,20 @@
 """The distances that a plan keeps to obstacles and walls, and between robots.
 
-A robot can deviate from its plan because its state is uncertain. The margin is the sum of its
-radius, the spec's margin and, if the margin is adaptive, the greatest deviation of any robot,
+A robot can deviate from its plan because its state is uncertain. The margin is the sum of the
+robot's radius, the spec's margin and, if the margin is adaptive, the greatest deviation of any
+robot,
 
     LOST v T + SIGMAS (v sigma_tau + (v sigma_a/a + sigma_v) (tau + T)),
 
 with its speed v, the control period T, the dead time tau and the standard deviations sigma of the
-identified values. The first term is due to a lost command, the others to uncertain values. Two
-robots keep their separation and twice that deviation.
+identified values. The first term is due to a lost command, the others to uncertain values. The
+centres of two robots keep a distance of the spec's separation plus twice that deviation.
 
 If a robot or a target is already nearer to an obstacle, the margin is reduced to its distance,
 because no plan could keep the full margin.
 
-Robots that receive no command for a while keep their direction. The signals of a plan are tested
-for whether robots would then stay clear.
+Robots that receive no command for a while keep their direction. `Margins.clear_unheard` tests
+whether robots would stay clear if that happened at any one signal of a plan.
 """
 
 import math
@@ -66,8 +67,8 @@ class Margins:
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
 
     def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether a robot that is outside all obstacles would touch one, without margins, on
-        a straight path to x, y (N,).
+        """Return whether any robot that is outside all obstacles would touch an obstacle, without
+        its margin, on the straight line from its pose to its point x, y (N,).
         """
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
@@ -81,12 +82,12 @@ class Margins:
         margin: float,
         apart: float,
     ) -> bool:
-        """Return whether robots keep clear if any one signal is held for `seconds`.
+        """Return whether robots keep clear even if any one signal is held for `seconds`.
 
         path (L, N, 3) are the poses before each of the signals (L,).
 
-        Clear robots keep the margin (or their start's distance) from obstacles, and the distance
-        `apart` (or the problem's separation) from each other.
+        Robots are clear if they keep `margin` from obstacles, or their distance at the start if it
+        is less, and `apart` from each other, or the problem's separation if it is less.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
@@ -110,20 +111,20 @@ class Margins:
         return bool((self._gaps(x, y) >= min(apart, problem.separation)).all())
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
-        """Return the least clearance (...) of robots at x, y (..., N): the distance to a shape,
-        negative inside, or the distance of two robots minus `apart`.
+        """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
+        to obstacles and walls, negative inside, and of all distances of two robots minus `apart`.
         """
         between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
         return np.minimum(self._bare.distance(x, y).min(axis=-1), between)
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance of each pair of robots (..., pairs)."""
+        """Return the distance between the two robots of each pair, (..., pairs)."""
         one, other = self._one, self._other
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: `wanted`, or less if two robots or targets are nearer
-        now.
+        """Return the separation to keep: `wanted`, or less if two robots are nearer to each other
+        now, or two targets are.
         """
         if not self._one.size or wanted <= 0:
             return 0.0

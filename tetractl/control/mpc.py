@@ -16,13 +16,13 @@ Where each line of Algorithm 2 is:
     18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
     21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
 
-Extensions, each with its own field: the plan's grid may be coarser than the control's (`hold`); the
-state may be predicted over the dead time; the motion may be identified while the robots drive
-(`estimate`); margins may grow with the uncertainty (`collision.adaptive`); robots may pause, and
-turn on the spot, before an obstacle that no plan avoids, and pause at the end
-(`stop_before_collision`); longer sequences may be searched if no short one ends at the targets
-(`accept_error`); the stop may come between two steps (`stop_between`); and robots may pass
-way-points (`robots.via`) and stay at their targets (`hold`).
+Extensions, each with its field of `controller`: a plan may hold each signal for several control
+periods (`hold`); poses may be predicted over the dead time (`dead_time`); the motion may be
+identified while robots drive (`estimate`); margins may grow with the uncertainty, and robots pause,
+or turn on the spot, before an obstacle that no plan avoids (`collision`); longer sequences may be
+searched if no short one ends at the targets (`accept_error`); the stop may come between two steps
+(`stop_between`). By the experiment's fields `robots.via` and `hold` (not `controller.hold`), robots
+may pass way-points and stay at their targets.
 """
 
 import time
@@ -61,13 +61,13 @@ UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""Outcomes of the part of a trial up to a way-point after which the next part starts."""
+"""Outcomes of a leg, the part of a trial up to a way-point, after which the next leg begins."""
 
 
 class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
-    `timer` [ns] is read only if the section sets a deadline.
+    `timer()`, the time [ns], is read only if the section sets a deadline.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class Mpc:
 
     @property
     def _phase(self) -> int:
-        """Number of control periods since the present signal of the plan's grid began."""
+        """Number of control periods for which the plan's present signal has been held."""
         return 0 if self.warm is None else (self.k - self.began) % self.section.hold
 
     @property
@@ -156,7 +156,7 @@ class Mpc:
         self.warm: Floats | None = None  # u_(warm), None before the first plan
 
     def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide how robots stay within the hold's radius of their targets, until its time ends."""
+        """Decide how robots stay near their targets until the hold's time is over."""
         assert self.hold is not None
         assert self.held is not None
         if observation.sampled_ns - self.held[0] >= round(self.hold.seconds * SECOND):
@@ -244,15 +244,15 @@ class Mpc:
         return replace(found, estimate=self.estimator.estimate, pauses=True, facing=facing)
 
     def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
-        """Return a plan of given signals (L,), after searches `before` without a safe plan."""
+        """Return a plan of given signals (L,), made because the searches `before` were not safe."""
         searches = [*before, given_search(problem, signals)]
         plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
         self.warm, self.blocked, self.k = signals, True, self.k + 1
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with grown obstacles and separation; an adaptive margin includes the
-        deviation by the uncertainty of the estimate `known`, None if the motion is known."""
+        """Return the problem, if margins are adaptive with obstacles and separation grown by the
+        robots' greatest deviation, given the estimate `known`; None for a motion known exactly."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -268,8 +268,8 @@ class Mpc:
     def _ended(
         self, problem: Problem, observation: Observation, gaps: Floats
     ) -> Outcome | End | None:
-        """Return how the trial ends now, because the sequence is completed or stopping is as good
-        or safer; None if it goes on.
+        """Return how the trial ends now, because the sequence is completed or stopping costs no
+        more than going on; None if the trial goes on.
 
         `gaps` (N,) are the distances to the targets. The decision uses no search, so all data that
         it depends on are in the log."""
@@ -349,8 +349,8 @@ class Mpc:
         return lambda: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences within the horizon, the remaining steps and the control period;
-        the next step continues the search."""
+        """Search longer sequences, as long as the horizon and the remaining steps allow, until the
+        control period is over; the next step continues the search."""
         assert self.warm is not None
         lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
         self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
@@ -363,7 +363,7 @@ class Mpc:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 
-        The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
+        The last UNSURE signals are not tested; of a plan under way, only the first NEXT count."""
         collision = self.section.collision
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))

@@ -155,7 +155,7 @@ class MpcFields(ControllerSection):
         return self.optimizer.iterations_max
 
     def bounds(self) -> dict[str, str]:
-        """Return horizons of step 0 and evaluations of a search, for display: {name: text}."""
+        """Return the limits of horizons and evaluations as texts to display, {name: text}."""
         found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}
         if most := self.optimizer.evaluations_max:
             found["cost evaluations of a horizon"] = f"at most {most}"

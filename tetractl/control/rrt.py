@@ -167,8 +167,8 @@ def grow(
 ) -> Floats | None:
     """Grow a tree from `start` (2,) and return the corners (M, 2) of its path to `target` (2,).
 
-    Each row of `draws` (D, SHARES), uniform in [0, 1), is one draw. `edge` is in the length unit.
-    None if no path was found.
+    Each row of `draws` (D, SHARES) holds numbers uniform in [0, 1) for one draw. `edge` is in the
+    length unit. None if no path was found.
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)

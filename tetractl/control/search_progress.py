@@ -7,7 +7,7 @@ from tetractl.core.poses import Floats
 
 
 class Progress:
-    """The best sequence of `length` signals so far, and the evaluations spent.
+    """The best sequence of `length` signals so far, and the number of evaluations spent.
 
     `history` holds the least cost after each iteration, (z + 1,); `ended` is the reason why the
     search ended, None while it goes on.

@@ -57,7 +57,7 @@ class SequenceSection(ControllerSection):
 
 
 class SequenceController:
-    """The controller of one trial; the keys logged for its steps are derived from `key`."""
+    """The controller of one trial. It draws no random numbers; `key` only gives the keys logged."""
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key

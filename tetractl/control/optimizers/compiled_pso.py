@@ -1,4 +1,4 @@
-"""Algorithm 1 by compiled kernels; `tetractl.control.optimizers.pso.pso` is the readable one."""
+"""Algorithm 1 by compiled kernels; `tetractl.control.optimizers.pso.pso` is readable."""
 
 import numpy as np
 
@@ -77,7 +77,7 @@ def scatter(
 
 
 def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
-    """Return the parameters of (14)-(20) for the kernel, after `spent` evaluations."""
+    """Return the parameters of (14)-(20) for the kernel; `spent` evaluations are already done."""
     stop, window, decrease, target = _stop(section.stop)
     return kernel.SwarmRules(
         key=np.uint64(mix(key, 1)),

@@ -58,7 +58,7 @@ class Mppi(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: one iteration."""
+        """Least number of cost evaluations of a search: those of one iteration."""
         return self.particles
 
     @property

@@ -81,7 +81,8 @@ class Multistart(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: one round and a warm start."""
+        """Least number of cost evaluations of a search: those of one round, and one of a
+        warm start."""
         return self.particles + 1
 
     @property
@@ -176,8 +177,8 @@ class _PolishedProgress(Progress):
         """Draw smooth random sequences, within the bounds of (12).
 
         Each is linear between `knots` directions drawn uniformly within pi of the mean bearing of
-        the targets; with a warm start, every second one is the warm start plus such a curve of up
-        to half a radian.
+        the targets; with a warm start, every second sequence is the warm start plus such a curve
+        with values within half a radian of 0.
         """
         warm = np.empty(0) if self.warm is None else self.warm
         self.kernels.scatter(
@@ -185,7 +186,7 @@ class _PolishedProgress(Progress):
         )
 
     def try_one(self, signals: Floats) -> None:
-        """Evaluate one sequence (length,) and add its cost."""
+        """Evaluate one sequence (length,) and add its cost to the history."""
         found = np.empty(1)
         self.costs(self.one, np.ascontiguousarray(signals[:, None]), found)
         require_finite(found)
@@ -202,9 +203,9 @@ class _PolishedProgress(Progress):
         """Polish randomly changed copies of the best POOL sequences until one is good enough.
 
         A change ("hop") adds a random curve to all signals or to a span of them, or removes one
-        signal and inserts another elsewhere. Sequences in the pool are ordered by the merit of the
-        polish, which includes the depths in obstacles, plus a cost for each position that is left
-        in an obstacle.
+        signal and inserts another elsewhere. The pool is ordered by each sequence's merit after
+        the polish, which includes the depths in obstacles, plus a cost for each position that is
+        still in an obstacle.
         """
         pool: list[tuple[float, Floats]] = []
         found, length = self.polished, self.length

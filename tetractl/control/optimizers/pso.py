@@ -46,7 +46,8 @@ class PsoFields(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: the initial particles and a warm start."""
+        """Least number of cost evaluations of a search: one for each particle, and one for
+        a warm start."""
         return self.particles + 1
 
     @property
@@ -55,7 +56,8 @@ class PsoFields(OptimizerSection):
         return (self.iterations + 1) * self.particles + 1
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
-        """Yield "evaluations" and "stopped" if the logged values contradict the history."""
+        """Yield "evaluations" if the logged number of evaluations contradicts the logged history,
+        and "stopped" if the logged reason for the end contradicts it."""
         if not len(found.history):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:

@@ -1,4 +1,6 @@
-"""Checks that a log is consistent: values stored twice, and values computed from others."""
+"""Checks that a log agrees with itself: values stored twice must be equal, and values that follow
+from other records must match them.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -28,14 +30,18 @@ SLACK = 2.0  # frames after the guard's last check may exceed the guard's limits
 
 @dataclass(slots=True)
 class Audit:
-    """The contradictions in a log, and notes that are not contradictions."""
+    """The contradictions found in a log (`problems`), and remarks on harmless facts (`notes`)."""
 
     problems: list[Difference] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
 
 
 def audit(log: TrialLog, same_host: bool) -> Audit:
-    """Check the records of a log against each other."""
+    """Check the records of a log against each other.
+
+    `same_host` is whether this machine wrote the log, with these versions; then computed values
+    must have the same bits.
+    """
     findings = Audit()
     findings.problems += _run(log)
     if log.altered:
@@ -89,8 +95,9 @@ def _frames(log: TrialLog) -> Iterator[Difference]:
 
 
 def _steps(log: TrialLog) -> Iterator[Difference]:
-    """Check that each step has a logged frame and command, in order, and sends its plan's
-    signal."""
+    """Check that each control step names a logged frame and a logged command, that both follow
+    those of the step before, and that the command is the first signal of the step's plan.
+    """
     rows = {int(number): i for i, number in enumerate(log.frames)}
     sent: dict[int, list[Command]] = {}
     for command in log.commands:  # the stop may have the time of the last step
@@ -121,7 +128,7 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
 
 
 def _at(k: int | None, found: tuple[str, str] | None) -> Iterator[Difference]:
-    """Yield a result of `first_difference` as a difference in step `k`."""
+    """Yield what `first_difference` found as a difference in step `k`; nothing for None."""
     if found:
         yield Difference(k, *found)
 
@@ -164,7 +171,7 @@ def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Differen
 
 
 def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
-    """Check the verdict of a lab's plant against the logged frames."""
+    """Check the result of a trial in the lab against the logged frames and commands."""
     if not log.damage:
         if not _stands(log, result.verdict.final):
             yield Difference(None, "result.final", "differs from the robots' last poses")
@@ -176,10 +183,11 @@ def _lab(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
-    """Check the verdict against the path.
+    """Check the distances and the entered obstacles in the verdict against the logged path.
 
-    The plant of a lab evaluates only the frames between the first step and the stop. A damaged log
-    may have lost frames.
+    The plant of a lab evaluates only the frames between the first step and the stop. A stated
+    distance must therefore lie between the least of all frames and the least of these. In a damaged
+    log, where frames may be lost, distances are not checked.
     """
     path, known = trial_path(log)
     least = most = path_verdict(log, path, known, verdict.final)
@@ -213,7 +221,9 @@ def _ending(log: TrialLog, result: Result) -> Iterator[Difference]:
 
 
 def _rest(log: TrialLog) -> Iterator[Difference]:
-    """Check that the last frames of a complete lab trial show every robot, at rest if possible."""
+    """Check that a complete trial in the lab ends with every robot tracked, and at rest if robots
+    of this kind can halt; robots lost on the way are left out.
+    """
     lab, now = log.experiment.plant, log.mocap_ns
     if not isinstance(lab, LabSection) or not len(now):
         return
@@ -237,8 +247,8 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
 
 
 def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference]:
-    """Check that the duration of a lab trial counts from a time between first frame and first
-    command.
+    """Check the duration of a trial in the lab: it must count from a time between the first frame
+    and the first command.
     """
     first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
@@ -249,8 +259,8 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
 
 
 def _stands(log: TrialLog, final: Poses) -> bool:
-    """Return whether the final poses are in the last frames or, for robots that swim on, in a frame
-    near the stop.
+    """Return whether the final poses are those of one of the last frames or, for robots that swim
+    on after the stop, of any frame since STOPPING_NS before the stop.
     """
     if not len(log.mocap):
         return True

@@ -15,7 +15,9 @@ COORDINATES = ("x", "y", "heading")
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """The first value that differs from the log; `step` is None outside of control steps."""
+    """A value that contradicts the log: its control step (None outside of steps), its field, and a
+    message with what was found.
+    """
 
     step: int | None
     field: str
@@ -56,10 +58,11 @@ EXACT = Tolerance()
 def first_difference(
     ours: Any, logged: Any, tolerance: Tolerance = EXACT, name: str = ""
 ) -> tuple[str, str] | None:
-    """Return the field and a description of the first difference of two records, None without one.
+    """Return the field and a description of the first difference between two records, None if they
+    agree.
 
     A record is a dataclass, a protobuf message, a mapping, a sequence, an array, or a value. The
-    field is a path such as "searches.1.history.3", below `name`.
+    field is a path such as "searches.1.history.3", preceded by `name`.
     """
     return next(_differences(ours, logged, tolerance, name), None)
 
@@ -116,9 +119,10 @@ def _array_difference(
 def trial_difference(
     ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
 ) -> Difference | None:
-    """Return the first difference of two trials except in solve times, None if they agree.
+    """Return the first difference between two trials, None if they agree; solve times are ignored.
 
-    Commands, frames and steps in both trials are compared first, then how many each trial has.
+    If one trial is longer, the commands, frames and steps that both trials have are compared first,
+    then the numbers of them.
     """
     counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
     common = tuple(map(min, *counts))
@@ -135,8 +139,9 @@ def trial_difference(
 
 
 def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return the parts to compare, in order; `common` is the number of commands, frames and
-    steps."""
+    """Return the parts of a trial to compare, in order: of commands, frames and steps only the
+    first `common[0]`, `common[1]` and `common[2]`.
+    """
     commands, frames, steps = common
     result = trial.result
     return {

@@ -1,4 +1,4 @@
-"""The microscope's pictures in a log, selected and placed for displays of a trial."""
+"""Reads the microscope's pictures in a log, reduced for display, and their place in the dish."""
 
 import io
 from bisect import bisect_right
@@ -16,10 +16,11 @@ MOST = 120  # largest number of pictures per trial in a report
 
 
 class DishPictures:
-    """The readable pictures of one trial; most logs have none. Times are ns on the trial's clock.
+    """The readable pictures of one trial, at most `most`; only logs of a microscope have any.
 
-    `corners` (3, 2) are the positions of lower left, lower right and upper left corner in the
-    spec's coordinates.
+    `times` are when the pictures were taken, on the trial's clock [ns]. `corners` (3, 2) are the
+    positions of a picture's lower left, lower right and upper left corner in the spec's
+    coordinates.
     """
 
     def __init__(self, log: TrialLog, most: int | None = None) -> None:
@@ -37,11 +38,13 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the newest picture at a time, else of the first; None without one."""
+        """Return the index of the last picture taken up to a time [ns]; before the first picture
+        its index, None if there are no pictures.
+        """
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 
     def grey(self, which: int) -> Grey:
-        """Return the grey levels (height, width) of a picture, the upper row first."""
+        """Return the grey levels (height, width) of a picture, with the upper row first."""
         return np.asarray(self._pictures[which])
 
     def jpeg(self, which: int) -> bytes:
@@ -52,8 +55,8 @@ class DishPictures:
 
 
 def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Return a JPEG's grey picture, reduced, and its original width and height; None if it cannot
-    be read.
+    """Return a JPEG in grey levels, reduced to at most SHOWN pixels per side, and its original
+    width and height; None if it cannot be read.
     """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])

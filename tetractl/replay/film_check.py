@@ -1,8 +1,9 @@
-"""Checks the film in a log: searches the logged crops for the cells again, with the same code.
+"""Checks the film of cells in a log: searches the logged crops for the cells again, with the code
+that found them first.
 
-Each crop must contain the logged blob, and a robot's logged pose must be at its blob. With another
-version of OpenCV, results may differ by a pixel: then only the checksums are compared, and a note
-says so.
+The search in each crop must find the logged blob, and a robot's logged position must be within
+NEAR_UM [um] of its blob. With another version of OpenCV than the log's, blobs may differ by a
+pixel: then the crops are not searched, and a note says so.
 """
 
 import time
@@ -28,7 +29,7 @@ NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell
 
 
 class FilmCheck:
-    """The film of one log; `notes` lists comparisons that were not possible."""
+    """Checks the film of one log; `notes` lists comparisons that were not possible."""
 
     def __init__(self, raw: RawLog, log: TrialLog, same_host: bool) -> None:
         self._log, self._tolerance = log, 0.0 if same_host else SAME
@@ -62,7 +63,9 @@ class FilmCheck:
                 return
 
     def _comparable(self) -> bool:
-        """Return whether the search can be repeated here; if not, add a note with the reason."""
+        """Return whether the search can be repeated on this machine; if not, add a note with the
+        reason.
+        """
         there = self._log.start.plant.facts.get("opencv")
         try:
             from cv2 import __version__ as here
@@ -74,7 +77,9 @@ class FilmCheck:
         return there == here
 
     def _check(self, row: int, entries: list[Entry], again: bool) -> None:
-        """Check the messages of one picture; ValueError if they are inconsistent."""
+        """Check the messages of one picture and, if `again`, search its crops again; ValueError if
+        anything contradicts them.
+        """
         log, topics = self._log, [entry.topic for entry in entries]
         if topics[:2] != [channels.CELLS, channels.CROPS] or len(set(topics)) < len(topics):
             raise ValueError("a picture has cells without crops, or crops without cells")
@@ -89,7 +94,9 @@ class FilmCheck:
             _search_again(film, self._tolerance)
 
     def _check_robots(self, film: CellFilm, row: int) -> None:
-        """Check that a robot's logged pose is at its blob, unless several cells share the blob."""
+        """Check that each robot's logged position is within NEAR_UM of its blob, unless several
+        cells share the blob; ValueError otherwise.
+        """
         log = self._log
         camera: Any = getattr(log.experiment.plant, "camera", None)
         if len(film.sure) != log.valid.shape[1] or (film.robots >= len(film.sure)).any():

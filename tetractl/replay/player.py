@@ -18,7 +18,8 @@ from tetractl.log.read.trial_log import Event, TrialLog
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A trial of N robots at one instant, after M frames and K control steps; lengths in its unit.
+    """A trial of N robots at one instant, after M frames and K control steps; lengths in the
+    trial's unit.
 
     `time_s` counts from the first direction sent. `poses` (N, 3) are the newest measured poses and
     `trail` (M, N, 2) the measured positions, NaN if a robot was not tracked. `step` is the newest
@@ -98,7 +99,9 @@ class Recording:
 
 
 def _held(mocap: Floats, valid: NDArray[np.bool_], first: Floats) -> Floats:
-    """Return poses (M + 1, N, 3), row m after m frames; a robot not tracked keeps its last pose."""
+    """Return poses (M + 1, N, 3): row m holds each robot's last tracked pose after m frames, or its
+    pose in `first` (N, 3) if it was not tracked yet.
+    """
     poses = np.concatenate([first[None], mocap])
     seen = np.vstack([np.ones(len(first), dtype=bool), valid])
     index = np.arange(len(poses))[:, None] * seen
@@ -111,7 +114,8 @@ RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
 class PlayerClock:
-    """A trial's time [ns], `rate` times as fast as the wall clock; it can be paused and set.
+    """A clock of a trial's time [ns], `rate` times as fast as the wall clock; it can be paused and
+    set.
 
     now = anchor + rate * (wall - wall at the anchor). A change of rate, a pause and a jump each set
     a new anchor, so that the time is continuous except for jumps.
@@ -143,7 +147,9 @@ class PlayerClock:
         return self._anchor + round(self._rate * (self._wall.now() - self._anchor_wall))
 
     def sleep_until(self, time_ns: int) -> bool:
-        """Wait until a time of the trial, and return True; a paused clock returns at once."""
+        """Wait until a time of the trial [ns]; a paused clock does not wait. Return whether it is
+        reached.
+        """
         if not self._paused:
             wall_ns = math.ceil((time_ns - self._anchor) / self._rate)
             self._wall.sleep_until(self._anchor_wall + wall_ns)
@@ -186,7 +192,7 @@ class Playback(StrEnum):
 
 
 class Player:
-    """Plays a span [ns] of a recording: a state machine over a `PlayerClock`.
+    """Plays a span [ns] of a recording, on a `PlayerClock`; keys change its state.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
     resumes, and at the end plays again from the start; "left" and "right" seek 1 s back and
@@ -298,12 +304,12 @@ class Player:
         self._seek(time_ns)
 
     def _after(self, times: Integers, otherwise: int) -> int:
-        """Return the first of the rising `times` [ns] after now, or `otherwise`."""
+        """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""
         index = int(np.searchsorted(times, self.now, side="right"))
         return int(times[index]) if index < len(times) else otherwise
 
     def _before(self, times: Integers, otherwise: int) -> int:
-        """Return the last of the rising `times` [ns] before now, or `otherwise`."""
+        """Return the last of the increasing `times` [ns] that lies before now, or `otherwise`."""
         index = int(np.searchsorted(times, self.now, side="left"))
         return int(times[index - 1]) if index else otherwise
 

@@ -2,9 +2,9 @@
 
 There are two methods. *Re-computed*: every search is run again and must give the same bits, as it
 does on the machine and with the versions that wrote the log. *Re-evaluated*: the searches' results
-are read from the log, and their J, the choice among them and the predicted path are computed again,
-to TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a difference in the
-last bit of one cost may change the leading particle and then the whole search.
+are read from the log; their J, the choice among them and the predicted path are computed again, and
+must agree within TOLERANCE and ROUNDING. Searches cannot be repeated on another processor: a
+difference in the last bit of one cost may change the leading particle and then the whole search.
 """
 
 import copy
@@ -57,10 +57,10 @@ class _TooLongError(Exception):
 class Rerun:
     """Repeats the logged searches of a trial, in place of a controller's optimisers.
 
-    A search that ended at the deadline is repeated with a deadline that passes at the reading of
-    the clock after which the logged number of evaluations is done. With `search_again` False the
-    logged searches are returned, and their contradictions are in `wrong`. `limit_s` is the longest
-    processor time from `start` on, read from `cpu` [s].
+    A search that was ended by the deadline is repeated with a deadline that passes once the logged
+    number of evaluations is done. With `search_again` False, nothing is searched: the logged
+    searches are returned, and what contradicts them is added to `wrong`. `limit_s` is the processor
+    time allowed after `start`, and `cpu` the clock that measures it [s].
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float], limit_s: float) -> None:
@@ -88,7 +88,9 @@ class Rerun:
         self._left, self.wrong = list(enumerate(searches)), []
 
     def timer(self) -> int:
-        """Return a time [ns] that passes the deadline once the logged searches are done."""
+        """Return the time [ns] for the controller's deadline: 0 while logged searches are left,
+        then a time after every deadline.
+        """
         return 0 if self._left else _LONG_AGO
 
     def wrap(self, optimizer: OptimizerSection) -> Optimizer:
@@ -173,7 +175,7 @@ class _Repeated:
 
 
 class _Countdown:
-    """A deadline that has passed from the `count`-th reading on."""
+    """A deadline that has passed from the `count`-th check on."""
 
     def __init__(self, count: int) -> None:
         self._left = count
@@ -196,8 +198,8 @@ def recompute(
     """Compute every decision of a log again; return the first difference or None.
 
     `search_again` True runs the searches again and compares bits, False uses the logged searches.
-    Steps after a gap are not checked, since the controller's state is lost. Exceeding the limit of
-    processor time, read from `cpu` [s], is a difference.
+    Steps after a gap are not checked, since the controller's state is lost. If the processor time,
+    read from `cpu` [s], exceeds its limit, this is returned as a difference.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
@@ -247,7 +249,9 @@ def recompute(
 def plan_again(
     controller: Controller, log: TrialLog, last: Step | None, observation: Observation
 ) -> Plan | Outcome | End:
-    """Return a controller's decision on an observation that follows a control step of a log."""
+    """Return a controller's decision on an observation that follows the control step `last` of a
+    log, or on the first observation if `last` is None.
+    """
     if last is None:
         return controller.plan(observation)
     began, times = last.observation.sampled_ns, log.mocap_ns
@@ -257,7 +261,9 @@ def plan_again(
 
 
 def first_steps(log: TrialLog) -> list[Step]:
-    """Return the steps up to the first gap, of steps or, in a damaged log, of camera frames."""
+    """Return the control steps before the first missing step or, in a damaged log, before the first
+    missing camera frame.
+    """
     lost = log.damage.lost if log.damage else ()
     torn = len(lost) > (log.result is None)  # not only the end of the log is lost
     gap = min((gap.first for gap in frame_gaps(log)), default=np.inf) if torn else np.inf
@@ -316,14 +322,15 @@ def _outcome_text(decision: Outcome | End) -> str:
 
 def _stopped_by_itself(log: TrialLog, result: Result) -> bool:
     """Return whether the controller may have ended a trial that is logged as aborted or
-    interrupted. In the lab a fault may occur at the same time, and a trial also counts as aborted
-    if the robots did not come to rest after its end.
+    interrupted, so that its last decision can be checked. False in the lab: a fault may occur at
+    the same time, and a trial also counts as aborted if the robots did not come to rest after its
+    end.
     """
     told = any(note.level == "error" and note.text == result.reason for note in log.notes)
     return log.start.plant.simulated and not told
 
 
 def _tolerance(xy: Floats, targets: Floats) -> Tolerance:
-    """Return the tolerance of re-evaluation for N robots with positions and targets (N, 2)."""
+    """Return the tolerance of re-evaluation for N robots at `xy` (N, 2) with `targets` (N, 2)."""
     ends = np.abs(np.concatenate([xy, targets]))
     return Tolerance(TOLERANCE, ROUNDING * float(ends.max(initial=1.0)) * len(targets))

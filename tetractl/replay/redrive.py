@@ -1,5 +1,5 @@
 """Drives a plant again with the recorded commands of a trial, open loop, and measures the distance
-between both paths.
+between the recorded and the new path.
 
 A controller of kind `sequence` sends the directions in a separate trial, which is run, logged and,
 in the lab, guarded like any other.
@@ -47,7 +47,8 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
 
 
 def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> LoadedSpec:
-    """Return a spec whose controller sends given directions [rad], one per control period.
+    """Return a spec whose controller sends `directions` [rad], one per control period, and holds
+    the last one for `remainder` [s] more.
 
     The robots stand still until the first direction, and arrival does not end the trial.
     """
@@ -79,7 +80,7 @@ class Apart:
 
     @property
     def final(self) -> Floats:
-        """The last known distance of each robot, (N,)."""
+        """The last known distance between each robot's two positions, (N,)."""
         known = [column[np.isfinite(column)] for column in self.distance.T]
         return np.array([one[-1] if one.size else np.nan for one in known])
 

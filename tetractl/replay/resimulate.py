@@ -1,9 +1,9 @@
 """Repeats the simulation of a trial, with the plant rebuilt from the spec and the seed.
 
 The controller of the repeated trial returns the logged plans. Commands, frames, true poses,
-operator messages, verdict and the plant's facts must be the logged ones: with the same bits on the
-machine and with the versions that wrote the log, elsewhere to the tolerance `ROUGHLY`, since a sine
-may differ in its last bit.
+operator messages, verdict and the plant's facts must equal the logged ones. On the machine that
+wrote the log, with the same versions, they must have the same bits; elsewhere they must agree
+within `ROUGHLY`, since a sine may differ in its last bit.
 """
 
 import copy
@@ -30,10 +30,10 @@ ROUGHLY = Tolerance(1e-6, 1e-6)
 
 
 def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
-    """Return the first difference between the repeated trial and its log, None for none.
+    """Return the first difference between the repeated trial and its log, None if they agree.
 
-    On the same host bits are compared. A trial in the lab cannot be repeated, nor can the
-    simulation of a damaged log.
+    If `same_host`, values must have the same bits. A trial in the lab cannot be repeated, nor can
+    the simulation of a damaged log.
     """
     plant = log.experiment.plant
     if log.start.plant.simulated != plant.simulated:
@@ -58,7 +58,9 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
 
 
 def _samples(log: TrialLog) -> float:
-    """Return the number of robot positions that the simulation evaluates, times (1 + obstacles)."""
+    """Return the number of robot positions that the simulation evaluates, times (1 + number of
+    obstacles).
+    """
     last = max(log.stop.sent_ns if log.stop else 0, *(one.sent_ns for one in log.commands), 0)
     rate = max(getattr(log.experiment.plant, "truth_rate", 0.0), log.start.plant.camera_rate_hz)
     setup = log.start.setup
@@ -86,8 +88,9 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a repeated trial with those values of the log that a last bit may change: facts
-    (text), and whether a robot that touches an obstacle entered it.
+    """Return a repeated trial in which the values that one last bit may change are replaced by the
+    log's: the plant's facts, which are text, and whether a robot at the edge of an obstacle entered
+    it.
     """
     assert ours.result
     assert log.result
@@ -152,7 +155,9 @@ class _LoggedPlans:
 
 
 class _Recorder(Recorder):
-    """Records a repeated trial, and ends it where a log ends between two control steps."""
+    """Records a repeated trial. If the log ends between two control steps, the repeated trial is
+    ended there.
+    """
 
     failure = ""  # reason why the trial did not run to its end
 
@@ -178,8 +183,8 @@ class _Recorder(Recorder):
             raise AbortError(ENDED)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Keep the stop and the result, with outcome and reason from the log: plans do not
-        determine them.
+        """Keep the stop, and the result with the log's outcome and reason, which plans do not
+        determine.
         """
         logged = self._log.result
         assert logged

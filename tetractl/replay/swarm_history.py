@@ -31,7 +31,9 @@ SEEN = [0, 1]
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """The swarm after iteration z: two signals of each particle (np, 2) and of u_gb (2,) [rad]."""
+    """The swarm after iteration z: two signals [rad] of each of np particles (np, 2) and of the
+    best sequence found so far, u_gb (2,), and its `cost` J.
+    """
 
     z: int
     particles: Floats
@@ -43,10 +45,10 @@ class Frame:
 class SwarmHistory:
     """A particle swarm search in two dimensions: the first two signals of a sequence.
 
-    `path` (Z + 1, 2) is the course of the first particle and `path_best` (2,) its local best at the
-    end. `costs` (GRID, GRID) is J on a grid over the range (12) of the two signals, the lowest row
-    first; the other signals are those of u_gb. `repeated` is whether J(u_gb) agrees with the log in
-    every iteration.
+    `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) its
+    local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two signals,
+    (12), with the lowest row first; the other signals are those of u_gb, the best sequence found.
+    `repeated` is whether J(u_gb) agrees with the log in every iteration.
     """
 
     frames: tuple[Frame, ...]
@@ -83,9 +85,9 @@ class _SpyOptimizer:
 def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     """Run the chosen search of control step 0 again and return its swarm.
 
-    The swarm has a frame for each share of its iterations in `shown`, 0 to 1. Raises LogError for a
-    search that was not by a particle swarm, has a single signal, does not follow from the log, or
-    takes longer than `limits` allows.
+    `shown` are the instants to keep as frames, each as a fraction of the iterations from 0 to 1.
+    Raises LogError for a search that was not by a particle swarm, has a single signal, does not
+    follow from the log, or takes longer than `limits` allows.
     """
     rerun = Rerun(False, time.thread_time, limits.seconds_limit())
     rerun.start()
@@ -105,7 +107,7 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
 
 
 def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
-    """Return the arguments of the controller's searches for the plan of step 0."""
+    """Return the arguments of the search whose result became the plan of step 0."""
     step, asked = log.steps[0], list[_Asked]()
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     controller = log.experiment.controller.build(

@@ -44,8 +44,8 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference of each topic and of the required operator messages; none for a
-    damaged log, or for format 1, which is no longer written.
+    """Yield the first difference in each topic, and differences in the operator messages that
+    follow from the records; nothing for a damaged log, or for format 1, which is no longer written.
     """
     if log.damage or raw.run.version == 1:
         return
@@ -68,7 +68,7 @@ def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator
 def _messages(
     raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
 ) -> Iterator[Difference]:
-    """Compare all topics except /log, one message at a time to save memory.
+    """Compare the messages of all topics except /log and the film, one at a time to save memory.
 
     Messages encoded for /log are appended to `called_for`.
     """
@@ -97,9 +97,11 @@ def _messages(
 
 
 def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
-    """Yield the encoded messages of a trial, in order within a topic; for /log only required ones.
+    """Yield the encoded messages of a trial, in order within a topic; for /log only those that
+    follow from the records.
 
-    Camera frames are grouped as in the log, since their original groups are unknown.
+    Camera frames are grouped into messages as in the log, since nothing else states how the log
+    writer grouped them.
     """
     messages = Messages(log.start)
     yield from messages.start()

@@ -31,7 +31,8 @@ class StepPrediction:
 
     `difference` [rad] is the other direction minus the one sent, in [-pi, pi]. `recorded_error` and
     `other_error` are the sums of distances to the targets at the predicted ends of both plans, and
-    `apart` (N,) the distances of each robot's two predicted ends [length unit].
+    `apart` (N,) is the distance between each robot's two predicted ends [length unit].
+    `recorded_length` and `other_length` are the numbers of signals of both plans.
     """
 
     k: int
@@ -64,8 +65,8 @@ class WhatIf:
 def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     """Return the log's experiment with values of its controller replaced.
 
-    UsageError for other settings, and for another control period, since observations exist only at
-    the recorded one. SpecError if the changed spec is not valid.
+    UsageError for settings outside the controller, and for another control period, since
+    observations exist only at the recorded one. SpecError if the changed spec is not valid.
     """
     for setting in sets:
         path = setting.partition("=")[0].strip()
@@ -87,7 +88,7 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
 def what_if(
     log: TrialLog, other: Experiment, timer: Callable[[], int] = time.perf_counter_ns
 ) -> WhatIf:
-    """Return the decisions of another experiment's controller at each step of a log.
+    """Return what another experiment's controller would have decided at each step of a log.
 
     `timer` [ns] is the clock of the controller's deadline. Steps after a gap in the log are left
     out. UsageError if either controller switches the field off at times.

@@ -1,22 +1,24 @@
 """The likelihood of differences of noisy measurements along a chain of intervals.
 
-A quantity is measured at the ends of K intervals with an error e of deviation s, and walks at
-random by w [1/sqrt(s)]. The residual of an interval of t seconds is then
+A quantity is measured at the ends of K intervals, each time with an error e of standard deviation
+s. Between measurements it also walks at random, with standard deviation w after one second. The
+residual of interval k, which lasts t_k, is then
 
     r_k = e_(k+1) - F_k e_k + w sqrt(T_k) n_k,      T_k = t_k (1 + 4 F_k + F_k^2) / 6,
 
-where F_k is the derivative of the model's end value by its start value: a deviation early in an
-interval is multiplied by F_k at its end (Simpson's rule for the integral of F_k^(2 x), x from 0 to
-1). The covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next
-to it if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for
-displacements projected along a path it is the cosine of the angle between both intervals' paths.
-With A = L L^T, y = L^-1 r are independent and of deviation 1, and
+where n_k is standard normal, and F_k is the derivative of the model's value at the interval's end
+with respect to the value at its start: a deviation at the start is multiplied by F_k at the end,
+one later by a smaller power of F_k (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1).
+The covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
+if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for displacements
+projected along a path it is the cosine of the angle between both intervals' paths. With A = L L^T,
+the elements of y = L^-1 r are independent with standard deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
 
-A fit of P parameters, with the model's derivatives X (K, P), explains part of the errors. The
-restricted likelihood accounts for this: its y are the residuals of y after least squares on L^-1 X,
-and ln det X^T A^-1 X is added.
+Fitting P parameters makes the residuals smaller than the errors. With the derivatives X (K, P) of
+the model with respect to the parameters, the restricted likelihood accounts for this: its y are the
+residuals of y after least squares on L^-1 X, and ln det X^T A^-1 X is added.
 
 Source: Patterson and Thompson, "Recovery of inter-block information when block sizes are unequal",
 Biometrika 58 (1971).
@@ -49,7 +51,9 @@ class SampleInterval:
 
 @dataclass(frozen=True, slots=True)
 class ChainNoise:
-    """Standard deviations: `measured` of one measurement, `walk` of the random walk [1/sqrt(s)]."""
+    """Standard deviations: `measured`, of one measurement; `walk`, of the random walk after one
+    second, per square root of time [1/sqrt(s)].
+    """
 
     measured: float
     walk: float
@@ -57,7 +61,8 @@ class ChainNoise:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The K intervals of one robot: length `t` (K,) [s], `slope` F (K,), and which are `used` (K,).
+    """The K intervals of one robot: lengths `t` (K,) [s], slopes F (K,), and `used` (K,), whether
+    an interval is used.
 
     `linked` (K,) is True for intervals that begin with the last frame of the interval before.
     `coupling` is G (K,), by default F.
@@ -70,12 +75,14 @@ class Chain:
     coupling: Floats | None = None
 
     def variance(self, noise: ChainNoise) -> Floats:
-        """Return the diagonal of A (K,)."""
+        """Return the variance of each residual (K,), the diagonal of A."""
         walked = self.t * np.maximum(1 + 4 * self.slope + self.slope**2, 0.0) / 6
         return noise.measured**2 * (1 + self.slope**2) + noise.walk**2 * walked + 1e-300
 
     def factor(self, noise: ChainNoise) -> Floats:
-        """Return L as its diagonal and subdiagonal, (2, K); an interval not used has 1 and 0."""
+        """Return the diagonal and the subdiagonal of L as rows (2, K); for unused intervals 1 and
+        0.
+        """
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))
         s2 = noise.measured**2
@@ -87,14 +94,18 @@ class Chain:
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
-        """Return L^-1 times columns (K, M), with 0 for intervals not used."""
+        """Return L^-1 times columns (K, M), with 0 for unused intervals; `factor` is L from
+        `factor`.
+        """
         columns = np.where(self.used[:, None], columns, 0.0)
         found, info = _SOLVE(factor, columns, uplo="L")
         assert info == 0, "the diagonal of L is positive"
         return found
 
     def deviance(self, noise: ChainNoise, r: Floats, by: Floats) -> float:
-        """Return -2 ln restricted likelihood of residuals (K,); `by` (K, P) is X of the module."""
+        """Return -2 ln of the restricted likelihood of residuals (K,); `by` (K, P) is X, the
+        derivatives of the model with respect to the parameters.
+        """
         factor = self.factor(noise)
         whitened = self.whiten(factor, np.column_stack([r, by]))
         y, x = whitened[:, 0], whitened[:, 1:]
@@ -107,7 +118,7 @@ class Chain:
         return float(total - explained + np.linalg.slogdet(normal)[1])
 
     def noise_of(self, r: Floats, by: Floats) -> ChainNoise:
-        """Return the most likely noise of residuals (K,); `by` (K, P) is X of the module."""
+        """Return the most likely noise of residuals (K,); `by` (K, P) is X, as in `deviance`."""
         size = _size(r[self.used])
         begin = np.log([0.5 * size, size])
         best = minimize(
@@ -121,7 +132,7 @@ class Chain:
     def noise_intervals(
         self, r: Floats, by: Floats, best: ChainNoise
     ) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the 95 % profile intervals of both deviations: (low, high) of each."""
+        """Return (low, high) of `measured` and of `walk`: 95 % intervals by profile likelihood."""
         size = _size(r[self.used])
         least = self.deviance(best, r, by)
 

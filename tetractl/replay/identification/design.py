@@ -1,9 +1,10 @@
-"""An informative motion: a sequence of directions, inside the arena, for accurate identification.
-It is the one of many random sequences that minimises the sum of the logarithms of the predicted
-variances of the dead time and of each robot's a and heading bias (a D-optimal design). No robot may
-come within `margin` of the arena's edge, an obstacle or another robot. This sequence is then
-improved one direction at a time. Variances are predicted from the Fisher information of turns in
-intervals of SHORTEST_S, with the noise NOISE.
+"""Designs a motion from which robots can be identified accurately: a sequence of directions.
+
+Of many random sequences, the one is taken that minimises the sum of the logarithms of the predicted
+variances of the dead time, each robot's a and each robot's heading bias (a D-optimal design). It is
+then improved one direction at a time. No robot may come within `margin` of the arena's edge or an
+obstacle, and no two robots within twice `margin` of each other. Variances are predicted from the
+Fisher information of the robots' turns in intervals of SHORTEST_S, with the noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -36,11 +37,12 @@ AWAY = 0.15  # margin relative to the arena's shorter side; smaller for robots t
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """A sequence of directions, one per control period, and the predicted deviations of fitted
-    values.
+    """A sequence of directions, one per control period, and the standard deviations predicted for
+    the values that will be identified from it.
 
-    `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative, `heading_bias_std` (N,)
-    [rad]; `clearance` is the least distance kept to edge and obstacles [length unit].
+    `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative to a, `heading_bias_std`
+    (N,) [rad]. `clearance` [length unit] is the least distance of a robot from the edge or an
+    obstacle, or half the least distance between two robots if that is smaller.
     """
 
     directions: Floats
@@ -57,7 +59,9 @@ class Design:
 
 
 def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
-    """Return a design of about `seconds`; UsageError if the robots have no room for it."""
+    """Return a design that lasts about `seconds` [s]; UsageError if the robots have no room for
+    it.
+    """
     setup, rng = experiment.setup, np.random.default_rng(seed)
     period = setup.period_s
     hold = max(1, round(HOLD_S / period))
@@ -99,7 +103,9 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
 
 
 class _Room:
-    """The free space: away from the arena's edge, obstacles and other robots."""
+    """Measures how far the robots stay from the arena's edge, from obstacles and from each
+    other.
+    """
 
     def __init__(self, setup: Setup) -> None:
         self.setup = setup
@@ -110,11 +116,15 @@ class _Room:
         self.margin = min(AWAY * side, 0.5 * here)
 
     def clearance(self, directions: Floats, period: float) -> float:
-        """Return the least clearance under a sequence of directions."""
+        """Return `distance` for the robots' path under a sequence of directions, one per `period`
+        [s].
+        """
         return self.distance(_path(self.setup, directions, period))
 
     def distance(self, path: Floats) -> float:
-        """Return the least distance of poses (..., N, 3) to an edge, or half that of two robots."""
+        """Return the least distance of poses (..., N, 3) from the edge or an obstacle, or half the
+        least distance between two robots if that is smaller.
+        """
         x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
         least = float(self.setup.arena.inside(x, y).min())
         for shape in self._obstacles.shapes:
@@ -128,11 +138,11 @@ class _Room:
 def _random_sequence(
     rng: np.random.Generator, count: int, setup: Setup, room: _Room, seconds: float
 ) -> Floats | None:
-    """Return `count` random directions, held for `seconds` each, that keep robots in `room`, or
-    None.
+    """Return `count` random directions, each held for `seconds`, that keep the robots at least
+    `room.margin` from everything; None if none were found.
 
-    Each differs by at most TURN from the one before, the first from the robots' mean heading. If no
-    direction is possible, the last few are drawn again.
+    Each direction differs by at most TURN from the one before, the first one from the robots' mean
+    start heading. If no next direction is possible, the last few are drawn again.
     """
     knots: list[float] = []
     states = [setup.starts]
@@ -158,7 +168,7 @@ def _ahead(setup: Setup) -> float:
 
 
 def _path(setup: Setup, directions: Floats, period: float) -> Floats:
-    """Return x, y, heading (C, M, N, 3) of the robots under C directions."""
+    """Return x, y, heading of N robots under C directions, in M frames each: (C, M, N, 3)."""
     poses, rows = setup.starts, []
     for u in directions:
         rows.append(_drive(setup, poses, float(u), period))
@@ -167,8 +177,8 @@ def _path(setup: Setup, directions: Floats, period: float) -> Floats:
 
 
 def _drive(setup: Setup, poses: Poses, u: float, seconds: float) -> Floats:
-    """Return x, y, heading (M, N, 3) under direction `u`, in frames at least SHORTEST_S apart and
-    at the end.
+    """Return x, y, heading (M, N, 3) under direction `u`: in the middle of each of M - 1 equal
+    parts of `seconds`, which last at least SHORTEST_S, and at the end.
     """
     count = max(1, int(seconds / SHORTEST_S))
     t = np.append((np.arange(count) + 0.5) / count, 1.0)[:, None] * seconds
@@ -195,7 +205,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
 
 
 def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:
-    """Return the track of robots that move as the spec expects under the directions."""
+    """Return the track of robots that move under the directions exactly as the spec expects."""
     seen = _path(setup, directions, setup.period_s)[:, :-1]
     per, n = seen.shape[1:3]
     begin = np.arange(len(directions), dtype=np.float64) * setup.period_s

@@ -1,13 +1,16 @@
-"""A dead time shared by all robots, and each robot's a and heading bias, by maximum likelihood.
+"""Fits a dead time that all robots share, and each robot's a and heading bias, by maximum
+likelihood.
 
-The fit starts from the final estimates of the controller's filters (`control.filter`), which start
-from the expected a times each of RATES. Each of ROUNDS rounds then infers lost commands from the
-robots' turns, leaves out intervals that deviate from the model by more than OUTLYING standard
-deviations, fits the measurement noise and the random walk of the headings, and fits the parameters
-by Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval has the values for
+The controller's filters (`control.filter`) run over the longest track, once for each of RATES,
+starting from the expected a times that rate. The fit starts from the final estimates of the run
+that predicts the turns best. Each of ROUNDS rounds then infers lost commands from the robots'
+turns, leaves out intervals that deviate from the model by more than OUTLYING standard deviations,
+fits the measurement noise and the random walk of the headings, and fits the parameters by
+Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval contains the values for
 which the deviance, minimised over all other parameters, exceeds its minimum by at most LIMIT.
 
-Weak normal priors around the start, WEAK, keep unobservable parameters bounded.
+Normal priors around the start, with the wide standard deviations WEAK, keep a parameter bounded if
+the data do not determine it.
 """
 
 from dataclasses import dataclass
@@ -35,9 +38,11 @@ POINTS = 6  # number of points on each side of a profile
 
 @dataclass(frozen=True, slots=True)
 class Fitted:
-    """The most likely parameters and the ends of their 95 % intervals, infinite if not found.
+    """The most likely parameters and the ends of their 95 % intervals; an end that was not found is
+    infinite.
 
-    `chains` and `noises` describe each robot's turns; `used` (K, N) are the intervals used.
+    `chains` and `noises` describe each robot's turns; `used` (K, N) is True for intervals in the
+    fit.
     """
 
     best: Turning
@@ -50,7 +55,9 @@ class Fitted:
 
 
 def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
-    """Fit the parameters to tracks and their `drives`; `prior` has the expected values."""
+    """Fit the parameters to tracks; `drives` are the same tracks joined, `prior` the expected
+    values.
+    """
     longest = max(tracks, key=lambda track: len(track.time))
     starts = [_filtered(longest, prior._replace(a=prior.a * rate)) for rate in RATES]
     first = min((_Fit(drives, start) for start in starts), key=_Fit.misfit)
@@ -60,7 +67,9 @@ def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
 
 
 def _filtered(track: Track, prior: Prior) -> Turning:
-    """Return the filters' estimates from the frames and commands of a track."""
+    """Return the final estimates of the controller's filters, run over the frames and commands of a
+    track.
+    """
     bank, every = FilterBank(prior), (True,) * len(prior.a)
     sent, at = (track.sent * SECOND).round().astype(np.int64).tolist(), 0
     for k in np.flatnonzero(track.time <= track.until).tolist():
@@ -116,7 +125,9 @@ class _Fit:
             self.p = self._newton(self.p, None)
 
     def _whitened(self, p: Turning, derivatives: bool) -> tuple[Floats, Floats]:
-        """Return y (N K,) and, with `derivatives`, the prediction's derivatives (N K, 1 + 2 N)."""
+        """Return the whitened residuals y (N K,) and, if `derivatives`, the whitened derivatives of
+        the predicted turns with respect to the parameters (N K, 1 + 2 N), otherwise an empty array.
+        """
         r, count = self.turns.missed(p), self.used.shape[1]
         by = self.turns.derivatives(p) if derivatives else np.empty((*r.shape, 0))
         ys, rows = [], []
@@ -130,7 +141,9 @@ class _Fit:
         return np.concatenate(ys), np.concatenate(rows) if rows else np.empty((0, 0))
 
     def _newton(self, p: Turning, fixed: int | None) -> Turning:
-        """Return the parameters after a Gauss-Newton step, in which parameter `fixed` stays."""
+        """Return the parameters after a Gauss-Newton step, which leaves the parameter of index
+        `fixed` unchanged.
+        """
         y, by = self._whitened(p, True)
         v = p.vector()
         normal = by.T @ by + np.diag(self._weak**-2.0)
@@ -148,7 +161,9 @@ class _Fit:
         return float(y @ y + (((p.vector() - self._center) / self._weak) ** 2).sum())
 
     def _end(self, which: int, sign: int, deviation: float, least: float) -> float:
-        """Return an end of a parameter's interval: the value at which the profile reaches LIMIT."""
+        """Return the lower (`sign` -1) or upper (+1) end of the interval of parameter `which`: the
+        value at which the deviance, minimised over all other parameters, is LIMIT above `least`.
+        """
         best = self.p.vector()
         p, reach = self.p, 1.96 * deviation
         inside, outside = 0.0, np.inf
@@ -200,5 +215,5 @@ class _Fit:
 
 
 def _spread(r: Floats) -> float:
-    """Return the standard deviation of residuals, estimated from their median."""
+    """Return the standard deviation of residuals, estimated from the median of their magnitudes."""
     return max(float(np.median(np.abs(r))) / 0.6745, 1e-6) if r.size else 1.0

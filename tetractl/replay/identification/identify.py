@@ -1,4 +1,6 @@
-"""Identifies robots from tracks: each value with its 95 % interval, as tables and for a spec."""
+"""Identifies robots from tracks, and returns each value with its 95 % interval: as tables, and as a
+section of a spec.
+"""
 
 import math
 from dataclasses import dataclass
@@ -28,10 +30,10 @@ class RobotFound:
     """The identified values of one robot; lengths in the tracks' unit.
 
     `a` [rad/s], `speed` [length unit/s], `heading_bias` [rad] as in `core.plan.Estimate`;
-    `heading_noise` [rad] and `position_noise` [length unit] are standard deviations of measured
-    headings, and of measured positions along the path; `heading_walk` [rad/sqrt(s)] is the random
-    walk of the heading. `lost` and `intervals` are the numbers of commands inferred lost and of
-    intervals used.
+    `heading_noise` [rad] is the standard deviation of measured headings, `position_noise` [length
+    unit] that of measured positions along the path. `heading_walk` [rad/sqrt(s)] is the standard
+    deviation after one second of the heading's random walk. `lost` is the number of commands that
+    the robot probably lost, `intervals` the number of intervals used.
     """
 
     name: str
@@ -49,8 +51,8 @@ class RobotFound:
 class IdentifiedRobots:
     """The identified values of all robots.
 
-    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the time from the
-    exposure of the answered frame to the sending of the direction, None if it is not known.
+    `dead_time` [s] counts from the sending of a direction; `frame_age` [s] is the median time from
+    the exposure of a frame to the sending of the direction decided on it, None if unknown.
     """
 
     origin: str
@@ -63,10 +65,11 @@ class IdentifiedRobots:
 
 
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
-    """Identify the robots of some tracks, which all show the same robots.
+    """Identify robots from tracks, all of the same robots.
 
-    `a` (N,) [rad/s] and the dead time [s] are expected values: right within a factor of about 5 and
-    within 0.3 s. `a` is None if unknown. UsageError if the tracks contain too few data.
+    `a` (N,) [rad/s] and `dead_time` [s] are expected values: a should be right within a factor of
+    about 5, or None if unknown, the dead time within 0.3 s. UsageError if the tracks contain too
+    few data.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)

@@ -29,9 +29,9 @@ class Track:
 
     `time` (M,) is when each frame was exposed, `poses` (M, N, 3) are x, y [length unit] and heading
     [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
-    sent and `u` (C,) its direction [rad]. Data after `until` [s] are not used: the robots receive a
-    stop. `frame_age` is the median time [s] from a frame's exposure to the sending of the command
-    that answers it, None if unknown.
+    sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
+    are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
+    command decided on it, None if unknown.
     """
 
     source: str
@@ -50,9 +50,9 @@ class Track:
 class Intervals(NamedTuple):
     """K intervals between two camera frames of N robots.
 
-    `since`, `until` (K,) [s]; `heading` (K, N) at `since` [rad]; `turned` (K, N) [rad] and
-    `travelled` (K, N) [length unit] until `until`; `usable` (K, N) is False for a robot that was
-    not tracked, or did not move yet.
+    An interval lasts from `since` to `until` (K,) [s]. `heading` (K, N) [rad] is the heading at its
+    start, `turned` (K, N) [rad] the turn and `travelled` (K, N) [length unit] the distance during
+    it. `usable` (K, N) is False for a robot that was not tracked, or did not move yet.
     """
 
     since: Floats
@@ -72,7 +72,8 @@ class Directions(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Drives:
-    """Consecutive tracks with APART_S between them: K intervals between frames of N robots.
+    """Tracks of N robots joined into one, with APART_S between two tracks: K intervals between
+    frames.
 
     `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if an
     interval begins with the last frame of the interval before.
@@ -115,7 +116,9 @@ def track_of(log: TrialLog) -> Track:
 
 
 def _paused(log: TrialLog) -> Bools:
-    """Return which frames (M,) show robots that stand still, stop or start to drive."""
+    """Return which frames (M,) were exposed between a stop and SETTLED_S after the next direction:
+    the robots stop, stand still, or start to drive.
+    """
     sent = [one.sent_ns for one in log.commands if one.direction is not None]
     found = np.zeros(len(log.mocap_ns), dtype=np.bool_)
     for stop in (one.sent_ns for one in log.commands if one.stops):
@@ -136,9 +139,9 @@ def require_field(log: TrialLog) -> None:
 
 
 def stopped_ns(log: TrialLog) -> int | None:
-    """Return the time [ns] of the final stop's first arrival, None if that is not known.
+    """Return when the first stop after the last direction was sent [ns], None if that is not known.
 
-    A lab sends several stops, and `log.stop` is the last one.
+    A lab sends several stops at the end; `log.stop` is the last of them.
     """
     last = max((one.sent_ns for one in log.commands if one.direction is not None), default=-1)
     stops = [one.sent_ns for one in log.commands if one.direction is None and one.sent_ns > last]
@@ -208,7 +211,7 @@ def _drive(track: Track, begin: float) -> Drives:
 
 
 def _thinned(time: Floats) -> list[int]:
-    """Return the frames of a track at intervals of at least SHORTEST_S."""
+    """Return the indices of frames of a track that are at least SHORTEST_S apart."""
     kept: list[int] = []
     for i, t in enumerate(time):
         if not kept or t - time[kept[-1]] >= SHORTEST_S - 1e-9:
@@ -219,11 +222,12 @@ def _thinned(time: Floats) -> list[int]:
 def substeps(
     intervals: Intervals, when: Floats, tau: float
 ) -> list[tuple[NDArray[np.int64], Floats]]:
-    """Return which of the directions sent at `when` (C,) [s] act in each interval, oldest first.
+    """Return which of the directions sent at `when` (C,) [s] act in each interval: a pair of arrays
+    for the oldest one in each interval, a pair for the next, and so on.
 
-    Each pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
-    interval has fewer directions. A direction acts from `tau` [s] after it was sent; the first one
-    also acts before.
+    A pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
+    interval has fewer directions. A direction acts from `tau` [s] after it was sent; the first
+    direction also acts before that.
     """
     acts = when + tau
     ends = np.append(acts[1:], np.inf)  # the last direction acts until the end

@@ -1,9 +1,9 @@
 """The turns of N robots under the directions sent to them, and their prediction by a model.
 
-A direction acts `tau` after it was sent, and turns a robot of turning rate a and heading bias beta
-by the closed form of (1)-(3). The model starts each interval at the measured heading. A robot that
-lost a direction follows the one before; the probability of a loss is inferred from the robot's
-turns.
+A direction acts from `tau` after it was sent, and turns a robot of turning rate a and heading bias
+beta by the closed form of equations (1)-(3). The model starts each interval at the measured
+heading. A robot that lost a direction follows the previous direction; the probability of a loss is
+inferred from the robot's turns.
 """
 
 from dataclasses import dataclass, replace
@@ -59,8 +59,9 @@ class Turns:
     def motion(self, p: Turning, ahead: float = 0.0) -> tuple[Floats, Floats, Floats]:
         """Return displacement x and y per unit of speed [s] and the turn [rad], each (K, N).
 
-        If it is uncertain whether a direction arrived, both motions are averaged by their
-        probabilities. `ahead` [rad] is added to the measured headings.
+        If it is uncertain whether a direction arrived, the motions with and without it are
+        averaged, weighted by their probabilities. `ahead` [rad] is added to the measured headings
+        at the start.
         """
         arrived, lost = self._followed
         found = self._under(p, arrived, ahead)
@@ -76,7 +77,9 @@ class Turns:
         return wrap(self.drives.intervals.turned - self.motion(p)[2])
 
     def derivatives(self, p: Turning) -> Floats:
-        """Return the derivatives (K, N, 3) of the predicted turns by tau, ln a and beta."""
+        """Return the derivatives (K, N, 3) of the predicted turns with respect to tau, ln a and
+        beta.
+        """
         low = max(0.0, p.tau - NUDGE_S)
         pairs = (
             (replace(p, tau=p.tau + NUDGE_S), replace(p, tau=low), p.tau + NUDGE_S - low),
@@ -97,7 +100,7 @@ class Turns:
         """Estimate the probability `lost` of each command from the robot's turns.
 
         Bayes' rule combines the likelihoods of the turns under the command's direction and under
-        the previous one with the share of lost commands so far.
+        the previous one with the fraction of commands lost, as estimated so far.
         """
         hard = np.where(self.lost > 0.5, np.vstack([self._own[:1], self._own[:-1]]), self._own)
         before = np.vstack([hard[:1], hard[:-1]])
@@ -134,7 +137,9 @@ class Turns:
     def _under(
         self, p: Turning, followed: NDArray[np.int64], ahead: float = 0.0
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the motion if robots follow the directions of index `followed` (C, N)."""
+        """Return the motion, as `motion` does, of robots that follow direction `followed[c]` (C, N)
+        in place of each direction c.
+        """
         start = self.drives.intervals.heading + ahead
         u = self.drives.directions.u[followed]
         x, y, heading = np.zeros_like(start), np.zeros_like(start), start

@@ -1,4 +1,4 @@
-"""The folder for compiled code, which only its user can write to, and names for its files.
+"""The cache folder for compiled code, to which only its user can write, and names for its files.
 
 The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
 libraries. A folder that another user can write to, or whose parents another user can exchange,
@@ -29,7 +29,7 @@ def cache_folder() -> Path:
     """Return the user's cache folder for tetractl, mode 0700.
 
     If this folder cannot be made, or other users can write to it, a temporary folder is returned,
-    which is removed at the end of the process. Raises OSError if that cannot be made either.
+    which is removed at the end of the process. Raises OSError if no temporary folder can be made.
     """
     wanted, why = _wanted(), "the user has no home folder"
     if wanted is not None:
@@ -103,7 +103,8 @@ def _alone_in(group: int) -> bool:
 
 
 def compiler_settings() -> str:
-    """Return numba's environment variables as text, "NAME=value NAME=value ...", or "none"."""
+    """Return numba's environment variables except NUMBA_CACHE_DIR as text, "NAME=value NAME=value
+    ...", or "none" if none is set."""
     found = (f"{key}={value}" for key, value in os.environ.items() if key.startswith("NUMBA_"))
     kept = sorted(item for item in found if not item.startswith("NUMBA_CACHE_DIR="))
     return " ".join(kept) or "none"

@@ -18,10 +18,11 @@ class CellFilm:
     contours can be repeated; the upper left pixel of each is at `corners` (K, 2), column and row.
     `blobs` (K, 6) are the blobs found in the crops: x, y [px], axis [rad], length, width [px],
     strength [grey levels]. `robots` (K,) are the indices of the robots, -1 for a cell that is no
-    robot; `merged` (K,) is True for cells that share a blob. `limits` (4,) are low and high
-    threshold [grey levels], least and greatest area [px^2] of the search. `sure` (N,) is the
-    probability that each robot's cell is still the same one, NaN if the cell is not seen. `whole`
-    is the picture itself and `background` the one subtracted, both only in some frames.
+    robot; `merged` (K,) is True for a cell that shares its blob with another cell. `limits` (4,)
+    are the search's low and high threshold [grey levels] and least and greatest area [px^2].
+    `sure` (N,) is the probability that the cell followed as each robot is still the robot's cell,
+    NaN if the cell is not seen. `whole` is the picture itself and `background` the picture
+    subtracted from it, both None except in some frames.
     """
 
     sampled_ns: int
@@ -37,8 +38,8 @@ class CellFilm:
 
 
 def cut(picture: Grey, column: int, row: int, side: int) -> NDArray[np.uint8]:
-    """Return the square of `side` pixels whose upper left pixel is at `column` and `row`; it is 0
-    outside the picture."""
+    """Return the square of `side` pixels whose upper left pixel is at `column` and `row`; pixels
+    outside the picture are 0."""
     found = np.zeros((side, side), np.uint8)
     left, top = max(column, 0), max(row, 0)
     part = picture[top : max(row + side, 0), left : max(column + side, 0)]

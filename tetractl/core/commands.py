@@ -25,12 +25,12 @@ class Sample:
 class Command:
     """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop and if the field is switched off
-    (`field_off`): robots then go straight on. `sent_ns` is the time of sending on the trial's
-    clock. `delivered` (N,) is False for a robot that did not receive it, as far as is known.
-    `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots without
-    wheels. If `facing` is given, the robots stand and turn on the spot towards this direction
-    [rad]; `direction` is then None.
+    `direction` is the common direction u [rad], None for a stop. It is also None if the field is
+    switched off (`field_off`), when robots go straight on. `sent_ns` is the time of sending on the
+    trial's clock. `delivered` (N,) is False for a robot that did not receive it, as far as is
+    known. `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots
+    without wheels. If `facing` is given, the robots stand and turn on the spot towards this
+    direction [rad]; `direction` is then None.
     """
 
     direction: float | None
@@ -48,7 +48,7 @@ class Command:
 
     @property
     def undirected(self) -> str:
-        """What the robots do without a direction, for a person; "" if there is a direction."""
+        """Words for what the robots do if there is no direction; "" if there is a direction."""
         if self.direction is not None:
             return ""
         if self.facing is not None:
@@ -73,10 +73,10 @@ class Verdict:
     `final` are the poses after the stop. `entered` (N,) is True for robots whose path touched an
     obstacle, by `model.path_check`; `clearance` (N,) is the least distance of each robot to an
     obstacle [length unit], negative inside, inf without obstacles. `not_at_rest` is a text on the
-    robots that did not stand still after the stop, "" if there is none. `edge` (N,) is the
-    least distance of each robot to the edge of the arena, negative outside, and `apart` (N,) to
-    another robot, inf for a single robot; both are empty in older logs. All distances are
-    measured from the robots' centres.
+    robots that did not stand still after the stop, "" if all stood still. `edge` (N,) is the least
+    distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
+    the least distance of each robot to another robot, inf for a single robot; both are empty in
+    older logs. All distances are measured from the robots' centres.
     """
 
     final: Poses

@@ -30,7 +30,7 @@ class Outcome(StrEnum):
 
     @property
     def complete(self) -> bool:
-        """Whether the controller ended the trial, so that its error counts."""
+        """Whether the controller ended the trial, so that the trial's error counts."""
         return self not in (Outcome.INTERRUPTED, Outcome.ABORTED)
 
 
@@ -72,7 +72,8 @@ class Limits:
     """The limits of one search.
 
     `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far. With `thorough` it may take seconds, as the robots stand.
+    returns the best sequence so far. With `thorough`, set while the robots stand still, the search
+    may take seconds.
     """
 
     evaluations: int | None = None
@@ -109,12 +110,13 @@ class Search:
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """A controller's estimates of N robots while they move, with standard deviations `_std`.
+    """A controller's estimates of N robots while they move, with standard deviations, named
+    `..._std`.
 
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
     `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
-    robots. Both are None if they are not estimated.
+    robots. `heading_bias` and `dead_time` are None if they are not estimated.
     """
 
     a: Floats
@@ -144,14 +146,14 @@ class Plan:
     """The decision of one control step: the sequence chosen and how it was found.
 
     cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
-    (length + 1, N, 3), beginning with those at which the plan starts. `searches` are all horizons
-    tried, in order; `chosen` is the index of the best. `generator` is the key of all random numbers
-    of this step. `estimate` are the estimates used for the plan, None if the controller estimates
-    nothing. If `field_off`, the field is switched off in this step, signals[0] is not sent, and
-    robots go straight on. If `pauses`, all robots are stopped instead, `delay_ns` after the
-    decision, and stand for PAUSE_S; if `facing` is given, they turn on the spot towards it [rad].
-    `leg` is the number of way-points passed; while the robots hold, it is one more than the number
-    of way-points.
+    (length + 1, N, 3), beginning with those at which the plan starts. `searches` are the searches
+    of all horizons tried, in order; `chosen` is the index of the best. `generator` is the key of
+    all random numbers of this step. `estimate` are the estimates used for the plan, None if the
+    controller estimates nothing. If `field_off`, the field is switched off in this step, signals[0]
+    is not sent, and robots go straight on. If `pauses`, all robots are stopped instead, `delay_ns`
+    after the decision, and stand for PAUSE_S; if `facing` is given, they turn on the spot towards
+    it [rad]. `leg` is the number of way-points passed; while the robots hold, it is one more than
+    the number of way-points.
     """
 
     signals: Floats
@@ -191,7 +193,7 @@ class Plan:
 
     @property
     def evaluations(self) -> int:
-        """Cost evaluations of the whole control step."""
+        """Number of cost evaluations of the whole control step."""
         return sum(search.evaluations for search in self.searches)
 
 
@@ -262,7 +264,7 @@ class Problem:
 
     @property
     def drift(self) -> Floats:
-        """Return cosine and sine of the bias, x and y of the flow, (4, N), for compiled code."""
+        """Return cos(bias), sin(bias) and x and y of the flow, as rows (4, N) for compiled code."""
         none = np.zeros(len(self.a))
         bias = none if self.bias is None else self.bias
         flow = (none, none) if self.flow is None else self.flow.T

@@ -55,7 +55,7 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distances (N,) of each robot i to row i of `points` (N, 2)."""
+        """Return the distance (N,) of each robot to its point, the same row of `points` (N, 2)."""
         return np.hypot(*(self.xy - points).T)
 
 
@@ -99,7 +99,7 @@ class Observation:
 
 
 INSIDE = 0.95
-"""The fraction of a normal distribution that lies in the ellipse."""
+"""The fraction of a normal distribution that lies in the ellipse of `ellipse`."""
 DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
 """Distance from the ellipse's centre to its edge, in standard deviations."""
 

@@ -175,11 +175,12 @@ class Actuator(Device, Protocol):
         ...
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; an emergency stop is latched by a device that can do so."""
+        """Stop every robot; a device that can latch an emergency stop does so."""
         ...
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Request the status of every robot, for at most `timeout_s`; only before a run."""
+        """Ask every robot for its status, for at most `timeout_s`, and return the answers; only
+        before a run."""
         ...
 
 
@@ -248,10 +249,11 @@ class PlacementPrompt(Protocol):
     """Asks a person to put robots on their starts."""
 
     def place(self, lines: Sequence[str], questions: Sequence[str] = ()) -> None:
-        """Show the problems that prevent a start, one line each; without lines, all are ready.
+        """Show the problems that prevent a start, one line each; without lines, all
+        robots are ready.
 
-        By letting the robots start, the operator answers yes to all `questions`, one line each. It
-        is called repeatedly while robots are placed.
+        By letting the robots start, the operator answers yes to all `questions`, one line each.
+        This method is called repeatedly while robots are placed.
         """
         ...
 

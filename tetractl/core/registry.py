@@ -122,5 +122,5 @@ def imported(code: str) -> Any:
 
 
 def _package(point: EntryPoint) -> tuple[str, str]:
-    """Return name and version of the package that an entry point belongs to."""
+    """Return the name and the version of the package that declares an entry point."""
     return (point.dist.name, point.dist.version) if point.dist else ("unknown", "")

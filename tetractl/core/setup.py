@@ -11,7 +11,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.tour import HoldTask, LossRule
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
-"""Metres in each length unit a spec may declare."""
+"""The length of each unit that a spec may declare [m]."""
 MM = METRES["mm"]
 
 
@@ -86,7 +86,7 @@ class Shape(Protocol):
 class Setup:
     """The constants of an experiment of N robots.
 
-    `unit` is the length unit of every number and `metres` its length [m]. `targets` (N, 2); `a`
+    `unit` is the unit of all lengths and `metres` the length of one unit [m]. `targets` (N, 2); `a`
     (N,) rad/s; `speed` (N,) length unit/s. `period_s` is the control period, `steps_max` the
     largest number of control steps, `iterations_max` the largest number of iterations of one
     search. `wheel_radius` is the distance from a wheel to a robot's centre, None for robots without

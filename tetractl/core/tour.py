@@ -69,7 +69,7 @@ class HoldTask:
 
 
 class TourMeasure:
-    """Measures how N robots passed `legs` (M + 1, N, 2), their way-points and targets, and held.
+    """Measures how accurately N robots passed and held `legs` (M + 1, N, 2): way-points, targets.
 
     For each control step, call `step` with its leg and observation, then `add` with its frames;
     frames after `until_ns` are ignored. True poses are used if known. `loss` is the rule by which
@@ -94,8 +94,8 @@ class TourMeasure:
         return f"way-point {leg} of {len(self._legs) - 1} is passed" if begins else ""
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
-        """Count lost robots, and the frames of the hold with each robot inside its circle; a robot
-        that is not tracked counts as outside."""
+        """Count how often robots are lost and, for each robot, in how many frames of the hold it
+        is within the hold's radius of its target; a robot that is not tracked counts as outside."""
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:
@@ -109,7 +109,8 @@ class TourMeasure:
 
     @property
     def passed(self) -> tuple[float, ...]:
-        """The sum of distances at each way-point passed, as observed [length unit]."""
+        """The sum of the robots' observed distances to each way-point, at the control step in which
+        it counts as passed [length unit]."""
         return tuple(self._passed)
 
     @property
@@ -125,6 +126,6 @@ class TourMeasure:
 
     @property
     def inside(self) -> tuple[float, ...]:
-        """Fraction of the hold's frames in which each robot was within the radius, (N,); empty
-        without a hold."""
+        """Fraction of the hold's frames in which each robot was within the hold's radius of its
+        target, (N,); empty without a hold."""
         return tuple((self._inside / self._frames).tolist()) if self._frames else ()

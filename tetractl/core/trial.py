@@ -66,9 +66,10 @@ class Result:
 
     `robot_errors` (N,) are the distances of the final positions to the targets and `total_error` is
     their sum [length unit]. `duration_s` is the time from the first direction sent to the stop, or
-    from the opening of the plant if none was sent. `passed` (M,) are the sums of distances at the
-    way-points passed, `inside` (N,) the fractions of time within the radius of a hold, as defined
-    by `TourMeasure`, and `lost` (N,) how often each robot was lost. `solve_ns` is the wall time the
+    from the opening of the plant if none was sent. `passed` (M,) are the sums of the
+    robots' distances to the way-points passed, `inside` (N,) the fraction of a hold's time that
+    each robot was within the radius of its target, as defined by `TourMeasure`, and `lost` (N,) how
+    often each robot was lost. `solve_ns` is the wall time the
     controller needed for each control step, and `deadline_misses` the number of steps that took
     longer than the control period; both differ from run to run on the same seed.
     """

@@ -12,7 +12,7 @@ T = TypeVar("T")
 
 
 def drained(waiting: deque[T]) -> list[T]:
-    """Remove and return a queue's items, oldest first; another thread may add some meanwhile."""
+    """Remove and return a queue's items, oldest first; another thread may add items meanwhile."""
     found: list[T] = []
     while waiting:
         found.append(waiting.popleft())

@@ -89,7 +89,10 @@ class CellDrive:
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
-        """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now."""
+        """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now.
+
+        `ticks`, which marks the times of true samples, has no effect here.
+        """
         found, now = [], 0.0
         for until in seconds.tolist():
             steps = max(1, math.ceil((until - now) / STEP_S))

@@ -61,8 +61,8 @@ class DirectDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.
 
-        For `arc`, wheel speeds are computed from the headings measured when the command was sent;
-        for `euler`, the chords begin at the true headings.
+        With the motion `arc`, wheel speeds are computed from the headings that were measured when
+        the command was sent; with `euler`, the chords begin at the true headings.
         """
         got, held = command.reached, self._held
         heading = self.poses.heading

@@ -118,7 +118,7 @@ class LabPlant:
         return self._newest
 
     def steer(self, direction: float | None) -> Command:
-        """Hold the direction u [rad] from now on; return the first transmission that has it."""
+        """Hold the direction u [rad] from now on; return its first transmission."""
         if direction is None:
             raise AbortError("this lab cannot switch its field off while robots drive")
         guard = self.rig.guard
@@ -168,7 +168,7 @@ class LabPlant:
         return Command(None, self.clock.now(), reached, *wheels)
 
     def turn(self, facing: float) -> Command:
-        """Turn standing robots on the spot; return the first transmission that does."""
+        """Turn standing robots on the spot; return the first transmission that turns them."""
         self._observed_ns = None
         self._raise_abort()
         sent = self.rig.loop.steer(facing, ahead=False)
@@ -261,7 +261,7 @@ class LabPlant:
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
         """Return the poses with headings unwrapped relative to the last ones.
 
-        A robot without a pose so far is at its start.
+        A robot that has had no pose so far counts as being at its start.
         """
         starts = self.setup.starts
         x, y, heading = starts.x.copy(), starts.y.copy(), self._heading.copy()

@@ -13,8 +13,8 @@ from tetractl.experiment.disturbance import Disturbance, overriding
 
 
 def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
-    """Return the times [ns], up to `until`, of the samples number `first`, `first` + 1, ... that
-    are taken at a rate [Hz]."""
+    """Return the times [ns] up to `until` of samples at a rate [Hz], from number `first` on; sample
+    0 is at time 0."""
     times, when = list[int](), round(first * SECOND / rate_hz)
     while when <= until:
         times.append(when)

@@ -354,8 +354,8 @@ class SimPlant:
         return self.clock.now()
 
     def _due_ns(self, answered: Observation, now: int) -> int:
-        """Return the time [ns] at which a command sent `now` in answer to a frame acts if there is
-        no delay but `dead_time`."""
+        """Return the time [ns] at which a command sent `now` in answer to a frame acts if
+        `dead_time` is the only delay."""
         return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
 
     def _heard(self) -> Bools:
@@ -385,7 +385,7 @@ class SimPlant:
         return Command(direction, now, tuple(reached.tolist()), left, right, off, facing)
 
     def _transmit(self, now: int) -> Command:
-        """Send wheel speeds computed from the newest frame that the host has."""
+        """Send the wheel speeds for the held direction, from `WheelHost.speeds`."""
         host, seen = self._drive.host, self._camera.newest
         assert host is not None, "only robots with wheels are sent repeated transmissions"
         assert seen is not None, "open() waits for the first frame"

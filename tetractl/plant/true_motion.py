@@ -146,9 +146,9 @@ class TrueMotion:
     def _move(self, end: int, event: bool, disturbed: bool) -> None:
         """Advance to `end` under held commands; expose frames and take samples due until then.
 
-        If `disturbed`, the disturbances act at `end`, before a frame is exposed there. A drive that
-        sums up its path advances only to the last sample before `end`, unless there is an `event`
-        at `end`, so that the result does not depend on how often the plant is read.
+        If `disturbed`, the disturbances act at `end`, before a frame is exposed at that time. A
+        drive that sums up its path advances only to the last sample before `end`, unless there is
+        an `event` at `end`, so that the result does not depend on how often the plant is read.
         """
         nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
         # disturbances by frame may move robots even if nothing else is due

@@ -73,8 +73,8 @@ class WheelHost:
     """Computes the wheel speeds sent to N robots, and the resulting true wheel speeds.
 
     `repeats_ns` is the time of the next transmission [ns]. `direction` is the held direction [rad],
-    None while the field is off and both wheels have equal speeds; if not `ahead`, robots turn on
-    the spot. The generator `erring` draws true gains and dead zones, once per trial.
+    None while the field is off: both wheels then have equal speeds. If `ahead` is False, robots
+    turn on the spot. The generator `erring` draws true gains and dead zones, once per trial.
     """
 
     def __init__(
@@ -263,8 +263,8 @@ class WheelDrive:
         self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:
-        """Return the distances driven by the wheels (M, 2, N) after times t (M, 1, 1), and advance
-        them to the last time.
+        """Return the distances driven by the wheels (M, 2, N) up to the times t (M, 1, 1) from now,
+        and advance the wheel speeds to the last of these times.
         """
         target = self._targets
         if self._lag == 0:

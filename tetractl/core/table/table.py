@@ -102,8 +102,8 @@ class Table:
     def of_texts(
         cls, title: str, header: Sequence[str], rows: Iterable[Sequence[str]], note: str = ""
     ) -> Self:
-        """Return a table of words without columns that are empty in all rows; the first column is
-        kept.
+        """Return a table of words; a column that is empty in all rows is left out, unless it is
+        the first.
 
         A cell is empty if it is "" or "-".
         """

@@ -74,7 +74,7 @@ def _cells(values: list[Any]) -> list[Any]:
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the rows of a CSV file by column; raises UsageError if the file is not CSV."""
+    """Yield each row of a CSV file as {column: text}; raises UsageError if the file is not CSV."""
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: is not a regular file")
     try:
@@ -111,7 +111,8 @@ class ParquetFile:
 
 
 def _typed(column: Column) -> Any:
-    """Return a column as a pyarrow array; without a known value, words are text, others float."""
+    """Return a column as a pyarrow array. If no value is known, the array's type is text for a
+    column of words, otherwise float."""
     import pyarrow
 
     values = column.known

@@ -29,7 +29,7 @@ class TrackingLossSection(DisturbanceSection):
 
 
 class TrackingLoss(Disturbance):
-    """Makes each robot alternately tracked and not tracked; at first it is tracked."""
+    """Makes each robot alternately tracked and not tracked; all are tracked at first."""
 
     def __init__(self, section: TrackingLossSection, robots: int, rng: np.random.Generator) -> None:
         self._tracked = ByTurns(
@@ -186,7 +186,7 @@ class StaleCameraSection(SpellsSection):
 
 
 class StaleCamera(Disturbance):
-    """Stores the measurements; during an interval, shows the measurement `age_s` [s] before."""
+    """Stores the measurements and, during an interval, shows those of `age_s` [s] earlier."""
 
     def __init__(self, age_s: float, spells: Spells) -> None:
         self._age_s, self._spells = age_s, spells

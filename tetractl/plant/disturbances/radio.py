@@ -42,7 +42,7 @@ class Radio(Disturbance):
             self._late_ns = np.rint(section.spread * SECOND * rng.random(robots)).astype(np.int64)
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return the transmission, delayed, with the robots that receive it."""
+        """Return the transmission with its delays, and with the robots that receive it."""
         section, rng = self._section, self._rng
         delay_ns = round((section.delay + section.jitter * rng.random()) * SECOND)
         heard = rng.random(command.reached.size) >= section.loss

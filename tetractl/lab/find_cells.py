@@ -11,12 +11,11 @@ from tetractl.core.poses import Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.choice import Choice, FoundCell
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.helix import SPEED, A
+from tetractl.lab.cameras.cells.helix import SPEED, WALL_UM, A
 from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
-BODY_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
 STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
 SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
@@ -97,7 +96,7 @@ def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
             a, speed = float(cell.mean[A]), float(cell.mean[SPEED]) * per_um
             pose: Pose = rig.camera.pose_of(cell)  # type: ignore[attr-defined]
             inside = rig.setup.arena.inside(np.array([pose.x]), np.array([pose.y])).item()
-            free = cell.identity not in walled and inside > BODY_UM * per_um
+            free = cell.identity not in walled and inside > WALL_UM * per_um
             number = cell.identity
             found.append(FoundCell(number, pose, a, a_sd, speed, speed_sd * per_um, free))
     return found

@@ -13,13 +13,13 @@ from scipy.optimize import linear_sum_assignment
 from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
-from tetractl.core.poses import Grey, Pose
+from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl.lab.cameras.cells.crops import FilmCutter
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.cells.helix import Piece
+from tetractl.lab.cameras.cells.helix import WALL_UM, Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
@@ -49,7 +49,9 @@ class CellCamera(PictureCamera[SeenDish]):
         super().__init__(section, clock, wake)
         self.section = section
         self._setup = setup
-        self._tracker = CellTracker(section.um_px, known=True, bright=section.bright)
+        self._tracker = CellTracker(
+            section.um_px, known=True, bright=section.bright, near_wall=self._near_wall
+        )
         self._cells: Sequence[SeenCell] = ()
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
@@ -160,6 +162,11 @@ class CellCamera(PictureCamera[SeenDish]):
         """Return the pose of a cell in the spec's coordinates."""
         x, y = self.section.placed(cell.x, cell.y, self._setup.metres)
         return Pose(x, y, cell.heading + self.section.rotation)
+
+    def _near_wall(self, x: Floats, y: Floats) -> Bools:
+        """Return whether a wall may turn cells at positions (R,) in the picture [um]."""
+        inside = self._setup.arena.inside(*self.section.placed(x, y, self._setup.metres))
+        return inside < WALL_UM * 1e-6 / self._setup.metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] in the picture's axes, by the directions sent."""

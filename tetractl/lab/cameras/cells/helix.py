@@ -17,7 +17,7 @@ heading - atan(rate s / speed): the projection of Crenshaw's helix into the pict
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -39,6 +39,8 @@ BACKWARDS_UM_S = -60.0  # speed along the heading below which the heading is rev
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
 # additional growth at rest, since a cell may go on in any direction
 RESTING = ((HEADING, 0.5), (SPEED, 150.0))
+WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
+WALL_TURN = 1.0  # additional growth of the heading's deviation there [rad/sqrt(s)]
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
@@ -48,6 +50,14 @@ ODD = 25.0  # squared distance, in standard deviations, above which a measuremen
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
 
+NearWall = Callable[[Floats, Floats], Bools]
+"""Function that returns whether a wall may turn cells at positions x, y (R,) [um]."""
+
+
+def open_water(x: Floats, y: Floats) -> Bools:
+    """Return False for all positions: there are no walls."""
+    return np.zeros(len(x), bool)
+
 
 @dataclass(slots=True)
 class HelixFilter:
@@ -55,10 +65,12 @@ class HelixFilter:
     for free rows.
 
     `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
-    the growth of the standard deviations of the first nine states per sqrt(s).
+    the growth of the standard deviations of the first nine states per sqrt(s). Where a cell is
+    `near_wall`, the wall may turn it, so its turning does not change its a and bias.
     """
 
     known: bool = True
+    near_wall: NearWall = open_water
     growth: Floats = field(default_factory=lambda: np.zeros((0, len(GROWTH))))
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
@@ -186,7 +198,7 @@ class HelixFilter:
         m = self.mean[rows]
         half = seconds / 2
         towards, slope = _field(m[:, HEADING] + m[:, BIAS], ux, uy)
-        resting = m[:, SPEED] < SLOWEST_UM_S  # the field does not turn a resting cell
+        resting, walled = m[:, SPEED] < SLOWEST_UM_S, self.near_wall(m[:, X], m[:, Y])
         towards, a = np.where(resting, 0.0, towards), np.where(resting, 0.0, m[:, A])
         rate, bend = a * towards + m[:, TURN], a * slope
         middle = m[:, HEADING] + rate * half
@@ -197,6 +209,9 @@ class HelixFilter:
         # derivatives of the headings halfway, along which the cell moves, and at the end
         to_middle = {HEADING: 1 + bend * half, A: towards * half, BIAS: bend * half, TURN: half}
         direct = {A: towards_2, BIAS: bend_2, TURN: 1.0}
+        for state in (A, BIAS):
+            to_middle[state] = np.where(walled, 0.0, to_middle[state])
+            direct[state] = np.where(walled, 0.0, direct[state])
         cos, sin = np.cos(middle), np.sin(middle)
         for state, part in to_middle.items():
             f[:, X, state] = -m[:, SPEED] * sin * seconds * part
@@ -220,6 +235,7 @@ class HelixFilter:
         noise[:, : len(GROWTH)] = np.square(self.growth[rows]) * seconds
         for state, deviation in RESTING:
             noise[:, state] += deviation**2 * seconds * resting
+        noise[:, HEADING] += WALL_TURN**2 * seconds * walled
         noise[:, TURN] = (TURN_KNOWN if self.known else TURN_UNKNOWN) ** 2 * (1 - forget**2)
         if not self.known:
             noise[:, A] = 0.0

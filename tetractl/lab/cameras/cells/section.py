@@ -1,17 +1,20 @@
 """The `cells` camera's section of a spec: a microscope's pictures, their scale and position."""
 
 import math
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, TypeVar
 
 from pydantic import Field
 
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
 from tetractl.experiment.base import Finite, Point, Positive
 from tetractl.experiment.lab_section import Measured
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
 LEAST_PX = 50  # least distance of the two points of a scale measurement
 PLACED_PX = 1.0  # standard deviation of each point
+
+Lengths = TypeVar("Lengths", float, Floats)
 
 
 class CellsSection(PictureSection):
@@ -58,9 +61,9 @@ class CellsSection(PictureSection):
         )
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
-    def placed(self, x_um: float, y_um: float, metres: float) -> tuple[float, float]:
-        """Return a position in the picture [um] in the spec's coordinates, whose length unit is
-        `metres`.
+    def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
+        """Return a position, or positions (N,), in the picture [um] in the spec's coordinates,
+        whose length unit is `metres`.
         """
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         scale = 1e-6 / metres

@@ -14,7 +14,7 @@ import numpy as np
 from tetractl.core.poses import Floats, Grey
 from tetractl.lab.cameras.cells.cell import Born, CellAnswer, FollowedCell, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder, Light
-from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, Piece
+from tetractl.lab.cameras.cells.helix import HEADING, HelixFilter, NearWall, Piece, open_water
 from tetractl.lab.cameras.cells.lost_cells import ENTERED, NEW, LostCells
 from tetractl.lab.cameras.cells.match import (
     LARGE,
@@ -63,16 +63,23 @@ class _Reading:
 
 
 class CellTracker:
-    """Follows the cells in pictures with the scale `um_px`; `known`: whether the field is known.
+    """Follows the cells in pictures with the scale `um_px`; `known`: whether the field is known,
+    `near_wall`: where a wall may turn cells.
 
     Pictures must be given in order of time. Columns c and rows r become x = (c + 1/2) um_px and,
     with y upwards, y = (height - 1/2 - r) um_px [um].
     """
 
-    def __init__(self, um_px: float, known: bool, bright: bool | None = None) -> None:
+    def __init__(
+        self,
+        um_px: float,
+        known: bool,
+        bright: bool | None = None,
+        near_wall: NearWall = open_water,
+    ) -> None:
         self.um_px = um_px
         self.finder = BlobFinder(LEAST_UM2 / um_px**2, MOST_UM2 / um_px**2, bright)
-        self.bank = HelixFilter(known)
+        self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._cells: list[FollowedCell] = []
         self._specks = Specks()

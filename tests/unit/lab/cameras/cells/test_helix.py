@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from support.dish_films import film, record
 
-from tetractl.lab.cameras.cells.helix import HEADING, SPEED, STATES, A, HelixFilter
+from tetractl.lab.cameras.cells.helix import (
+    HEADING,
+    SPEED,
+    STATES,
+    WALL_UM,
+    A,
+    HelixFilter,
+    open_water,
+)
+from tetractl.model.swimmers import Swimmers, bodies
 
 POSITION, AXIS = 0.5, 0.03
 
@@ -108,3 +117,29 @@ def test_rows_are_used_again_and_an_outlier_moves_little():
     )
     assert far[0] > 1000 and bank.mean[row, 0] < 40
     assert np.isfinite(likelihood).all()
+
+
+def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
+    """A cell is kept at a wall for a second by a field that it would follow in open water."""
+
+    def learned(near_wall):
+        random = np.random.default_rng(3)
+        cells = Swimmers.drawn(random, 12)
+        cells.x[:], cells.y[:], cells.heading[:] = -250.0, 300.0 * np.arange(12), 0.0
+        bank = HelixFilter(near_wall=near_wall)
+        rows = np.array([bank.add(x, y, 0.0, 400.0) for x, y in zip(cells.x, cells.y, strict=True)])
+        deviation = np.tile((POSITION, POSITION, AXIS), (12, 1))
+        for k in range(150):
+            angle = (0.8, -0.8, 0.8, 2.5, 3.8)[k // 30]  # to and along the wall, and away from it
+            ux, uy = math.cos(angle), math.sin(angle)
+            for _ in range(8):
+                cells.swim((ux, uy), 1 / 240, random)
+                cells.slide((-1e6, -1e6), (0.0, 1e6))
+            bank.predict([(1 / 30, ux, uy)])
+            body = bodies(cells)
+            seen = np.column_stack([body.x, body.y, body.axis])
+            bank.update(rows, seen + random.normal(0, 1, seen.shape) * deviation, deviation)
+        return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
+
+    assert np.abs(learned(open_water)).max() > 5
+    assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 1.5

@@ -30,7 +30,7 @@ from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfin
 from tetractl.view.figures.trajectory import DishGround, draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
-"""Pictures per second; a GIF states intervals in hundredths of a second."""
+"""Pictures per second by format; a GIF can only state intervals in hundredths of a second."""
 WIDTH = 960
 HOLD_S = 1.5
 """Time for which the last picture is shown [s]."""
@@ -41,15 +41,15 @@ SIDE_IN = 2.2  # width of the curve and the numbers
 MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of and below the arena, between arena and side, above
 TRAIL_POINTS = 600
 BODY = 0.028
-"""Length of a robot's wedge relative to the arena's longer side, if the spec gives no wheels."""
+"""Least length of a robot's wedge, relative to the arena's longer side."""
 
 Picture = NDArray[np.uint8]
 
 
 def check_file(path: Path) -> str:
-    """Return the format of a film by its name.
+    """Return the format of a film, which the ending of its name states.
 
-    Raises UsageError for other names, for a missing folder, and for MP4 without ffmpeg.
+    Raises UsageError for another ending, for a missing folder, and for MP4 without ffmpeg.
     """
     ending = style.file_format(path, FORMATS, "film")
     if ending == "mp4" and shutil.which("ffmpeg") is None:
@@ -138,7 +138,8 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
 
 
 class FilmFrames:
-    """Draws pictures (height, width, 3) of a trial, with even height and width.
+    """Draws the pictures of a film of a trial: arrays (height, width, 3) with even height and
+    width.
 
     Raises LogError for a log without control steps.
     """
@@ -173,7 +174,7 @@ class FilmFrames:
             self._still = self._canvas.copy_from_bbox(figure.bbox)
 
     def _arena(self, axes: Axes) -> list[Line2D | Polygon]:
-        """Prepare the moving parts of the arena."""
+        """Draw the arena, and return the parts that move: plans, trails and robots."""
         arena = self._setup.arena
         draw_scene(axes, self._setup, self._colors)
         axes.set_xlim(arena.left, arena.right)
@@ -192,9 +193,11 @@ class FilmFrames:
     def _course(
         self, figure: Figure, side: tuple[float, float, float], log: TrialLog
     ) -> list[Line2D | Text]:
-        """Prepare the curve of the total error and, below it, the numbers and the direction u.
+        """Draw the axes of the total error and, below them, those of the direction u; return the
+        parts that change: the curve, the arrow of u, and the numbers.
 
-        `side` is their left end, width and upper end, as fractions of the figure.
+        `side` is the left end, the width and the upper end of this part, as fractions of the
+        figure.
         """
         setup, recording = self._setup, self.recording
         left, width, top = side
@@ -265,10 +268,12 @@ class FilmFrames:
 
 
 ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
-"""An arrow along +x, as complex numbers."""
+"""The line of an arrow along +x: its points x + iy."""
 
 
 def _wedge(x: float, y: float, heading: float, half: float) -> Floats:
-    """Return the corners (4, 2) of a robot's wedge, the front corner first."""
+    """Return the corners (4, 2) of a robot's wedge, the front corner first; `half` is half its
+    length.
+    """
     corners = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j]) * half * np.exp(1j * heading)
     return np.column_stack([x + corners.real, y + corners.imag])

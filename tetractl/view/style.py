@@ -68,7 +68,7 @@ def styled() -> Iterator[None]:
 
 
 def figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure; it works without a display."""
+    """Return an empty figure of a size in inches; it needs no display."""
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 
@@ -91,8 +91,9 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 
 
 def _lower_legends(drawing: Figure, share: float) -> float:
-    """Move the legends above the axes into the lower `share` of a figure; return their height [in].
-    The layout engine would place them next to the headline, not below it.
+    """Move each legend that is above the axes down, into the lower fraction `share` of the figure;
+    return the legends' height [in]. The layout engine would place them next to the headline, not
+    below it.
     """
     if not drawing.legends:
         return 0.0
@@ -141,7 +142,7 @@ def save(drawing: Figure, path: Path) -> None:
 
 
 def picture(drawing: Figure, wanted: str) -> bytes:
-    """Return a figure in a format; the same figure gives the same bytes."""
+    """Return a figure as a file of format `wanted`; the same figure gives the same bytes."""
     file = io.BytesIO()
     with styled():
         drawing.savefig(file, format=wanted, metadata=_METADATA[wanted])

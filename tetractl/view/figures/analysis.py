@@ -19,10 +19,11 @@ ROOM = 1.15  # half width of panel (a), relative to the largest ellipse
 
 
 def analysis_figure(found: Analysis) -> Figure:
-    """Draw an analysis: (a) the 95 % ellipse of each robot's end position relative to its target,
-    (b) singular values, and the predicted mean total error (c) against the smallest relative
-    difference of a and (d) against the number of robots. For one robot only (a) and (b) are drawn.
-    Raises UsageError if no plan reaches the targets.
+    """Draw an analysis: (a) the ellipse that contains 95 % of each robot's end positions, around
+    the planned end; (b) how far the signals move the ends, as singular values [length unit/rad];
+    the predicted mean total error (c) over the smallest relative difference between two robots' a,
+    and (d) over the number of robots. For one robot only (a) and (b) are drawn. Raises UsageError
+    if no plan reaches the targets.
     """
     if found.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")

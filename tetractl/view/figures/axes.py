@@ -51,7 +51,9 @@ def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:
-    """Return the robots' names for a figure: shortened, and numbered if NUMBERED or more."""
+    """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
+    more.
+    """
     short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
     if len(names) < NUMBERED:
         return short
@@ -132,7 +134,8 @@ def plain_log(axes: Axes) -> None:
     """Place the ticks of a logarithmic axis: evenly if its limits have a ratio below 5, at 1, 2 and
     5 of each decade below 1000, otherwise at each decade.
 
-    All ticks of an axis have the same format: decimal from 0.01 to 10,000, else powers of ten.
+    All ticks of an axis have the same format: decimal if the limits lie between 0.001 and 100,000
+    or have a ratio below 5, else powers of ten.
     """
     low, high = axes.get_ylim()
     if high / low < 5:

@@ -25,10 +25,11 @@ _LABELS = 12  # largest number of labelled categories
 
 
 def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
-    """Draw the total errors of the counted trials of each group, and each robot's errors.
+    """Draw the total error of each counted trial by group, and the errors of the first group's
+    robots.
 
-    The robots are those of the first group. `links` maps the path of a trial to the address that
-    its dot in an SVG links to. A headline names the plants.
+    `links` maps the path of a trial to the address that its dot links to in an SVG. A headline
+    names the plants.
     """
     drawn = [group for group in groups if group.counted]
     if not drawn:
@@ -85,7 +86,9 @@ def _strip(
     top: float,
     links: Sequence[str | None] = (),
 ) -> None:
-    """Draw the values of one category to the left of its centre, their mean to the right."""
+    """Draw one category of the x axis: values to the left of its centre `at`, their mean to the
+    right.
+    """
     dots = axes.scatter(
         at - _ASIDE + _spread(values, top),
         values,
@@ -102,7 +105,9 @@ def _strip(
 
 
 def _spread(values: Floats, top: float) -> Floats:
-    """Return offsets, at most 0.2 categories, that separate dots of similar height."""
+    """Return horizontal offsets, at most 0.2 of a category, that separate dots of similar
+    height.
+    """
     if top <= 0:
         return np.zeros(len(values))
     rows = np.rint(values / top * 40).astype(int)
@@ -118,7 +123,9 @@ def _spread(values: Floats, top: float) -> Floats:
 
 
 def _mean(axes: Axes, at: float, found: Distribution, color: str) -> None:
-    """Draw a mean, a thin line of +- one standard deviation, and a thick line of the interval."""
+    """Draw a mean, a thin line over +- one standard deviation, and a thick line over the mean's 95
+    % interval.
+    """
     if math.isfinite(found.std):
         axes.vlines(at, max(found.mean - found.std, 0), found.mean + found.std, color, linewidth=1)
     if found.ci95.known:

@@ -1,5 +1,5 @@
-"""Figures of the optimiser: the best cost over the iterations, the paper's Figure 3, and the solve
-times with the control period.
+"""Figures of the optimiser: the best cost over the iterations (the paper's Figure 3), and the solve
+times next to the control period.
 """
 
 import math
@@ -29,8 +29,8 @@ from tetractl.view.figures.labels import separated
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw J(u_gb) over the iterations at step 0 (Figure 3), and its decrease in the search of each
-    step.
+    """Draw the best cost J(u_gb) over the iterations at step 0 (Figure 3), and by how much and in
+    how many iterations the search of each step lowered it.
     """
     log = one_trial(logs)
     need_steps(log)
@@ -122,7 +122,9 @@ PERCENTILES = (50, 99)
 
 
 def timing_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the solve time of each control step, the control period and a histogram."""
+    """Draw the solve times over the control steps, next to the control period, and their
+    histogram.
+    """
     log = one_trial(logs)
     need_steps(log)
     period_ms = 1e3 * log.start.setup.period_s

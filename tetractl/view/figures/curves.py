@@ -78,8 +78,9 @@ def robot_curves(
     high: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each robot of values (M, N); NUMBERED or more robots have no bands. The
-    name is the robot's name and, formatted by `show`, the last value.
+    """Return a curve for each of N robots from values (M, N), with a band from `low` to `high`;
+    NUMBERED or more robots have no bands. A curve is named after its robot, followed by the last
+    value if `show` formats it.
     """
     colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
     banded = low is not None and high is not None and len(names) < NUMBERED
@@ -97,9 +98,11 @@ def robot_curves(
 
 
 def errors_at(log: TrialLog, time_s: Floats) -> Floats:
-    """Return the robots' distances (M, N) at times (M,) since the first command [s].
+    """Return the robots' distances to their targets (M, N) at times (M,) since the first command
+    [s].
 
-    The distance at a time is the last one measured until then, or the result's after the trial.
+    A distance is the last one measured up to its time; from the last frame on, it is the error in
+    the result, if there is one.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
@@ -191,7 +194,8 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def arms_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the median total error of each folder's trials over time, with their middle half.
+    """Draw the median total error of each folder's trials over time, with a band that contains the
+    middle half of the trials.
 
     After its end, a trial keeps its final error; incomplete trials are left out. Batches may differ
     in robots, arena and controller, but not in the length unit.
@@ -266,7 +270,7 @@ def _mark_steps(axes: Axes, log: TrialLog) -> None:
 
 
 def _last(gaps: Floats) -> Floats:
-    """Return each robot's last measured distance (N,), 0 if none was measured."""
+    """Return each robot's last measured distance to its target (N,), 0 if none was measured."""
     known = np.isfinite(gaps)
     last = len(gaps) - 1 - known[::-1].argmax(axis=0)
     return np.nan_to_num(gaps[last, np.arange(gaps.shape[1])])

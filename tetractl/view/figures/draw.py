@@ -22,9 +22,10 @@ def check_kind(kind: str) -> None:
 
 
 def draw(kind: str, logs: "Sequence[TrialLog]") -> "Figure":
-    """Draw the figure of a kind; its headline names the plant and incomplete trials.
+    """Draw the figure named `kind`; its headline names the plants and counts the incomplete trials.
 
-    Only `trajectory`, `errors`, `arms`, `ecdf` and `scatter` show several trials.
+    Of the built-in figures, only `trajectory`, `errors`, `arms`, `ecdf` and `scatter` show several
+    trials.
     """
     from tetractl.view.figures.axes import broken_off
     from tetractl.view.style import headline

@@ -30,11 +30,11 @@ TO_MS = SECOND / MILLISECOND
 
 
 def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the estimates of a trial over time, each with a band of one standard deviation.
+    """Draw the estimates of a trial over time, each with a band of +- one standard deviation.
 
-    a and speed are drawn relative to the spec's values, on one scale for all robots, and a cross
-    marks the true value of a simulation; the heading bias in rad, the dead time in ms. A panel is
-    drawn for each estimated quantity; NUMBERED or more robots have no bands.
+    Each estimated quantity has a panel: a and speed as differences from the spec's values [%], with
+    a cross at a simulation's true value; the heading bias [rad]; the dead time [ms]. NUMBERED or
+    more robots have no bands.
     """
     log = one_trial(logs)
     steps = [step for step in log.steps if step.plan.estimate is not None]
@@ -75,7 +75,9 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 def _relative(
     axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
 ) -> list[Curve]:
-    """Draw the difference of a or speed from the spec's value [%]; a label has the last value."""
+    """Draw the difference of a or speed from the spec's value [%]; labels state the last values of
+    a or speed.
+    """
     spec = getattr(log.start.setup, what)
     percent = 100 / spec
     axes.axhline(0, color=style.GREY, lw=0.6)
@@ -115,8 +117,8 @@ def _dead_time(
 def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> list[Curve]:
     """Draw values (K, N) of the robots with their bands, and return the curves.
 
-    The axis shows the range between the 1st and the 99th percentile, so that one outlier does not
-    hide the rest.
+    The axis shows the range from the 1st to the 99th percentile and every last value, so that one
+    outlier does not hide the rest.
     """
     curves = robot_curves(log.start.setup, values, values - stds, values + stds)
     draw_curves(axes, time_s, curves)

@@ -18,7 +18,7 @@ def end_labels(
 ) -> None:
     """Write each curve's name at the right of the axes, near the height of the curve's end.
 
-    Labels are at least a line from each other, in the order of the ends.
+    Labels are at least the height of a line apart, in the order of the ends.
     """
     size = 6.5 if len(texts) < 8 else 5.5
     figure = axes.get_figure(root=True)
@@ -41,8 +41,8 @@ def end_labels(
 
 
 def separated(wanted: Floats, gap: float) -> Floats:
-    """Return heights from 0 to 1, at least `gap` from each other, near the heights `wanted`; both
-    rise.
+    """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
+    `wanted`.
 
     Neighbours that would overlap form a block around the mean of their heights, the least-squares
     solution. Then all heights are shifted into the range, as far as they fit.
@@ -70,15 +70,17 @@ def edge(arena: Bounds) -> Floats:
 
 
 class Labels:
-    """Writes times next to the trails, each in the place farthest from other marks."""
+    """Writes times next to the trails, each where it is farthest from other marks."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
-        """Place labels away from `trails` (M, 2); `point` is 1/72 inch in length units."""
+        """Place labels away from `trails` (M, 2); `point` is how many length units 1/72 inch of the
+        figure shows.
+        """
         self._axes, self._point = axes, point
         self._taken = trails[np.isfinite(trails).all(axis=1)]
 
     def write(self, xy: Floats, tip: Floats, text: str) -> None:
-        """Write text next to the tick from `xy` to `tip`."""
+        """Write text next to a tick, which is drawn from `xy` to `tip`."""
         self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
         angles = np.arange(0, 2 * np.pi, np.pi / 6)
         aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])

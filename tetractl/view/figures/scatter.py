@@ -28,8 +28,8 @@ FEWEST = 3  # least number of trials for an ellipse
 def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw each robot's final position relative to its target, a dot for each trial.
 
-    The ellipse contains 95 % of a normal distribution with the mean and covariance (n - 1) of the
-    complete trials. All panels have the same scale.
+    The dashed ellipse contains 95 % of a normal distribution with the mean and covariance (n - 1)
+    of the complete trials. All panels have the same scale.
     """
     check_alike(logs)
     for log in logs:
@@ -72,7 +72,9 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
-    """Draw one robot's errors (n, 2); return the largest distance of a mark from the target."""
+    """Draw one robot's errors x, y: `gaps` (n, 2) of complete trials, and `cut` of incomplete ones.
+    Return the largest |x| or |y| to show.
+    """
     axes.set_aspect("equal")
     for line in (axes.axhline, axes.axvline):
         line(0, color=style.FAINT, lw=0.5, zorder=0)

@@ -1,4 +1,4 @@
-"""The paper's Figure 2: the particles of a search in two dimensions of the plan."""
+"""The paper's Figure 2: the particles of a search, by the first two signals of the plan."""
 
 from collections.abc import Sequence
 
@@ -50,7 +50,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _shades(axes: Axes, history: SwarmHistory):
-    """Draw J over the two dimensions as an image, lighter for a lower J; return the image."""
+    """Draw J over the two signals as an image, lighter for a lower J; return the image."""
     least, most = float(history.costs.min()), float(np.percentile(history.costs, 98))
     scale = Normalize(least, most if most > least else least + 1)
     shades = axes.imshow(

@@ -38,7 +38,7 @@ FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
 
 
 class DishGround:
-    """Shows a microscope's picture behind a trial's axes; nothing without pictures."""
+    """Shows a microscope's pictures behind the axes of a trial; nothing if its log has none."""
 
     def __init__(self, axes: Axes, log: TrialLog) -> None:
         self._pictures, self._shown, self._image = DishPictures(log), -1, None
@@ -54,7 +54,9 @@ class DishGround:
         axes.axis(limits)
 
     def show(self, when_ns: int) -> bool:
-        """Show the picture at a time of the trial's clock [ns]; return whether it changed."""
+        """Show the last picture taken up to a time of the trial's clock [ns]; return whether the
+        picture shown changed.
+        """
         which = self._pictures.at(when_ns)
         if which is None or which == self._shown:
             return False
@@ -72,7 +74,8 @@ MARKS = 5  # largest number of times marked along a trail
 
 
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw one trial with times, headings and errors, or several trials, lighter, together.
+    """Draw one trial with times, headings and errors, or several trials together in lighter
+    colours.
 
     Trails are measured positions; true paths are dashed if they differ visibly. Raises UsageError
     for logs of different robots, arenas or obstacles.
@@ -104,7 +107,9 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
-    """Draw obstacles, starts and targets, numbered from NUMBERED robots on."""
+    """Draw obstacles, starts and targets; NUMBERED or more robots have numbered starts and
+    targets.
+    """
     unit = unit_of(setup.unit)
     axes.set_aspect("equal")
     axes.set_xlabel(f"x [{unit}]")
@@ -193,8 +198,8 @@ def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
     """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
 
-    Points further from the arena than FAR times its size are cut off, so that one outlier does not
-    hide the rest.
+    Points further from the arena than FAR times its longer side are cut off, so that one outlier
+    does not hide the rest.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
@@ -242,7 +247,7 @@ class _Key:
 
 
 def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key:
-    """Return the legend of the robots' names and errors (trials, N).
+    """Return the legend of the robots' names and their `errors` (trials, N).
 
     Means over several trials leave out incomplete ones.
     """
@@ -312,7 +317,9 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
-    """Return true positions (M, N, 2), None if within 0.5 % of the arena of the measured ones."""
+    """Return the true positions (M, N, 2); None if they are unknown, or if none is further from the
+    measured position than 0.5 % of the arena's longer side.
+    """
     if log.truth is None or not len(log.truth):
         return None
     gap = np.linalg.norm(log.truth[..., :2] - tracked(log.mocap, log.valid), axis=-1)
@@ -322,7 +329,9 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most `MARKS` times since the first direction [s], steps of 1, 2 or 5 times 10^n."""
+    """Return at most MARKS times to mark [s since the first direction]: multiples of 1, 2 or 5
+    times 10^n.
+    """
     end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
@@ -331,13 +340,17 @@ def _marked_times(log: TrialLog) -> list[float]:
 
 
 def _nice_step(length: float, most: int) -> float:
-    """Return the least 1, 2 or 5 times 10^n that divides a length into at most `most` parts."""
+    """Return the least number 1, 2 or 5 times 10^n that divides a length into at most `most`
+    parts.
+    """
     power = 10.0 ** np.floor(np.log10(length / most))
     return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))
 
 
 def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure:
-    """Draw both paths of each robot, recorded ones solid, and their distances over time."""
+    """Draw the recorded path (solid) and the new path of each robot, and the distance between them
+    over time.
+    """
     setup = recorded.start.setup
     unit = unit_of(setup.unit)
     colors = robot_colors(setup.names, setup.colors)

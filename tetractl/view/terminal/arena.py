@@ -40,8 +40,8 @@ class Projection:
         return cls(arena, math.ceil(across / ACROSS), math.ceil(down / DOWN), scale)
 
     def dots(self, xy: Floats) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Return columns and rows of dots, (0, 0) at the top left, of positions (..., 2) except
-        NaN.
+        """Return the columns and rows of the dots at positions (..., 2), from (0, 0) at the top
+        left; positions with NaN are left out.
 
         A position outside the arena may give a dot outside the canvas.
         """
@@ -55,8 +55,9 @@ class Projection:
         )
 
     def cell(self, x: float, y: float) -> tuple[int, int]:
-        """Return column and row of a position's cell; for positions outside, of the nearest
-        cell."""
+        """Return the column and row of the cell at a position or, if that is outside, of the
+        nearest cell.
+        """
         if not (math.isfinite(x) and math.isfinite(y)):
             x, y = self.arena.left, self.arena.bottom
         (column,), (row,) = self.dots(np.array([[x, y]]))
@@ -67,7 +68,7 @@ class Projection:
 
 
 class Canvas:
-    """Character cells of braille dots with one style each; new dots replace old ones."""
+    """Character cells of braille dots with one style each: the style of the newest dots."""
 
     def __init__(self, width: int, height: int, glyphs: Glyphs) -> None:
         self.width, self.height = width, height
@@ -171,7 +172,7 @@ def _filling(shape: Shape, view: Projection) -> Floats:
 
 
 def _ticks(low: float, high: float, step: float) -> Floats:
-    """Return points from low to high, at most one step apart; none if high < low."""
+    """Return coordinates from low to high, at most `step` apart; none if high < low."""
     return (
         np.linspace(low, high, math.ceil((high - low) / step) + 1) if high >= low else np.empty(0)
     )

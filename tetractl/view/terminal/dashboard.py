@@ -51,7 +51,7 @@ def _length(hints: list[str]) -> int:
 
 
 class Dashboard:
-    """A rich renderable of a trial at one time, which fills the available space.
+    """Shows a trial at one time, on all the space available; the library rich prints it.
 
     `heading` names the trial, `notes` are warnings such as a log's damage, and `aside` is text
     below the notes.
@@ -102,7 +102,9 @@ class Dashboard:
         yield from Segment.adjust_line_length(list(footer.render(console)), width)
 
     def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
-        """Return the numbers in at most `height` lines; the least important blocks are left out."""
+        """Return the numbers in at most `height` lines; if these are too few, the least important
+        blocks are left out.
+        """
         blocks = [
             (0, self._head(glyphs, width)),
             (3, self._robots(glyphs, width, height)),

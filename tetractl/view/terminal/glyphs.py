@@ -103,10 +103,11 @@ def sparkline(
     total: int = 0,
     log: bool = False,
 ) -> Text:
-    """Return values as bars from 0 or, with `log`, on a logarithmic scale from the least value.
+    """Return at most `width` bars that show values, from 0 or, with `log`, on a logarithmic scale
+    from the least value.
 
-    The width corresponds to `total` values, or to the given ones if these are more; values to come
-    are dots.
+    The line has room for `total` values, or for the given ones if these are more; dots stand for
+    values still to come.
     """
     y = np.asarray(values, dtype=float)
     y = np.where(np.isfinite(y), y, np.nan)

@@ -33,7 +33,8 @@ _NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
-    """Split bytes of a terminal into names of keys and an unfinished escape sequence.
+    """Split bytes read from a terminal into names of keys and the rest, an unfinished escape
+    sequence.
 
     The name of a printable character is the character, except "space"; unknown sequences are
     dropped.
@@ -75,8 +76,8 @@ class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
     Ctrl-C and other SIGNALS raise no exception, so that no operation is cut short: they set
-    `interrupted`, and `read` returns ["q"]. On Ctrl-Z `leave` is called and the terminal restored
-    before the process is suspended; when it continues, `back` is called.
+    `interrupted`, and `read` returns ["q"]. On Ctrl-Z, `leave` is called, the terminal is restored,
+    and the process is suspended; when the process continues, `back` is called.
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
@@ -99,8 +100,8 @@ class Keyboard:
             signal.signal(number, handler)
 
     def read(self, timeout_s: float) -> list[str]:
-        """Wait for keys, at most `timeout_s`; return ["q"] if the terminal was closed or after an
-        interrupt.
+        """Wait for keys, at most `timeout_s`, and return their names; ["q"] after an interrupt, or
+        if the terminal was closed.
         """
         if self._stop_wanted:
             self._suspend()

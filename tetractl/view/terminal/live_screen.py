@@ -31,7 +31,7 @@ class LiveView:
     """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
     `RunObserver`; a context manager.
 
-    It draws at most 12 pictures per second of `wall` time [s].
+    It draws at most 12 pictures per second; `wall` returns the wall time [s].
     """
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
@@ -172,7 +172,7 @@ class TerminalPrompt:
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def go(self) -> bool:
-        """Return whether Enter was pressed after all robots were in place."""
+        """Return whether Enter was pressed since the lines were last printed."""
         if not self._entered.is_set():
             return False
         self._entered.clear()
@@ -181,10 +181,11 @@ class TerminalPrompt:
 
 
 class LabWatch:
-    """Shows a batch in the lab by lines or live views; an `Observer` and a `RunObserver`.
+    """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial; an
+    `Observer` and a `RunObserver`.
 
     Notes are printed on `console`, a line per trial on `quiet`, which may be silent; `unit` is the
-    length unit. Between trials the live view is closed, since robots are placed.
+    length unit. Between trials, while robots are placed, the live view is closed.
     """
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:

@@ -32,7 +32,8 @@ def play(
     follow: Callable[[], None] = lambda: None,
     note: str = "",
 ) -> bool:
-    """Play the first of `count` trials until q is pressed; the keys n and p change the trial.
+    """Play the first of `count` trials until q is pressed; the keys n and p go to the next and the
+    previous trial.
 
     `turn_to(i)` returns the player of trial i; `follow` is called before each picture is drawn, and
     `note` is shown in it. Returns whether a signal ended the play.
@@ -109,7 +110,7 @@ def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
 
 
 class Help:
-    """The list of keys as a rich renderable that fills the space available."""
+    """Shows the list of keys, on all the space available; the library rich prints it."""
 
     def __init__(self, glyphs: Glyphs) -> None:
         self._glyphs = glyphs

@@ -1,7 +1,8 @@
 """The common direction as a magnetic field that turns cells.
 
-A cell turns towards the field as in (3), at a rate proportional to the field's strength B: the
-spec's a is the rate at `strength_mt`, so the turning rate is a (B / strength_mt) sin(u - heading).
+A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
+the field's strength B. The spec's a holds at B = `strength_mt`, so a cell's turning rate is
+a (B / strength_mt) sin(u - heading).
 """
 
 import threading
@@ -34,9 +35,10 @@ OFF: Pair = (0.0, 0.0)
 class FieldActuator:
     """Turns N cells by one field; see `tetractl.core.protocols.Actuator`.
 
-    No cell can be held still: every transmission, even a stop, states that all move at their own
-    speed. Its outputs are the currents requested from the driver, `current_x_a` and `current_y_a`
-    [A], and their field, `field_mt` and `field_direction_rad`. Times are ns on `clock`.
+    No cell can be held still: every transmission, even a stop, states that all cells move at their
+    own speed. A transmission's `outputs` are the currents requested from the driver, `current_x_a`
+    and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`. Times
+    are ns on `clock`.
     """
 
     individual = False
@@ -65,12 +67,12 @@ class FieldActuator:
         self.driver.close()
 
     def settle(self, setup: Setup) -> None:
-        """Use the turning rates and speeds of a new setup, after a trial has chosen its cells."""
+        """Take turning rates and speeds from a new setup, made after the cells have been chosen."""
         self._a, self._speed = setup.a, setup.speed
 
     @property
     def period_ns(self) -> int:
-        """Time between two commands under a held direction [ns]."""
+        """Time between two commands while the direction stays the same [ns]."""
         return round(SECOND / self.section.rate)
 
     @property
@@ -87,9 +89,10 @@ class FieldActuator:
     ) -> Transmission:
         """Turn the field to a direction [rad], as far as the slew limit allows in one period.
 
-        The currents change along a straight line, so a field that turns by half a circle becomes
-        weak on the way. The transmission's `turning` [rad/s] is computed for the requested field, 0
-        for cells without a pose; `moving` is ignored. AbortError if the driver has failed.
+        The currents (x, y) change along a straight line, so a field that turns by half a circle
+        becomes weak on the way. The transmission's `turning` [rad/s] is computed for the requested
+        field; it is 0 for cells without a pose. `moving` is ignored. AbortError if the driver has
+        failed.
         """
         if (failure := self.failure) is not None:
             raise AbortError(failure, HINT)
@@ -123,11 +126,11 @@ class FieldActuator:
         return self._transmission(None, OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Return a status for each cell with `answers` None: only the driver can be polled."""
+        """Return one status per cell, with `answers` None, since cells cannot be polled."""
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Ask the driver for its version, limits and state; switches the field off."""
+        """Switch the field off; return what the driver's version, limits and state show."""
         try:
             reply = self.driver.ask()
         except AbortError as error:
@@ -135,7 +138,7 @@ class FieldActuator:
         return inspect(reply, self.section)
 
     def _room(self, passed_ns: int) -> float:
-        """Return the largest change of a current [A] in a time [ns]."""
+        """Return by how much a current may change [A] in a time [ns]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:
@@ -164,7 +167,7 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return the driver's problems, warnings and facts; `reply` is None if it did not answer."""
+    """Return the driver's problems, warnings and facts; None as `reply` means that it is silent."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))

@@ -1,9 +1,10 @@
 """The current driver on a serial port: packs numbered command frames and reads the replies.
 
-Command: 53 sequence flags, i16 x, i16 y [mA], CRC. Reply, only when polled: 54 sequence status
-version, i16 measured x, y [mA], u16 supply [mV], i16 temperature [0.1 degrees Celsius], u16 frames
-received, u16 frames rejected, u16 greatest current [mA], u32 slew [mA/s], u16 watchdog [ms], CRC.
-All little-endian, framed by `cobs.frame_with_crc`. `firmware/field_core.c` is the driver's side.
+The bytes of a command: 0x53, sequence, flags, i16 x, i16 y [mA], CRC. The bytes of a reply, sent
+only when polled: 0x54, sequence, status, version, i16 measured x, i16 measured y [mA], u16 supply
+[mV], i16 temperature [0.1 degrees Celsius], u16 frames received, u16 frames rejected, u16 greatest
+current [mA], u32 greatest slew [mA/s], u16 watchdog [ms], CRC. All numbers are little-endian;
+`cobs.frame_with_crc` makes the frames. `firmware/field_core.c` is the driver's side.
 """
 
 import struct
@@ -44,7 +45,7 @@ class DriverStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FieldCommand:
-    """The currents of both coil pairs [mA]; ignored without `FieldFlag.RUN`."""
+    """The currents of both coil pairs [mA]; the driver ignores them without `FieldFlag.RUN`."""
 
     sequence: int
     flags: FieldFlag
@@ -54,12 +55,13 @@ class FieldCommand:
 
 @dataclass(frozen=True, slots=True)
 class FieldReply:
-    """The reply of a polled driver; `sequence` is the number of the poll's frame.
+    """The driver's reply to a poll; `sequence` is copied from the command that polled it.
 
-    The currents [mA] are measured. `supply_mv` 0 and `temperature_dc` `UNKNOWN_TEMPERATURE` (in
-    tenths of a degree Celsius) mean not known. `received` and `rejected` count frames with a right
-    and a wrong CRC, modulo 65536. The last three are the driver's own limits: the greatest current
-    [mA], the greatest change of a current [mA/s], and the watchdog's time without a frame [ms].
+    `x_ma` and `y_ma` are the measured currents [mA]. `temperature_dc` is in tenths of a degree
+    Celsius, `UNKNOWN_TEMPERATURE` if not known; `supply_mv` is 0 if not known. `received` and
+    `rejected` count frames with a right and a wrong CRC, modulo 65536. The last three fields are
+    the driver's own limits: the greatest current [mA], the greatest change of a current [mA/s], and
+    the time without a frame after which the watchdog switches the field off [ms].
     """
 
     sequence: int
@@ -97,7 +99,7 @@ def encode_reply(reply: FieldReply) -> bytes:
 
 
 def decode_reply(frame: bytes) -> FieldReply:
-    """Read a reply, given without the closing byte 00; unknown status bits are dropped."""
+    """Read a reply, given without the closing byte 00; ignore unknown status bits."""
     sequence, status, *rest = unpack_fields(_REPLY, REPLY, frame)
     return FieldReply(sequence, DriverStatus(status & 31), *rest)
 
@@ -113,7 +115,8 @@ HINT = "the driver switches the field off by its watchdog; cells swim on"
 class Driver:
     """A current driver on a serial port. Times are ns on `clock`.
 
-    Every frame polls the driver; `failure` reports if it is off, latched or hot.
+    Every frame polls the driver, so that `failure` can tell whether the driver has become silent,
+    too hot or emergency-stopped.
     """
 
     def __init__(self, port: str, baud: int, clock: Clock) -> None:
@@ -157,8 +160,8 @@ class Driver:
         return sent_ns
 
     def ask(self) -> FieldReply | None:
-        """Poll up to five times with the field off, 0.1 s each; return the reply or None.
-        AbortError if the port has failed.
+        """Switch the field off and poll up to five times, waiting 0.1 s for each reply; return the
+        first reply, None without any. AbortError if the port has failed.
         """
         self.newest = None
         for _ in range(TRIES):

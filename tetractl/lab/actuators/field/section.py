@@ -56,8 +56,8 @@ class CoilsSection(Model):
     """Angle from the spec's x axis to the x pair's axis [rad]."""
 
     def reach(self, direction: float, current_max_a: float) -> float:
-        """Return the greatest strength [mT] in a direction [rad] within a current limit [A], which
-        is at least enough to cancel the ambient field.
+        """Return the greatest field strength [mT] in a direction [rad] with currents up to a limit
+        [A]; the limit must be high enough to cancel the ambient field.
         """
         strength = math.inf
         for axis, pair in zip(self._axes(direction), (self.x, self.y), strict=True):
@@ -68,14 +68,14 @@ class CoilsSection(Model):
         return strength
 
     def least_reach(self, current_max_a: float) -> float:
-        """Return the strength [mT] that is available in every direction within a current limit."""
+        """Return the strength [mT] that currents up to a limit [A] reach in every direction."""
         pairs = self.x, self.y
         return min(abs(pair.gain_mt_a) * current_max_a - abs(pair.offset_mt) for pair in pairs)
 
     def currents(self, direction: float, strength: float, current_max_a: float) -> Pair:
-        """Return the currents [A] that make a field of a direction [rad] and strength [mT].
+        """Return the currents [A] that make a field with a direction [rad] and a strength [mT].
 
-        If a current would exceed its limit, the strength is reduced and the direction kept.
+        If a current would exceed the limit [A], the strength is reduced and the direction kept.
         """
         strength = min(strength, self.reach(direction, current_max_a))
         along_x, along_y = self._axes(direction)
@@ -86,14 +86,14 @@ class CoilsSection(Model):
         )
 
     def field(self, currents: Pair) -> Pair:
-        """Return the field [mT] that two currents [A] make, in the spec's axes."""
+        """Return the field [mT], in the spec's axes, that the two coil currents [A] make."""
         pairs = zip((self.x, self.y), currents, strict=True)
         x, y = (pair.offset_mt + pair.gain_mt_a * current for pair, current in pairs)
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         return cos * x - sin * y, sin * x + cos * y
 
     def _axes(self, direction: float) -> Pair:
-        """Return the unit vector of a direction [rad] in the axes of the coils."""
+        """Return the unit vector along a direction [rad], as components in the coils' axes."""
         return math.cos(direction - self.rotation), math.sin(direction - self.rotation)
 
 
@@ -143,7 +143,7 @@ class FieldSection(ActuatorSection):
         require_port(self.port, "the current driver")
 
     def bounds(self) -> dict[str, str]:
-        """Return the driver's port, rate and field limits for display, {name: text}."""
+        """Return the driver's port and rate and the current limit as {name: text}, for display."""
         return {
             "current driver": f"{self.port}, {self.rate:g} commands per second",
             "coil currents": f"at most {self.current_max_a:g} A",

@@ -65,7 +65,7 @@ class M3piActuator:
 
     @property
     def period_ns(self) -> int:
-        """Time between two wheel commands under a held direction [ns]."""
+        """Time between two wheel commands while the direction stays the same [ns]."""
         return round(SECOND / self.section.rate)
 
     @property
@@ -74,7 +74,9 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Return the radio's problems and questions; warn about robots without a watchdog."""
+        """Return the radio's problems and its questions to the operator, and a warning if the
+        robots have no watchdog.
+        """
         warnings: tuple[str, ...] = ()
         if not self.section.protocol.watchdog:
             warnings = ("the robots have no watchdog: a robot that loses the radio drives on",)
@@ -87,7 +89,7 @@ class M3piActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot its wheel counts for a direction [rad], 0 if it must not move."""
+        """Send each robot its wheel counts for a direction [rad]; robots not `moving` get 0."""
         sent = self._send(self.counts(direction, poses, exposed_ns), moving)
         return replace(sent, direction=direction)
 
@@ -98,7 +100,9 @@ class M3piActuator:
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot the wheel counts that turn it on the spot towards a direction [rad]."""
+        """Send each robot the wheel counts that turn it on the spot to face a direction [rad];
+        robots not `moving` get 0.
+        """
         sent = self._send(self.counts(facing, poses, exposed_ns, ahead=False), moving)
         return replace(sent, facing=facing)
 
@@ -111,7 +115,7 @@ class M3piActuator:
         return self._transmission(sent_ns, still, (False,) * len(still))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
-        """Ask every robot for its battery and state."""
+        """Ask every robot for its battery voltage and state."""
         answers = self._protocol.poll(timeout_s)
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
@@ -122,12 +126,13 @@ class M3piActuator:
         exposed_ns: int,
         ahead: bool = True,
     ) -> list[Counts]:
-        """Return the wheel counts by (24)-(25) for a direction [rad] and the predicted headings, at
-        speed 0 unless the robots drive `ahead`.
+        """Return the wheel counts by equations (24)-(25) of the paper, for a direction [rad] and
+        the predicted headings. If not `ahead`, the counts turn the robots on the spot.
 
-        The headings are predicted to the time when the command arrives: the poses' age plus the
-        radio's delay. If wheels lag, these are the headings in which the robots would come to rest
-        after the commands already sent; otherwise the exact step of (3) predicts them.
+        Headings are predicted from `exposed_ns`, when the poses held, to when the command reaches
+        the wheels, at most 0.1 s. If the wheels lag, the heading in which a robot would come to
+        rest after the commands already sent is used; otherwise the exact step of equation (3).
+        Robots without a pose get counts of 0.
         """
         arrives = self._clock.now() + RADIO_NS
         since = max(exposed_ns, arrives - AHEAD_MAX_NS)

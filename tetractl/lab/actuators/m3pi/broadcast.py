@@ -1,8 +1,9 @@
-"""The broadcast to all robots and their replies: the mbed firmware, which has a watchdog.
+"""Frames of the mbed firmware, which has a watchdog: commands to all robots, and their replies.
 
-Command: 51 sequence flags n {i8 left, i8 right} * n, CRC. Reply, only when polled: 52 id sequence
-flags, u16 battery [mV], u16 frames received, u16 frames rejected, CRC; all little-endian, framed by
-`cobs.frame_with_crc`. `firmware/m3pi_core.c` is the robot's side.
+The bytes of a command: 0x51, sequence, flags, number of robots, then i8 left and i8 right per
+robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, status, u16 battery
+[mV], u16 frames received, u16 frames rejected, CRC. All numbers are little-endian;
+`cobs.frame_with_crc` makes the frames. `firmware/m3pi_core.c` is the robot's side.
 """
 
 import struct
@@ -48,10 +49,10 @@ class BroadcastCommand:
 
 @dataclass(frozen=True, slots=True)
 class Reply:
-    """The reply of a polled robot; `sequence` is the number of the poll's frame. `battery_mv` is 0
-    if unknown.
+    """A robot's reply to a poll; `sequence` is copied from the command that polled it.
 
-    `received` and `rejected` count frames with a right and a wrong CRC, modulo 65536.
+    `battery_mv` is 0 if unknown. `received` and `rejected` count frames with a right and a wrong
+    CRC, modulo 65536.
     """
 
     id: int

@@ -1,10 +1,12 @@
-"""Measures a robot's wheel order, gains, dead zones, r and heading offset by small motions.
+"""Measures a robot's wheel gains, dead zones, r (the distance from a wheel to the centre), heading
+offset, and whether its wheels are swapped, by small motions.
 
 One wheel alone turns the robot about the other: |turning rate| = k (|count| - dead zone) with k =
 gain / (2 r), for any heading offset. Both wheels together, with counts whose turning rates w1 and
-w2 cancel, drive it straight at v = r (|w1| + |w2|): this gives r, and the direction of travel gives
-the heading offset and the forward direction. With the spec's heading offset added, the rigid body's
-x axis must point less than a right angle away from the robot's front.
+w2 cancel, drive the robot straight at the speed v = r (|w1| + |w2|), which gives r; the direction
+of travel gives the heading offset and which way is forward. The rigid body's x axis, turned by the
+spec's heading offset, must point less than a right angle away from the robot's front; beyond 60
+degrees the calibration fails.
 """
 
 import math
@@ -42,7 +44,7 @@ FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot during calibr
 
 @dataclass(frozen=True, slots=True)
 class DrivenPath:
-    """Steady motion: turning rate [rad/s], speed along the heading and to its left [mm/s]."""
+    """A steady motion: turning rate [rad/s], speeds along and to the left of the heading [mm/s]."""
 
     turning: float
     along: float
@@ -51,8 +53,8 @@ class DrivenPath:
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """One motor channel: a count > 0 turns the robot at the rate `sign` k (count - dead zone)
-    [rad/s].
+    """One motor channel: a count above the dead zone turns the robot at the rate
+    sign * k * (count - dead_zone) [rad/s], anticlockwise if positive.
     """
 
     sign: int
@@ -60,7 +62,7 @@ class Channel:
     dead_zone: int
 
     def count(self, turning: float) -> int:
-        """Return the unsigned count at which the robot turns at a rate [rad/s]."""
+        """Return the count at which the robot turns at a rate [rad/s]; neither has a sign."""
         return round(turning / self.k) + self.dead_zone
 
 
@@ -75,7 +77,9 @@ class Found:
     swap: bool
 
     def wheels(self) -> dict[str, Any]:
-        """Return the values as fields of the actuator, for a calibration file."""
+        """Return the wheels' values as a robot's fields in the spec's `actuator`, for a calibration
+        file.
+        """
         left, right = self.left.model_dump(), self.right.model_dump()
         return {"radius_mm": self.radius_mm, "left": left, "right": right, "swap": self.swap}
 
@@ -97,7 +101,10 @@ def calibrate_robots(
     emergency: threading.Event,
     report: Callable[[str], None],
 ) -> Measured:
-    """Measure the named robots in turn; AbortError if one cannot be measured, with the reason."""
+    """Measure the named robots one after another with wheel counts up to `limit`.
+
+    AbortError, with the reason, if a robot cannot be measured.
+    """
     offsets, wheels, lines = [], [], []
     for name in names:
         report(f"{name}: measuring")
@@ -116,7 +123,7 @@ def calibrate_robots(
 
 
 class ManualActuator(M3piActuator):
-    """An actuator that sends the wheel counts in `held` and ignores the direction."""
+    """An actuator that sends the wheel counts in `held`, whatever the direction."""
 
     held: tuple[Counts, ...] = ()
 
@@ -224,7 +231,9 @@ class _Bench:
         return Found(round(whole, 5), round(radius, 3), left, right, swap)
 
     def _channel(self, which: int) -> Channel:
-        """Ramp one channel up in both directions; fit turning rates against counts."""
+        """Drive motor channel 0 or 1 with growing counts in both directions; fit k and dead zone to
+        the turning rates.
+        """
         points: list[tuple[int, float]] = []
         signs: list[float] = []
         for count in range(FIRST, self.limit + 1, STEP):
@@ -290,7 +299,9 @@ class _Bench:
         self.clock.sleep_until(self.clock.now() + SECOND // 4)
 
     def _strayed(self) -> bool:
-        """Abort if the robot is too far from its first position; return whether it is aborted."""
+        """Abort the calibration if the robot is too far from its first position; return whether it
+        has been aborted.
+        """
         guard, newest = self.rig.guard, self.rig.frames.newest
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose
@@ -301,7 +312,9 @@ class _Bench:
 
 
 def _steady(poses: list[tuple[int, Pose]], since_ns: int, mm: float) -> DrivenPath:
-    """Return turning rate and velocity in the robot's axes, fitted to (time [ns], pose) pairs."""
+    """Return the steady motion fitted to (time [ns], pose) pairs from `since_ns` on; `mm` is the
+    spec's length unit in millimetres.
+    """
     seen = [(t, pose) for t, pose in poses if t >= since_ns]
     t = np.array([t for t, _ in seen]) / SECOND
     x, y, raw = np.array([(p.x, p.y, p.heading) for _, p in seen]).T

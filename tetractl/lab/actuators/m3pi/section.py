@@ -89,7 +89,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     """A warning is printed for a robot below this battery voltage [V]."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield problems of robots, broadcast numbers, wheels and radio mode."""
+        """Yield the place and text of each problem with robots, numbers, wheels or radio mode."""
         indexed = [
             robot.model_copy(update={"index": self.index(robot.name)}) for robot in self.robots
         ]
@@ -120,27 +120,34 @@ class M3piSection(XbeeSection, ActuatorSection):
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the radio's port, rate and limits of the wheels for display, {name: text}."""
+        """Return the radio's port and rate and the lowest limit of wheel counts as {name: text},
+        for display.
+        """
         return {
             "radio": f"{self.port}, {self.rate:g} commands per second",
             "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
         }
 
     def robot(self, name: str) -> M3piRobot:
-        """Return a robot's entry."""
+        """Return the entry of the robot with a name."""
         return next(robot for robot in self.robots if robot.name == name)
 
     def index(self, name: str) -> int:
-        """Return a robot's number in broadcasts."""
+        """Return the number in broadcasts of the robot with a name."""
         robot = self.robot(name)
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the largest count sent to a robot, lower if its program has no watchdog."""
+        """Return the largest wheel count sent to a robot: the lower of its and its program's
+        limit.
+        """
         return min(robot.limit, self.protocol.limit)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
-        """Stop every robot in radio range, with either program; the mbed latches the stop."""
+        """Stop every robot in radio range, whichever program it runs; return a summary.
+
+        The mbed firmware latches the stop. If not `alone`, another process may have the port open.
+        """
         from tetractl.lab.actuators.m3pi.stop_sequence import stop_all
 
         addresses = [robot.address for robot in self.robots if robot.address is not None]

@@ -25,7 +25,7 @@ TRIES = 5
 
 @dataclass(frozen=True, slots=True)
 class RobotAnswer:
-    """The answer of a polled robot; `battery_mv` is 0 if unknown."""
+    """A robot's answer to a poll; `battery_mv` is 0 if unknown."""
 
     battery_mv: int
     emergency_stopped: bool = False
@@ -34,14 +34,14 @@ class RobotAnswer:
 def build_protocol(
     section: M3piSection, names: Sequence[str], link: Link, clock: Clock
 ) -> "BroadcastProtocol | SlaveProtocol":
-    """Return the protocol of a spec for robots in the order of `names`."""
+    """Return the protocol that the spec chooses, for the robots in `names`, in this order."""
     if section.protocol.watchdog:
         return BroadcastProtocol(link, clock, [section.index(name) for name in names])
     return SlaveProtocol(link, clock, [section.robot(name).address or 0 for name in names])
 
 
 class BroadcastProtocol:
-    """One frame with a checksum for all robots; robot i of the list has the number `indices[i]`."""
+    """Sends one frame with a checksum to all robots; robot i has the number `indices[i]` in it."""
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
         self._link, self._clock = link, clock
@@ -49,22 +49,24 @@ class BroadcastProtocol:
         self._sequence = 0
 
     def drive(self, counts: Sequence[Counts]) -> int:
-        """Send every robot its wheel counts in one frame."""
+        """Send every robot its wheel counts in one frame; return the time of sending [ns]."""
         wheels = [STOP] * (max(self._indices) + 1)
         for index, pair in zip(self._indices, counts, strict=True):
             wheels[index] = pair
         return self._send(Flag.RUN, tuple(wheels))
 
     def stop(self) -> int:
-        """Send a frame without the run flag."""
+        """Stop all robots by a frame without the run flag; return the time of sending [ns]."""
         return self._send(Flag(0))
 
     def emergency(self) -> int:
-        """Send a frame that latches every robot's emergency stop."""
+        """Latch every robot's emergency stop by one frame; return the time of sending [ns]."""
         return self._send(Flag.EMERGENCY_STOP)
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Poll all robots, several times if one does not answer, since broadcasts may be lost."""
+        """Poll all robots until each has answered, at most five times, since frames may be lost; a
+        robot without an answer gives None.
+        """
         found: dict[int, RobotAnswer] = {}
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
@@ -88,7 +90,9 @@ class BroadcastProtocol:
 
 
 class SlaveProtocol:
-    """One unicast message per robot. There is no watchdog and no latched emergency stop."""
+    """Sends one message to each robot's address. The robots have no watchdog, and their emergency
+    stop does not latch.
+    """
 
     def __init__(self, link: Link, clock: Clock, addresses: Sequence[int]) -> None:
         self._link, self._clock = link, clock
@@ -100,16 +104,18 @@ class SlaveProtocol:
         return self._each(messages)
 
     def stop(self) -> int:
-        """Send each robot a stop."""
+        """Send each robot a stop; return the time of the last transmission [ns]."""
         return self._each([slave.STOP] * len(self._addresses))
 
     def emergency(self) -> int:
-        """Send each robot a signature request, which also stops it, and then a stop."""
+        """Send each robot a signature request, which also stops it, and then a stop; return the
+        time of the last transmission [ns].
+        """
         message = slave.SIGNATURE_REQUEST + slave.STOP
         return self._each([message] * len(self._addresses))
 
     def poll(self, timeout_s: float) -> list[RobotAnswer | None]:
-        """Ask each robot for its battery voltage."""
+        """Ask each robot for its battery voltage, for up to `timeout_s`; None without an answer."""
         return [self._battery(address, timeout_s) for address in self._addresses]
 
     def _battery(self, address: int, timeout_s: float) -> RobotAnswer | None:

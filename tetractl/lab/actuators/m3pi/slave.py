@@ -1,8 +1,8 @@
 """The bytes of the 3pi's own serial-slave program, which runs without an mbed.
 
-Bytes from 0x80 on are commands, the bytes below are their data. **This program has no watchdog**:
-without commands the motors continue to turn. If a data byte is lost, the old speed remains until
-the next command.
+Bytes from 0x80 on are commands, bytes below 0x80 are data of a command. **This program has no
+watchdog**: without commands the motors continue to turn. If a data byte is lost, the motor keeps
+its old speed until the next command.
 """
 
 from tetractl.core.errors import WireError
@@ -20,7 +20,7 @@ def encode_wheels(left: int, right: int) -> bytes:
 
 
 def decode_battery(answer: bytes) -> int:
-    """Return the battery voltage from the answer's bytes [mV]."""
+    """Return the battery voltage [mV] from the bytes of an answer."""
     if len(answer) != 2:
         raise WireError(f"a battery answer has 2 bytes, not {len(answer)}")
     return int.from_bytes(answer, "little")

@@ -14,9 +14,9 @@ def stop_all(module: XbeeSection, addresses: Sequence[int] = (), alone: bool = T
     """Send stops to every robot in radio range, ten times over 200 ms; return a summary.
 
     The mbed firmware latches its emergency stop on a broadcast frame; the serial-slave program
-    stops on its own bytes, sent to each address and to all. The module is not checked, because
-    sending through a wrong module is better than no stop. If not `alone`, another process may use
-    the port too.
+    stops on bytes of its own, sent to each address and to all. The module is not checked, because
+    sending through a wrong module is better than no stop. If not `alone`, another process may have
+    the port open.
     """
     clock = MonotonicClock()
     link = Link(module, clock)

@@ -1,11 +1,12 @@
 """XBee API frames: one dataclass per frame type, big-endian fields in wire order.
 
-Both directions are packed and parsed, since an emulated module receives the PC's frames. In
-transparent mode, used by the robots' modules, there are no frames: bytes are sent unchanged.
+Frames of either direction can be packed and parsed, since an emulated module reads the PC's frames.
+In transparent mode, used by the robots' modules, there are no frames: bytes are sent unchanged.
 
-API framing is delimiter, length, content, checksum; plain (AP=1) or escaped (AP=2). Escaped, a 0x7E
-is always the start of a frame, so a lost byte costs one frame. Plain, a 0x7E may be data: after a
-wrong checksum, the search continues behind that frame's delimiter.
+An API frame is a delimiter 0x7E, the length, the content and a checksum; it is plain (AP=1) or
+escaped (AP=2). In escaped frames a 0x7E is always the start of a frame, so a lost byte costs one
+frame. In plain frames a 0x7E may be data: after a wrong checksum, the search for a start continues
+behind the delimiter of the wrong frame.
 """
 
 import struct
@@ -20,7 +21,9 @@ BROADCAST_16 = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class XbeeFrame:
-    """A frame type: `API` is its id, `LAYOUT` its fields; a last field `data` takes the rest."""
+    """A frame type: `API` is its id, `LAYOUT` the format of its fields; with `HAS_DATA`, a last
+    field `data` takes the remaining bytes.
+    """
 
     API: ClassVar[int]
     LAYOUT: ClassVar[struct.Struct]
@@ -29,7 +32,9 @@ class XbeeFrame:
 
 @dataclass(frozen=True, slots=True)
 class Transmit16(XbeeFrame):
-    """0x01: send to a 16-bit address, or to all with 0xFFFF, which is never acknowledged."""
+    """0x01: send data to a 16-bit address, or, with 0xFFFF, to all modules without
+    acknowledgement.
+    """
 
     API = 0x01
     LAYOUT = struct.Struct(">BHB")
@@ -52,7 +57,7 @@ class AtCommand(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Receive64(XbeeFrame):
-    """0x80: data from a 64-bit address; `rssi` in -dBm."""
+    """0x80: data from a 64-bit address; an `rssi` of 40 means -40 dBm."""
 
     API = 0x80
     LAYOUT = struct.Struct(">QBB")
@@ -64,7 +69,7 @@ class Receive64(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Receive16(XbeeFrame):
-    """0x81: data from a 16-bit address; `rssi` in -dBm."""
+    """0x81: data from a 16-bit address; an `rssi` of 40 means -40 dBm."""
 
     API = 0x81
     LAYOUT = struct.Struct(">HBB")
@@ -88,7 +93,9 @@ class AtResponse(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class TransmitStatus(XbeeFrame):
-    """0x89: the result of a frame 0x01; for a broadcast it does not confirm reception."""
+    """0x89: the result of a frame 0x01, 0 for success; a broadcast's success does not mean that it
+    was received.
+    """
 
     API = 0x89
     LAYOUT = struct.Struct(">BB")
@@ -99,7 +106,9 @@ class TransmitStatus(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Receive(XbeeFrame):
-    """0x90: received data, from modules with newer firmware."""
+    """0x90: received data, as a local module with newer firmware reports it; `source` is the
+    sender's 64-bit address, `short` its 16-bit address.
+    """
 
     API = 0x90
     LAYOUT = struct.Struct(">QHB")
@@ -111,7 +120,7 @@ class Receive(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """A frame of a type not named here, such as a modem status."""
+    """A frame of a type that has no class here, such as a modem status; `api` is the type."""
 
     api: int
     data: bytes
@@ -175,8 +184,9 @@ def encode(frame: XbeeFrame | Other, escaped: bool = True) -> bytes:
 class Decoder:
     """Finds frames in a byte stream, which may contain garbage and arrive in chunks of any size.
 
-    Never raises and keeps at most one frame's bytes. `bad_checksums`, `malformed` (checksum good,
-    too short for its type) and `dropped_bytes` (part of no good frame) only grow.
+    Never raises and keeps at most one frame's bytes. It counts frames with a wrong checksum in
+    `bad_checksums`, frames with a right checksum but a wrong length for their type in `malformed`,
+    and bytes that belong to no good frame in `dropped_bytes`.
     """
 
     def __init__(self, escaped: bool = True) -> None:
@@ -227,10 +237,10 @@ class Decoder:
         return True
 
     def _unescaped(self) -> tuple[bytearray, int, bool]:
-        """Return the unescaped bytes after the delimiter, the number of raw bytes read, and `cut`.
+        """Return the unescaped bytes after the delimiter, the number of raw bytes read (the
+        delimiter included), and whether the frame is cut off by the start of another.
 
-        Reads at most the number of bytes in the length field. `cut` is True if another frame starts
-        among them.
+        Reads no further than the end of the frame, as given by its length field.
         """
         raw = bytearray()
         wanted = 2

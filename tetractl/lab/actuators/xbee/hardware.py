@@ -1,10 +1,10 @@
-"""Hardware and firmware of XBee modules, and the check of the PC's module before robots are driven.
+"""XBee hardware and firmware versions, and the check of the PC's module before robots are driven.
 
 The first byte of HV (hardware version) gives the hardware, and the first hexadecimal digit of VR
 (firmware version) gives the firmware's protocol. The numbers are those of Digi's published
 enumerations `HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are
-called Zigbee here. Only 802.15.4 firmware broadcasts at the rate of wheel commands; Zigbee allows
-about one broadcast per second and DigiMesh repeats each.
+called Zigbee here. Only 802.15.4 firmware broadcasts at the rate of wheel commands: Zigbee allows
+about one broadcast per second, and DigiMesh repeats every broadcast.
 """
 
 from dataclasses import dataclass, field
@@ -36,9 +36,8 @@ class XbeeSection(Model):
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
-    """A family of modules: its HV codes, and its protocols by the first digit of VR.
-
-    `otherwise` is the protocol of all other firmware versions.
+    """A family of modules: `codes` are the HV codes of its hardware, and `protocols` gives the
+    protocol by the first digit of VR; `otherwise` is the protocol for all other digits.
     """
 
     name: str
@@ -85,7 +84,7 @@ def capable(found: Hardware | None) -> bool:
 def protocol(hardware: bytes, version: bytes) -> str | None:
     """Return the name of a module's protocol by its HV and VR values, None if unknown.
 
-    If VR is empty, the protocol is known only for families with a single one.
+    If VR is empty, the protocol is known only for families with a single protocol.
     """
     found = family(hardware)
     if found is None or (found.protocols and not version):
@@ -97,7 +96,7 @@ class AskedModule(Protocol):
     """The methods of a link that the check of a module needs."""
 
     def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
-        """Request a parameter; return its value, None without an answer."""
+        """Request a parameter of the module; return its value, None if it gives none in time."""
         ...
 
     def set_baud(self, baud: int) -> None:
@@ -108,7 +107,7 @@ class AskedModule(Protocol):
 def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     """Raise AbortError unless an 802.15.4 module with the spec's mode and baud rate answers.
 
-    Return questions for the operator: whether unknown hardware runs 802.15.4 firmware.
+    Returns questions for the operator: one if the module's protocol is not known, otherwise none.
     """
     # the first request may be lost behind an incomplete frame
     hardware = link.ask(b"HV") or link.ask(b"HV")
@@ -152,7 +151,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
 
 
 def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
-    """Return the error for a silent module, after trying the other baud rates."""
+    """Try the other baud rates; return the error for a module silent at the spec's baud rate."""
     for baud in OTHER_BAUDS:
         if baud == radio.baud:
             continue

@@ -1,4 +1,4 @@
-"""A connection through a serial port to an XBee module."""
+"""A connection to the PC's XBee module through a serial port."""
 
 from collections import deque
 from collections.abc import Callable
@@ -32,9 +32,7 @@ HINT = "the robots stop by their watchdog; plug it in and start again"
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Bytes received from another module at `t_ns`; `source` is its address, None in transparent
-    mode.
-    """
+    """Bytes received at `t_ns` from the address `source`, which is None in transparent mode."""
 
     source: int | None
     t_ns: int
@@ -42,10 +40,10 @@ class Received:
 
 
 class Link:
-    """A connection to the module. Times are ns on `clock`; a failure raises AbortError and is
-    final.
+    """A connection to the module. Times are ns on `clock`. After a failure, which raises
+    AbortError, nothing can be sent any more.
 
-    `questions` about the module need an answer from the operator.
+    `questions` are about the module, for the operator to answer.
     """
 
     def __init__(self, radio: XbeeSection, clock: Clock) -> None:
@@ -67,13 +65,15 @@ class Link:
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
-        """Open the port; if `checked` and in an API mode, check the module."""
+        """Open the port, exclusively if `alone`; check the module if `checked`, in API modes
+        only.
+        """
         self._port.open(alone)
         if checked and self._api:
             self.questions = hardware.check_module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
-        """Send to one module or to all; return the time of writing to the port [ns]."""
+        """Send data to the module with an address, or to all; return when it was written [ns]."""
         if not self._api:
             return self._port.write(data)
         acknowledged = address != BROADCAST_16
@@ -81,11 +81,11 @@ class Link:
         return self._port.write(self.packed(frame))
 
     def packed(self, frame: XbeeFrame | Other) -> bytes:
-        """Pack a frame for the module's mode."""
+        """Pack a frame, escaped if the module's mode needs that."""
         return encode(frame, escaped=self.radio.mode == "api2")
 
     def ask(self, command: bytes, timeout_s: float = ANSWER_S) -> bytes | None:
-        """Request a parameter of the module; return its value, or None without an answer."""
+        """Request a parameter of the module; return its value, None if it gives none in time."""
         wanted = self._next_id()
         self._answers.clear()
         self._port.write(self.packed(AtCommand(wanted, command)))
@@ -111,15 +111,15 @@ class Link:
         )
 
     def fetch(self) -> list[Received]:
-        """Return, once, the data received from other modules since the last call."""
+        """Return the data received from other modules since the last call."""
         return drained(self._fresh)
 
     def wait(self, timeout_s: float) -> None:
-        """Wait until data has been received, at most `timeout_s`."""
+        """Wait at most `timeout_s` until data from other modules can be fetched."""
         self._wait(lambda: bool(self._fresh), timeout_s)
 
     def close(self) -> None:
-        """End the thread and release the port; idempotent, never raises."""
+        """End the reading thread and release the port; may be called twice, never raises."""
         self._port.close()
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:

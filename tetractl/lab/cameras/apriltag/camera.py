@@ -28,9 +28,9 @@ class Seen:
     """The tags found in one picture. `poses` has one entry per robot, None if not tracked;
     `strangers` are the poses of unknown tags, computed as if on the floor. Poses are in the spec's
     length unit. `tags` are the numbers of all tags, repeated if seen several times. `sizes` are
-    each robot's ratio of measured side to `size_mm`, None if not seen. `blur` [modules] is the
-    largest blur of an edge and `side_px` the shortest side of robots' and floor tags; None without
-    these tags.
+    each robot's ratio of the tag's measured side to `size_mm`, None if not seen. Of the robots' and
+    floor tags, `blur` is the largest blur of an edge [modules: eighths of the tag's side] and
+    `side_px` the shortest side [px]; both are None if no such tag is seen.
     """
 
     poses: tuple[Pose | None, ...]
@@ -42,7 +42,7 @@ class Seen:
 
 
 class Tracker:
-    """Finds the tags of robots in pictures; `metres` is the spec's length unit [m]."""
+    """Finds the robots' and floor tags in pictures; `metres` is the spec's length unit [m]."""
 
     def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
         self.robots = section.ordered(names)
@@ -56,8 +56,7 @@ class Tracker:
     def see(self, picture: Grey) -> Seen:
         """Return the tags and poses found in a grey picture (height, width).
 
-        A tag number that is seen twice is ignored: the robot is not tracked, the floor tag not
-        used.
+        If a tag's number is seen twice, its robot is not tracked, or it is not used as a floor tag.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)
@@ -118,7 +117,7 @@ Finding = tuple[bool, str]
 
 
 def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
-    """Return the tags seen in most pictures, and the tags seen twice in any picture."""
+    """Return the tags seen in at least half of the pictures, and those seen twice in a picture."""
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
     return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
@@ -177,7 +176,7 @@ class AprilTagCamera(PictureCamera[Seen]):
     """Tracks N robots by their tags; a `Camera`.
 
     A robot is not tracked (None) while its tag is not seen, is seen twice, or has the wrong size.
-    No robot is tracked while the floor is unknown.
+    No robot is tracked before the floor tags have calibrated the camera.
     """
 
     def __init__(
@@ -192,7 +191,7 @@ class AprilTagCamera(PictureCamera[Seen]):
         self._tracker = Tracker(section, setup.names, setup.metres)
 
     def check(self) -> Health:
-        """Examine some pictures and return the problems of source, floor and tags."""
+        """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
         looks, section, floor = self._look(), self.section, self._tracker.floor
         problems, warnings = self._stream_lines(looks)
         plane, tags = floor.plane or floor.misfit, [tag.tag for tag in section.floor]

@@ -2,7 +2,8 @@
 
 Corners are refined: each side of the black square is fitted by a line where the grey level changes
 most, and neighbouring lines are intersected. A side has many more pixels than a corner, so the
-corners are several times more accurate than by OpenCV's own refinements (benchmarks/apriltag.py).
+corners are several times more accurate than those of OpenCV's own refinements
+(benchmarks/apriltag.py).
 """
 
 from dataclasses import dataclass
@@ -23,9 +24,10 @@ ENLARGED_BELOW = 1000
 class Sighting:
     """One tag in a picture.
 
-    `corners` (4, 2) [px], pixel centres at whole numbers: top left, top right, bottom right and
-    bottom left of the black square as the tag is read upright. `blur_px` is the standard deviation
-    of the Gaussian that blurs a sharp edge to the width of the square's edges.
+    `corners` (4, 2) [px] are columns and rows, with pixel centres at whole numbers, of the black
+    square's corners: top left, top right, bottom right and bottom left as the tag is read upright.
+    `blur_px` is the standard deviation of the Gaussian that blurs a sharp edge to the width of the
+    square's edges.
     """
 
     tag: int
@@ -105,11 +107,11 @@ NOTHING = 1e-9
 
 
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
-    """Return refined corners (T, 4, 2) [px] of rough corners, and each tag's blur (T,) [px].
+    """Refine the rough corners (T, 4, 2) [px] of T tags; return them and each tag's blur (T,) [px].
 
-    Corners run clockwise round a dark square of the given number of modules per side. The blur is
-    the standard deviation of the Gaussian that blurs a step to the width of the sides. If the sides
-    cannot be found, the rough corners are returned.
+    Corners run clockwise round a dark square with `modules` modules per side. The blur is the
+    standard deviation of the Gaussian that blurs a step to the width of the sides. If a tag's sides
+    cannot be found, its rough corners are returned.
     """
     rough, blur = corners, np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
@@ -138,7 +140,7 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
 
 
 def _sampled(picture: NDArray[np.uint8], at: Floats) -> Floats:
-    """Return the grey levels at pixels (..., M, 2), interpolated."""
+    """Return the interpolated grey levels (..., M) at columns and rows (..., M, 2)."""
     flat = at.reshape(-1, at.shape[-2], 2).astype(np.float32)
     across, down = flat[..., 0].copy(), flat[..., 1].copy()
     grey = cv2.remap(picture, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -146,7 +148,9 @@ def _sampled(picture: NDArray[np.uint8], at: Floats) -> Floats:
 
 
 def _lines(points: Floats, weight: Floats) -> Floats:
-    """Fit lines a x + b y + c = 0, a^2 + b^2 = 1, to points (..., S, 2); return (..., 3)."""
+    """Fit lines a x + b y + c = 0, a^2 + b^2 = 1, to points (..., S, 2); return a, b, c (...,
+    3).
+    """
     share = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
     middle = (share * points).sum(axis=-2)
     spread = points - middle[..., None, :]

@@ -1,13 +1,14 @@
-"""Calibrates the camera by the floor tags, and converts pixels to positions at a height above it.
+"""Calibrates the camera by the floor tags, and converts pixels to positions above the floor.
 
-The camera is a pinhole, x = K (R X + t) up to scale, with square pixels. After removing distortion,
-a pixel defines a ray; a tag at height h is at the point where its ray meets the plane z = h. On the
-floor, this mapping is the homography; above the floor it corrects the parallax.
+The camera is a pinhole with square pixels: it shows the point X at the pixel x = K (R X + t), up to
+scale. Once distortion is removed, a pixel defines a ray; a tag at height h is where its ray meets
+the plane z = h. On the floor, this mapping is the homography; above the floor it corrects the
+parallax.
 
-A lens in the spec is used unchanged. Without one, the principal point is the picture's middle, and
-the focal length f and one coefficient of distortion, k1, are fitted with the pose. The usual values
-of lenses are priors of the fit: if the camera looks straight down, every f fits equally well, and
-the prior decides.
+A lens in the spec is used unchanged. If the spec has no lens, the principal point is the picture's
+middle, and the focal length f and one coefficient of distortion, k1, are fitted together with the
+camera's pose. The usual values of lenses are priors of the fit: if the camera looks straight down,
+every f fits equally well, and the prior decides.
 """
 
 import math
@@ -34,10 +35,10 @@ class Plane:
     """A calibrated camera over the floor.
 
     `matrix` is K (3, 3), `distortion` OpenCV's coefficients, `rotation` R (3, 3) and `shift` t (3,)
-    [m]. `error_mm` is the root mean square, and `worst_mm` the largest, of the distances between
-    the floor tags' corners as measured and as given in the spec. `doubt_mm` is the position error
-    at the height of the highest robot's tag if the estimated lens is wrong by two standard
-    deviations.
+    [m]. Of the distances between the floor tags' corners as measured and as given in the spec,
+    `error_mm` is the root mean square and `worst_mm` the largest. `doubt_mm` is the position error,
+    at the height of the highest robot's tag, that results if the estimated lens is wrong by two
+    standard deviations; 0 if the lens is given.
     """
 
     matrix: Floats
@@ -66,10 +67,11 @@ class Plane:
         return camera[:2] + reach[..., None] * ahead[..., :2]
 
     def stance(self, pixels: Floats, side: float) -> tuple[float, float] | None:
-        """Return the height above the floor [m] and the tilt [rad] of a tag; None without solution.
+        """Return a tag's height above the floor [m] and its tilt against the floor [rad]; None if
+        no pose fits.
 
         `pixels` (4, 2) are the tag's corners and `side` its side [m]. Two tilts may fit a small or
-        distant tag: the smaller one is returned.
+        distant tag equally well: the smaller tilt is returned.
         """
         square = np.column_stack([side * SQUARE, np.zeros(4)])
         _, turns, shifts, errors = cv2.solvePnPGeneric(
@@ -84,7 +86,7 @@ class Plane:
         return min(found, key=lambda each: each[1], default=None)
 
     def _upright(self, turn: Floats, shift: Floats) -> tuple[float, float]:
-        """Return height [m] and tilt [rad] of a tag from its pose in the camera's axes."""
+        """Return a tag's height above the floor [m] and tilt [rad] from its pose in camera axes."""
         place = self.rotation.T @ (shift.ravel() - self.shift.ravel())
         upward = self.rotation.T @ cv2.Rodrigues(turn)[0][:, 2]
         return float(place[2]), float(np.arccos(np.clip(upward[2], -1.0, 1.0)))
@@ -110,10 +112,11 @@ def calibrated(
     lens: Lens | None = None,
     highest: float = 0.0,
 ) -> Plane:
-    """Return the camera that sees tag corners at positions `places` (F, 4, 2) [m] in `pixels`
-    (F, 4, 2).
+    """Return the camera that sees the corners of F floor tags, which are at `places` (F, 4, 2) [m],
+    in `pixels` (F, 4, 2).
 
-    `size` is the picture's width and height, `highest` the height for `doubt_mm` [m].
+    `size` is the picture's width and height [px]; `highest` is the height of the highest robot's
+    tag [m], for which `doubt_mm` is computed.
     """
     points, spots = pixels.reshape(-1, 2), places.reshape(-1, 2)
     middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
@@ -142,14 +145,17 @@ def _matrix(focal: float, centre: Sequence[float]) -> Floats:
 
 
 def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, Floats]:
-    """Return K and distortion for log(f / width) and k1, in units of their prior deviations."""
+    """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
+    prior's standard deviation.
+    """
     focal, bend = width * math.exp(USUAL_FOCAL * usual[0]), USUAL_BEND * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 
 
 def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) -> Plane:
-    """Return the camera of known lens that sees floor positions `spots` (M, 2) [m] in pixels
-    `points` (M, 2)."""
+    """Return the camera with a known lens that sees floor positions `spots` (M, 2) [m] in pixels
+    `points` (M, 2).
+    """
     _, turn, shift = cv2.solvePnP(_flat(spots), points, matrix, distortion)
     rotation, _ = cv2.Rodrigues(turn)
     return Plane(matrix, distortion, rotation.astype(float), shift.ravel().astype(float))
@@ -158,16 +164,18 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
 def _fitted(
     points: Floats, spots: Floats, width: int, middle: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Return the most probable log(f / width) and k1 (2,) and their deviations (2, 2).
+    """Return the most probable log(f / width) and k1 (2,), and their standard deviations (2, 2).
 
-    Both are in units of the prior's deviations. Each row of the deviations is one standard
+    All are divided by the priors' standard deviations. Each row of the second array is one standard
     deviation along an axis of the error ellipse.
     """
     start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
     def projected(x: Floats) -> tuple[Floats, Floats]:
-        """Return the pixels of the spots for pose and lens x (8,), and the derivatives (2M, 8)."""
+        """Return the pixels of the spots for pose and lens x (8,), and their derivatives with
+        respect to x (2M, 8).
+        """
         matrix, distortion = _lens(x[6:], width, middle)
         pixels, slopes = cv2.projectPoints(_flat(spots), x[:3], x[3:6], matrix, distortion)
         # columns: turn, shift, fx, fy, cx, cy, k1, ...; f = fx = fy
@@ -200,9 +208,10 @@ MISFIT_MM = 10.0  # larger errors of floor tags mean that a tag's position in th
 class Floor:
     """Keeps the camera calibrated by the floor tags.
 
-    Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If one
-    moves by `MOVED_PX`, the calibration is discarded until one picture shows all floor tags again.
-    A calibration that puts tags more than `MISFIT_MM` from the spec's positions is not used.
+    Corners are averaged over `AVERAGED` pictures, since neither camera nor floor tags move. If a
+    corner moves by more than `MOVED_PX`, the calibration is discarded until a picture shows all
+    floor tags again. A calibration by which a floor tag is more than `MISFIT_MM` away from its
+    position in the spec is not used; it is kept in `misfit`.
     """
 
     def __init__(
@@ -217,9 +226,10 @@ class Floor:
         self._count = 0
 
     def see(self, corners: Mapping[int, Floats], size: tuple[int, int]) -> None:
-        """Take one picture's corners (4, 2) [px] by tag number, only of floor tags seen once.
+        """Take the corners (4, 2) [px], by tag number, of the floor tags seen exactly once in one
+        picture.
 
-        `size` is the picture's width and height.
+        `size` is the picture's width and height [px].
         """
         seen = {i: corners[n] for i, n in enumerate(self._numbers) if n in corners}
         if self._mean is not None and any(

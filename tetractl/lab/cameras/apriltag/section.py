@@ -100,7 +100,7 @@ class AprilTagSection(PictureSection):
         yield from mismatches(self.robots, setup.names, ("tag",))
 
     def bounds(self) -> dict[str, str]:
-        """Return the source of the pictures for display, {name: text}."""
+        """Return the source of the pictures as {name: text}, for display."""
         return {"camera": self.source_name}
 
     def heading_offset(self, name: str) -> float:
@@ -113,7 +113,7 @@ def _twice(values: Sequence[str]) -> list[str]:
 
 
 def _flat(points: Sequence[Point]) -> bool:
-    """Return whether points are nearly collinear: the largest triangle is narrow for its length."""
+    """Return whether points lie nearly on one line."""
     (x0, y0), *others = points
     spans = [(x - x0, y - y0) for x, y in others]
     longest = max(x * x + y * y for x, y in spans)

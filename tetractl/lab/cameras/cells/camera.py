@@ -34,8 +34,8 @@ class CellCamera(PictureCamera[SeenDish]):
     """Tracks N cells; a `Camera`.
 
     Once at least as many cells are in view as the spec has robots, the cells nearest to the starts
-    become the robots. A lost cell is tracked again if it reappears within 3 s; a cell that appears
-    later is a stranger. `steered` passes the common direction to the camera; without it, cells that
+    become the robots. A lost cell is tracked again if it reappears within 3 s; if it reappears
+    later, it is a stranger. `steered` tells the camera the common direction; without it, cells that
     have met are distinguished only by their paths.
     """
 
@@ -62,7 +62,9 @@ class CellCamera(PictureCamera[SeenDish]):
         self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
-        """Record the direction sent at a time [rad in the spec's axes], None for no field."""
+        """Record the common direction [rad, in the spec's axes] sent at `sent_ns`; None if the
+        field was switched off.
+        """
         with self._lock:
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
@@ -79,24 +81,26 @@ class CellCamera(PictureCamera[SeenDish]):
 
     @property
     def robots(self) -> Sequence[int]:
-        """The numbers of the robots' cells; empty before all were seen."""
+        """The numbers of the robots' cells; empty before all were seen in one picture."""
         return tuple(self._identities or ())
 
     def replace(self, robot: int, number: int) -> None:
-        """Track another cell in place of a robot's."""
+        """Track the cell with a number as the robot with an index from now on."""
         assert self._identities is not None, "only a robot that was seen can be replaced"
         self._identities[robot] = number
         self.divided.discard(robot)
 
     def films(self) -> list[CellFilm]:
-        """Return, once, the film's data since the last call, oldest first."""
+        """Return the film's data for each picture since the last call, oldest first."""
         found: list[CellFilm] = []
         while self._films:
             found.append(self._films.popleft())
         return found
 
     def check(self) -> Health:
-        """Examine some pictures and return the problems of source, light, focus and cells."""
+        """Examine some pictures; return problems, warnings and facts of source, light, focus and
+        cells.
+        """
         looks = self._look()
         problems, warnings = self._stream_lines(looks)
         wrong, doubtful = dish_lines(self._setup.names, looks, self.section.um_px)
@@ -169,7 +173,9 @@ class CellCamera(PictureCamera[SeenDish]):
         return inside < WALL_UM * 1e-6 / self._setup.metres
 
     def _field(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] in the picture's axes, by the directions sent."""
+        """Return the pieces of constant field between two times [s], in the picture's axes,
+        according to the directions sent.
+        """
         with self._lock:
             signals = list(self._signals)
         times = [sent / SECOND for sent, _ in signals]
@@ -191,7 +197,9 @@ class CellCamera(PictureCamera[SeenDish]):
 def _sharpness(
     picture: Grey, cells: Sequence[SeenCell], um_px: float, light: Light
 ) -> float | None:
-    """Return the median, over cells, of the steepest slope divided by the contrast [1/px]."""
+    """Return the median, over cells, of the steepest slope of grey levels divided by the contrast
+    [1/px]; None without cells.
+    """
     if not light.contrast:
         return None
     found = []

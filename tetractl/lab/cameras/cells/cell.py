@@ -15,11 +15,11 @@ class SeenCell:
     """One cell in one picture.
 
     x, y [um] is the middle of the body, `axis` [rad] its direction, `heading` [rad] the direction
-    of the helix, which (3) turns. `mean` (12,) and `covariance` (12, 12) are the filter's state.
-    `probability` is the probability that this is the cell with the number `identity`. `found`: the
-    cell has a blob; `merged`: the cell shares its blob with others. `track` is the number of its
-    path. `measured` (6,) are x, y, axis of the cell's own blob and their standard deviations; None
-    if the cell has no blob of its own.
+    of the helix's axis, which turns by equation (3) of the paper. `mean` (12,) and `covariance`
+    (12, 12) are the filter's state. `probability` is the probability that this is the cell with the
+    number `identity`. `found`: the cell has a blob; `merged`: its blob shows other cells, too.
+    `track` is the number of the cell's path. `measured` (6,) are x, y, axis of the cell's own blob
+    and their standard deviations; None if the cell has no blob of its own.
     """
 
     identity: int
@@ -40,8 +40,8 @@ class SeenCell:
 
 @dataclass(frozen=True, slots=True)
 class CellAnswer:
-    """The cell assigned to each track after cells had met, valid from the time `since_s` [s], and
-    the probability of this assignment.
+    """Which cell is on which track after cells have met: `identities[i]` is on `tracks[i]` from the
+    time `since_s` [s] on, with the given probability.
     """
 
     tracks: tuple[int, ...]
@@ -54,9 +54,10 @@ class CellAnswer:
 class Born:
     """A cell that appears on a new track.
 
-    `path` (M, 4) is the path by which it was recognised: time [s], x, y [um], axis [rad].
-    `certainty` is below 1 for a lost cell that was found again. `divided` is the number of the cell
-    from whose blob it separated, if no other cell had entered that blob; otherwise None.
+    `path` (M, 4) is the path by which it was recognised as a cell: time [s], x, y [um], axis [rad].
+    `certainty` is the probability of `identity`, below 1 for a lost cell that was found again.
+    `divided` is the number of the cell from whose blob it separated, if no other cell had entered
+    that blob; otherwise None.
     """
 
     identity: int
@@ -68,7 +69,12 @@ class Born:
 
 @dataclass(slots=True)
 class FollowedCell:
-    """A cell that the tracker follows."""
+    """A cell that the tracker follows.
+
+    `row` is its row in the filter, `long` and `wide` are its usual length and width [um],
+    `missed_s` is the time since it last had a blob [s], and `odd` counts its successive blobs far
+    from the expected position.
+    """
 
     identity: int
     track: int

@@ -20,9 +20,9 @@ UNSURE = 0.9  # probability of a robot's identity below which a problem is repor
 class SeenDish:
     """The results of one picture: the robots' poses, other cells, light and sharpness.
 
-    `sure` is the least probability of a robot's identity; `level` is the picture's median [grey
-    levels]. `sharpness` is the median, over cells, of the steepest slope at the rim divided by the
-    contrast [1/px]; None without cells.
+    `sure` is the least probability of the identity of a robot in view, 0 if none is in view.
+    `level` is the median of the picture's grey levels. `sharpness` is the median, over cells, of
+    the steepest slope at the rim divided by the contrast [1/px]; None without cells.
     """
 
     poses: tuple[Pose | None, ...]
@@ -36,14 +36,14 @@ class SeenDish:
 def dish_lines(
     names: Sequence[str], looks: Sequence[Look[SeenDish]], um_px: float
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings of light, focus and cells from the last pictures, oldest first;
-    none without pictures.
+    """Return problems and warnings about light, focus and cells in the last pictures, which are
+    given oldest first; two empty lists without pictures.
     """
     return (_problems(names, looks), _warnings(looks, um_px)) if looks else ([], [])
 
 
 def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
-    """Return the median number of cells in view in one or more pictures."""
+    """Return the median, over one or more pictures, of the number of cells in view."""
     counts = [
         sum(pose is not None for pose in look.seen.poses) + len(look.seen.strangers)
         for look in looks

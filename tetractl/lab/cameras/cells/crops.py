@@ -1,4 +1,4 @@
-"""Makes the film in a log: a crop of each cell and, occasionally, the whole picture."""
+"""Makes the film in a log: a crop of each cell in every picture, and one whole picture a second."""
 
 import math
 from collections.abc import Sequence
@@ -71,7 +71,7 @@ class FilmCutter:
 
 
 def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
-    """Return the distance [um] of a cell from its blob in a picture of `height` rows."""
+    """Return the distance [um] of a cell from its blob's middle in a picture with `height` rows."""
     x, y = (blob.x + 0.5) * um_px, (height - 0.5 - blob.y) * um_px
     return math.hypot(cell.x - x, cell.y - y)
 
@@ -95,8 +95,8 @@ def numbers(blob: Blob) -> tuple[float, ...]:
 def found_again(
     crop: Grey, place: Sequence[int], stated: Sequence[float], limits: Sequence[float]
 ) -> tuple[float, ...] | None:
-    """Search a crop for blobs again; return the `numbers` of the blob nearest to `stated`, None if
-    there is no blob.
+    """Search a crop, whose upper left pixel is at `place`, for blobs again; return the `numbers` of
+    the blob nearest to the position in `stated`, None if there is no blob.
     """
     blobs = map(numbers, blobs_of(crop, limits, (place[0], place[1])))
     x, y = stated[:2]

@@ -76,10 +76,11 @@ class Light:
 
 @dataclass(slots=True)
 class BlobFinder:
-    """Finds blobs of `least` to `most` px^2; `bright` cells are brighter than the background.
+    """Finds blobs of `least_px2` to `most_px2` pixels; `bright` says whether cells are brighter
+    than the background, None to determine it.
 
-    `learn` computes the background from pictures taken over a second or more. Later pictures update
-    the background outside `keep`, so that resting cells do not become part of it.
+    `learn` computes the background from pictures taken over a second or more. `follow` updates it
+    by later pictures, except around the cells, so that resting cells do not become part of it.
     """
 
     least_px2: float
@@ -158,9 +159,8 @@ class BlobFinder:
         return blobs
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
-        """Update a stripe of the background by the last picture, except within rectangles `keep`.
-
-        Each rectangle is left, top, right and bottom [px].
+        """Update the next stripe of the background by the last picture, except in the rectangles
+        `keep`, each given by left, top, right and bottom [px].
         """
         assert self._background is not None and self._flat is not None, "learn() comes first"
         assert self._smooth is not None, "find() comes first"
@@ -245,7 +245,9 @@ def _blob(
 
 
 def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:
-    """Blur a picture by two box filters: nearly a Gaussian of 1.15 px, and four times as fast."""
+    """Blur a picture by two box filters: almost as by a Gaussian with a standard deviation of
+    1.15 px, but four times as fast.
+    """
     cv2.blur(picture, (3, 3), dst=between)
     cv2.blur(between, (3, 3), dst=into)
     return into

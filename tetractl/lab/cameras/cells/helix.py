@@ -3,17 +3,18 @@
 State of one cell, in um, s and rad:
 
     x, y      position on the helix's axis next to the body
-    heading   direction of the helix's axis, which (3) turns
+    heading   direction of the helix's axis, which turns by equation (3) of the paper
     speed     along the axis
-    c, s      the body's offset from the axis in the picture and in depth
+    c, s      the body's offset from the axis: in the picture, to the left, and in depth
     rate      angular rate of the helix [rad/s]: c' = -rate s, s' = rate c
-    a         turning rate at the reference field, as in (3)
+    a         turning rate at the reference field, as in equation (3)
     bias      the dipole's angle from the axis
-    turn      turning that the field does not explain [rad/s]
+    turn      turning rate that the field does not explain [rad/s]
     flow      velocity of the medium, x and y
 
-Measured are the body's middle, (x, y) + c across the heading, and its axis mod pi,
-heading - atan(rate s / speed): the projection of Crenshaw's helix into the picture.
+The filter measures the body's middle, which is at (x, y) plus c to the left of the heading, and the
+body's axis mod pi, heading - atan(rate s / speed): the projection of Crenshaw's helix into the
+picture.
 """
 
 import math
@@ -77,7 +78,7 @@ class HelixFilter:
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
-        """Add a new cell, of which only the path is known, and return its row."""
+        """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
         row = self._free()
         turn = TURN_KNOWN if self.known else TURN_UNKNOWN
         a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
@@ -87,15 +88,15 @@ class HelixFilter:
         return row
 
     def copied(self, row: int) -> int:
-        """Copy a row to a free one and return its index."""
+        """Copy a row to a free row; return the index of the copy."""
         new = self._free()
         self.mean[new], self.covariance[new] = self.mean[row], self.covariance[row]
         self.growth[new] = self.growth[row]
         return new
 
     def moved(self, row: int, x: float, y: float, heading: float) -> int:
-        """Return a new row of the same cell at another pose; speed, turning and helix rate are
-        kept.
+        """Copy a cell's row to a free row and move the copy to another pose, keeping speed, turning
+        and helix rate; return the index of the copy.
         """
         new = self.copied(row)
         for state, value in ((X, x), (Y, y), (HEADING, heading), (C, 0.0), (S, 0.0)):
@@ -109,18 +110,22 @@ class HelixFilter:
         self.used[row] = False
 
     def predict(self, pieces: Sequence[Piece]) -> None:
-        """Predict every row over successive times with constant fields."""
+        """Predict every row over successive pieces of constant field."""
         for seconds, ux, uy in pieces:
             if seconds > 0:
                 self._move(seconds, ux, uy)
 
     def loosen(self, rows: Sequence[int]) -> None:
-        """Increase the uncertainty of speed, heading and helix of cells that move unexpectedly."""
+        """Increase the uncertainty of position, heading, speed, c and s of cells that move
+        unexpectedly.
+        """
         for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
-        """Return predicted x, y, axis (M, 3) of rows (M,) and their derivatives (M, 3, 12)."""
+        """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and their
+        derivatives with respect to the states (M, 3, 12).
+        """
         m = self.mean[rows]
         cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
         speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
@@ -142,11 +147,11 @@ class HelixFilter:
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
     ) -> tuple[Floats, Floats]:
-        """Update rows (M,) by measurements x, y [um], axis [rad] (M, 3) with standard deviations
-        (M, 3).
+        """Update rows (M,) by measurements of x, y [um] and axis [rad] (M, 3) with standard
+        deviations (M, 3).
 
-        Returns the log-likelihoods (M,) by Student's distribution, and the squared distances (M,)
-        in standard deviations.
+        Returns the measurements' log-likelihoods (M,) by Student's distribution, and their squared
+        Mahalanobis distances (M,) from the prediction.
         """
         if len(rows) == 0:
             return np.zeros(0), np.zeros(0)
@@ -172,8 +177,8 @@ class HelixFilter:
         return likelihood, distance
 
     def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that swim backwards: it pointed to the wrong end of the
-        axis.
+        """Reverse the heading of cells that seem to swim backwards: it points to the wrong end of
+        the axis.
         """
         wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
         if len(wrong):
@@ -245,8 +250,8 @@ class HelixFilter:
 
 
 def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return the turning rate (R,) by (3) with a = 1 for dipoles in directions (R,) [rad] in a
-    field, and its derivative by the direction.
+    """Return the turning rate (R,) by equation (3) with a = 1, for dipoles with directions (R,)
+    [rad] in the field (ux, uy), and its derivative with respect to the direction.
     """
     cos, sin = np.cos(dipole), np.sin(dipole)
     return uy * cos - ux * sin, -(uy * sin + ux * cos)

@@ -49,7 +49,7 @@ class Question:
         self._orders = np.array(list(permutations(range(count))))
 
     def add(self, track: int, likelihood: Floats) -> None:
-        """Add the log-likelihoods of a track in one picture (K,)."""
+        """Add the log-likelihoods (K,), one per cell, of a track's measurement in one picture."""
         self.likelihood[track] += TEMPER * likelihood
 
     def add_size(self, track: int, size: Sequence[float]) -> None:
@@ -61,7 +61,9 @@ class Question:
             self.likelihood[track] += np.nan_to_num(each) / SIZED
 
     def probabilities(self) -> Floats:
-        """Return the probability of each assignment, in the order of `_orders`."""
+        """Return the probability of each assignment of cells to tracks, in the order of
+        `_orders`.
+        """
         count = len(self.identities)
         logs = self.likelihood[np.arange(count), self._orders].sum(axis=1)
         shares = np.exp(logs - logs.max())
@@ -87,8 +89,8 @@ def opened(
     sizes: Floats,
     now_s: float,
 ) -> Question:
-    """Return a new question: which of the cells, predicted in rows `coasted` since they merged, is
-    on which track.
+    """Return a new question: which of the cells, predicted in the filter rows `coasted` since they
+    merged, is on which track.
 
     `seen` (K, 3) are x, y, heading of the tracks now [um, rad]; `sizes` (K, 2) length and width of
     the cells [um], NaN for a new cell. A cell predicted far from a track is moved to the track; its

@@ -1,7 +1,8 @@
-"""Cells that are no longer followed, and the probability that a cell that appears is one of them.
+"""Lost cells, which are no longer followed, and the probability that a new cell is one of them.
 
-A lost cell has swum further as the signal predicts, rests at its last position, or has turned by
-itself. Cells come from outside at the edge of the picture and out of blobs, rarely anywhere else.
+A lost cell has swum on as the signal predicts, rests at its last position, or has turned by itself.
+Cells that were not lost appear at the picture's edge or out of another cell's blob, rarely anywhere
+else.
 """
 
 import math
@@ -26,13 +27,13 @@ LEAST, MOST = 0.5, 0.9  # least probability of an accepted lost cell, largest on
 
 @dataclass(slots=True)
 class LostCells:
-    """The lost cells of a filter; their rows are still predicted."""
+    """The lost cells; the filter `bank` still predicts their rows."""
 
     bank: HelixFilter
     _lost: list[tuple[FollowedCell, float, Floats]] = field(default_factory=list)
 
     def add(self, cell: FollowedCell, seconds: float) -> None:
-        """Remember a cell that was not seen up to a time [s]; its filter row is freed later."""
+        """Remember a cell that is given up as lost at a time [s]; its filter row is freed later."""
         self._lost.append((cell, seconds - cell.missed_s, cell.last))
         if len(self._lost) > REMEMBERED:
             self._drop(0)
@@ -45,8 +46,8 @@ class LostCells:
     def found(
         self, place: Floats, size: Sequence[float], seconds: float, elsewhere: float
     ) -> tuple[FollowedCell, float] | None:
-        """Return the lost cell that appears at a position (2,) [um], and its probability; None if
-        a cell that was not lost is more probable.
+        """Return the lost cell that is the likeliest to appear at a position (2,) [um], and its
+        probability; None if a cell that was not lost is likelier than that.
 
         `size` is length and width [um] of the cell that appears; `elsewhere` is the density
         [1/um^2] of cells that appear at this position without having been lost.
@@ -67,7 +68,9 @@ class LostCells:
         size: Floats,
         now: float,
     ) -> float:
-        """Return the density [1/um^2] of a lost cell at a position with a length and width [um]."""
+        """Return the density [1/um^2] at a position of a lost cell that returns with a length and
+        width [um].
+        """
         off = place - self.bank.mean[cell.row, :2]
         spread = self.bank.covariance[cell.row, :2, :2] + PLACE_UM**2 * np.eye(2)
         ahead = math.exp(-off @ np.linalg.solve(spread, off) / 2)

@@ -28,7 +28,9 @@ SAMPLED = 200  # number of the blob's pixels that are used
 
 
 def places_of(blobs: Sequence[Blob], um_px: float, height: int) -> Floats:
-    """Return x, y [um], axis [rad], length and width [um] of blobs (B, 5), y upwards."""
+    """Return x, y (upwards) [um], axis [rad], length and width [um] of B blobs (B, 5), found in a
+    picture with `height` rows.
+    """
     found = [
         (
             (b.x + 0.5) * um_px,
@@ -49,11 +51,11 @@ def assigned(
     specks: Floats,
     places: Floats,
 ) -> tuple[dict[int, int], set[int]]:
-    """Return {cell: blob} for cells with an own blob, and the set of blobs that are specks.
+    """Return {cell: blob} for cells with a blob of their own, and the set of blobs that are specks.
 
     The assignment minimises the sum of squared distances in position and size. `expected` (C, 3)
-    are the cells' poses, `spread` (C, 2, 2) the covariances of their positions, `specks` (S, 2)
-    last positions; `places` (B, 5) are the blobs, by `places_of`.
+    are the cells' expected poses, `spread` (C, 2, 2) the covariances of their positions, `specks`
+    (S, 2) the last positions of specks [um], and `places` (B, 5) the blobs, as by `places_of`.
     """
     if len(places) == 0 or len(cells) + len(specks) == 0:
         return {}, set()
@@ -85,7 +87,8 @@ def stopped(
 ) -> list[int]:
     """Assign free blobs to cells that have stopped or turned by themselves; return these cells.
 
-    Such a cell is near its expected position and as large as the blob; `owner` is updated.
+    Such a cell is near its expected position and as large as the blob. `owner` {cell: blob} is
+    updated.
     """
     taken = set(owner.values()) | specks
     free = [j for j in range(len(places)) if j not in taken]
@@ -170,10 +173,11 @@ def separated(
 
 
 def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> Floats:
-    """Return the middles (K, 2) [um] of the cells in a shared blob of pixels `points` (M, 2) [um].
+    """Return the middles (K, 2) [um] of the K cells in a shared blob, whose pixels are at `points`
+    (M, 2) [um].
 
-    Expectation-maximisation of a mixture of Gaussians with the sizes and directions of the cells,
-    started at `expected` (K, 3): x, y [um] and axis [rad]; it uses a sample of the pixels.
+    A sample of the pixels is fitted, by expectation-maximisation, with a mixture of Gaussians that
+    have the cells' sizes and directions, starting at `expected` (K, 3): x, y [um], axis [rad].
     """
     points = points[:: max(1, len(points) // SAMPLED)]
     middles = expected[:, :2].copy()
@@ -192,7 +196,9 @@ def parted(owners: Sequence[FollowedCell], expected: Floats, points: Floats) -> 
 
 
 def second_best(squared: Floats, best: float) -> float:
-    """Return the least sum of squared distances among all assignments except the best."""
+    """Return the least sum of squared distances among all assignments of tracks to cells except the
+    best, whose sum is `best`; `squared` (K, K) are the squared distances.
+    """
     track, cell = linear_sum_assignment(squared)
     least = math.inf
     for t, c in zip(track, cell, strict=True):

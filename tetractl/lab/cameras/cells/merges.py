@@ -51,7 +51,8 @@ class Merges:
 
     def watch(self, cell: FollowedCell, large: bool, met: bool, seconds: float) -> None:
         """Keep a copy of a cell's filter row, predicted without measurements, while its blob is too
-        large and shortly after; `met` is whether an object not followed may have entered the blob.
+        large (`large`) and for a short time after. `met` is whether an object that is not followed
+        may have entered the blob.
         """
         if large:
             cell.large_s = seconds
@@ -69,9 +70,9 @@ class Merges:
         since_s: float,
         cells: Sequence[FollowedCell],
     ) -> None:
-        """Open a question: which of two poses `seen` (2, 3) is a cell's, and which is that of a new
-        cell that separated from its blob. The cell's open question is closed; `cells` are all
-        cells.
+        """Open a question: which of two poses `seen` (2, 3) belongs to `cell`, and which to `new`,
+        a new cell that separated from its blob. An open question about `cell` is closed first;
+        `cells` are all cells.
         """
         assert cell.alone is not None, "only a cell that was watched is known"
         if cell.question is not None:
@@ -85,7 +86,7 @@ class Merges:
     def part(self, places: dict[int, Floats], seconds: float) -> None:
         """Open a question of identity when cells that shared a blob have separate blobs again.
 
-        `places` are x, y [um], axis [rad] of the blob of each track.
+        `places` gives the x, y [um] and axis [rad] of the blob of each track.
         """
         for merge in list(self._merges):
             if any(cell.merged or cell.large or cell.blob is None for cell in merge.cells):
@@ -153,8 +154,8 @@ class Merges:
         sizes: Floats,
         seconds: float,
     ) -> None:
-        """Open a question: which cell, predicted in rows `coasted`, has which of the poses `seen`
-        (K, 3), x, y [um] and axis [rad].
+        """Open a question: which of the cells, predicted in the filter rows `coasted`, has which of
+        the poses `seen` (K, 3): x, y [um] and axis [rad].
         """
         heading = self._bank.mean[[cell.row for cell in cells], HEADING]
         places = seen.copy()
@@ -166,9 +167,8 @@ class Merges:
             cell.question, cell.place, cell.row = question, i, int(question.rows[i, i])
 
     def _close(self, question: Question, cells: Sequence[FollowedCell]) -> None:
-        """Settle a question of identity by its likeliest answer.
-
-        The answer's probability multiplies the cells' certainty.
+        """Settle a question of identity by its likeliest answer, and multiply each cell's certainty
+        by the answer's probability.
         """
         order, probability = question.best()
         members = [cell for cell in cells if cell.question is question]

@@ -42,11 +42,14 @@ class CellsSection(PictureSection):
         return None if self.cells == "either" else self.cells == "bright"
 
     def bounds(self) -> dict[str, str]:
-        """Return the source of the pictures for display, {name: text}."""
+        """Return the source and scale of the pictures as {name: text}, for display."""
         return {"camera": f"{self.source_name}, {self.um_px:g} um/px"}
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points of a picture [px] at a distance `um` in x."""
+        """Return scale and rotation from two points in a picture, each column and row [px]. The
+        second point lies `um` micrometres from the first, in the direction of the spec's x axis.
+        UsageError if the points are too close together.
+        """
         across, up = second[0] - first[0], first[1] - second[1]
         long = math.hypot(across, up)
         if long < LEAST_PX:
@@ -62,8 +65,8 @@ class CellsSection(PictureSection):
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)
 
     def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
-        """Return a position, or positions (N,), in the picture [um] in the spec's coordinates,
-        whose length unit is `metres`.
+        """Convert a position, or positions (N,), in the picture [um] to the spec's coordinates,
+        whose length unit is `metres` [m].
         """
         cos, sin = math.cos(self.rotation), math.sin(self.rotation)
         scale = 1e-6 / metres

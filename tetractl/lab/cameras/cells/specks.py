@@ -31,8 +31,8 @@ Entry = tuple[float, float, float, float, float, float]
 
 @dataclass(slots=True)
 class Speck:
-    """An object that may be a cell: its blobs so far, and the track of the cell near which it was
-    first seen.
+    """An object that may be a cell: its newest blobs in `path`, the track of the cell near which it
+    was first seen (None if none was near), and the number of pictures since its last blob.
     """
 
     path: list[Entry]
@@ -40,7 +40,7 @@ class Speck:
     missed: int = 0
 
     def ahead(self, seconds: float) -> tuple[float, float]:
-        """Return the position x, y [um] expected at a time [s] from the speck's motion so far."""
+        """Return the position x, y [um] that the speck's last motion predicts for a time [s]."""
         if len(self.path) < 2:
             return self.path[-1][1], self.path[-1][2]
         first, last = self.path[max(0, len(self.path) - 4)], self.path[-1]
@@ -48,7 +48,9 @@ class Speck:
         return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
     def swims(self, needed: int) -> bool:
-        """Return whether the last `needed` blobs have a cell's size and move along their axis."""
+        """Return whether the speck's last blobs, at least `needed` of them, have a cell's size and
+        move fast, straight and along their axis.
+        """
         entries = self.path[-max(needed, BORN) :]
         first, last = entries[0], entries[-1]
         moved = math.hypot(last[1] - first[1], last[2] - first[2])
@@ -92,7 +94,7 @@ class Specks:
 
     @property
     def next_to(self) -> set[int | None]:
-        """Tracks of the cells near which specks, still too new to be classified, appeared."""
+        """Tracks of the cells near which new specks appeared that cannot be classified yet."""
         return {speck.beside for speck in self.all if len(speck.path) <= NEAR_BORN}
 
     @property
@@ -104,10 +106,10 @@ class Specks:
     def follow(
         self, places: Floats, cells: Floats, tracks: Sequence[int], seconds: float
     ) -> list[Speck]:
-        """Take the blobs (B, 5) that belong to no cell; return the specks that now swim.
+        """Take the blobs that belong to no cell, and return the specks that now swim.
 
-        `cells` (C, 2) are the positions of the cells [um], `tracks` (C,) the numbers of their
-        tracks.
+        `places` (B, 5) are the blobs' x, y [um], axis [rad], length and width [um]; `cells` (C, 2)
+        are the positions of the cells [um], `tracks` (C,) the numbers of their tracks.
         """
         found = self._found(places, seconds)
         taken = set(found.values())
@@ -137,7 +139,7 @@ class Specks:
         return swimming
 
     def _found(self, places: Floats, seconds: float) -> dict[int, int]:
-        """Return {blob: speck} by the specks' expected positions."""
+        """Match blobs to specks by the specks' expected positions; return {blob: speck}."""
         if not len(places) or not self.all:
             return {}
         before = np.array([speck.ahead(seconds) for speck in self.all])

@@ -54,7 +54,9 @@ FieldPieces = Callable[[float, float], Sequence[Piece]]
 
 @dataclass(slots=True)
 class _Reading:
-    """A blob's measurement of a cell: x, y, axis and deviations; `merged` if cells share it."""
+    """A cell's x, y [um] and axis [rad] measured from its blob, with their standard deviations;
+    `merged` if cells share the blob.
+    """
 
     cell: FollowedCell
     values: tuple[float, ...]
@@ -63,11 +65,11 @@ class _Reading:
 
 
 class CellTracker:
-    """Follows the cells in pictures with the scale `um_px`; `known`: whether the field is known,
-    `near_wall`: where a wall may turn cells.
+    """Follows the cells in pictures with the scale `um_px` [um/px]; `known`: whether the field is
+    known, `near_wall`: where a wall may turn cells.
 
-    Pictures must be given in order of time. Columns c and rows r become x = (c + 1/2) um_px and,
-    with y upwards, y = (height - 1/2 - r) um_px [um].
+    Pictures must be given in order of time. Column c and row r become x = (c + 1/2) um_px and, with
+    y upwards, y = (height - 1/2 - r) um_px [um].
     """
 
     def __init__(
@@ -108,7 +110,9 @@ class CellTracker:
         return next((cell.blob for cell in self._cells if cell.track == track), None)
 
     def see(self, picture: Grey, seconds: float, field: FieldPieces) -> list[SeenCell]:
-        """Return the cells of a picture taken at a time [s]."""
+        """Return the cells in a picture taken at a time [s]; `field` gives the field that acted
+        since the picture before.
+        """
         passed = 0.0 if self._time is None else seconds - self._time
         pieces = () if self._time is None else field(self._time, seconds)
         self._time, (self._height, self._width) = seconds, picture.shape
@@ -194,7 +198,9 @@ class CellTracker:
         return found
 
     def _update(self, readings: Sequence[_Reading]) -> None:
-        """Update the filter; a track with an open question has one row for each possible cell."""
+        """Update the filter by the readings; a track with an open question has one row for each
+        cell that it may be.
+        """
         if not readings:
             return
         rows = [
@@ -271,14 +277,14 @@ class CellTracker:
         return next((cell for cell in self._cells if cell.track == speck.beside), None)
 
     def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:
-        """Return the density of cells that appear here and were not lost before [1/um^2]."""
+        """Return the density [1/um^2] of cells that appear at a place without having been lost."""
         if beside is not None and beside.alone is not None:
             return EITHER / (math.pi * FROM_UM**2)
         area = self._width * self._height * self.um_px**2
         return (ENTERED if near_edge else NEW) / area
 
     def _meets(self, cell: FollowedCell) -> bool:
-        """Return whether an object that is not followed may enter a cell's blob."""
+        """Return whether an object that is not followed may be about to enter a cell's blob."""
         x, y = self.bank.mean[cell.row, :2].tolist()
         near = np.linalg.norm(self._specks.places - (x, y), axis=1) < FROM_UM
         return bool(near.any()) or cell.begun is not None or self._near_edge(x, y)

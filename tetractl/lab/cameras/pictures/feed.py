@@ -12,7 +12,9 @@ class SourceEndedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A received picture: pixels (height, width, 3) or a JPEG file, and time of arrival [ns]."""
+    """A received picture: a JPEG file, or pixels (height, width) in grey or (height, width, 3) in
+    colour; and its time of arrival [ns].
+    """
 
     content: np.ndarray | bytes
     received_ns: int
@@ -21,8 +23,8 @@ class Picture:
 class Feed(Protocol):
     """An opened source of pictures. One thread reads and closes it; any thread may interrupt.
 
-    A `live` source delivers pictures even if they are not read. `rate_hz` is the declared rate,
-    None if unknown. An `emulated` source does not show real robots.
+    A `live` source delivers pictures even if they are not read. `rate_hz` is the source's declared
+    rate [Hz], None if unknown. An `emulated` source does not show real robots.
     """
 
     live: bool
@@ -31,7 +33,7 @@ class Feed(Protocol):
 
     @property
     def damaged(self) -> int:
-        """Number of parts of the stream that could not be read; only grows."""
+        """Number of parts of the stream so far that could not be read."""
         ...
 
     def read(self) -> Picture:
@@ -39,7 +41,7 @@ class Feed(Protocol):
         ...
 
     def interrupt(self) -> None:
-        """Make a waiting `read` end."""
+        """End a `read` that is waiting in another thread."""
         ...
 
     def close(self) -> None:

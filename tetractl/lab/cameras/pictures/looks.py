@@ -1,4 +1,4 @@
-"""Results for the last pictures that a camera searched, and statistics of their stream; no I/O."""
+"""The results for the last pictures that a camera searched, and the stream's statistics; no I/O."""
 
 import statistics
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ S = TypeVar("S")
 
 @dataclass(frozen=True, slots=True)
 class Look(Generic[S]):
-    """One searched picture: its number, its arrival, the duration of the search, and the result."""
+    """One searched picture: its number, time of arrival, duration of the search, and result."""
 
     number: int
     received_ns: int
@@ -27,7 +27,9 @@ class Look(Generic[S]):
 
 
 def rate_hz(looks: Sequence[Look[Any]] | Sequence[CameraFrame]) -> float | None:
-    """Return the rate of received pictures or frames, including skipped ones [Hz]."""
+    """Return the rate of received pictures or frames [Hz], including those not searched; None if
+    there are too few.
+    """
     if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
         return None
     span = looks[-1].received_ns - looks[0].received_ns
@@ -47,7 +49,11 @@ def stream_lines(
     declared_hz: float | None,
     damaged: int,
 ) -> tuple[list[str], list[str]]:
-    """Return problems and warnings of a stream of pictures, for display."""
+    """Return problems and warnings of a stream of pictures, for display.
+
+    `source` is the source's name, `ended` the reason why it has ended ("" if it has not),
+    `declared_hz` its declared rate (None if unknown), and `damaged` the number of damaged pictures.
+    """
     problems: list[str] = []
     warnings: list[str] = []
     if ended:

@@ -1,9 +1,9 @@
-"""Pictures of a microscope's camera by Micro-Manager's core, `pymmcore`; not tested with a real
+"""Reads a microscope's camera through Micro-Manager's core, `pymmcore`; not tested with a real
 camera.
 
-According to its documentation, the core fills a circular buffer while a sequence runs. This feed
-removes each picture at once, so that no picture waits in the buffer; `PictureCamera` skips and
-counts the pictures for which its search is too slow.
+According to its documentation, the core fills a circular buffer while a sequence of pictures is
+taken. This feed removes each picture at once, so that no picture waits in the buffer;
+`PictureCamera` skips and counts the pictures for which its search is too slow.
 """
 
 import threading
@@ -22,8 +22,8 @@ SILENT_NS = 10 * SECOND
 
 
 class MicroManagerFeed:
-    """A camera configured in Micro-Manager; pictures are the upper eight bits of its grey levels,
-    or the mean of red, green and blue.
+    """A camera configured in Micro-Manager; a picture has the upper eight bits of the camera's grey
+    levels or, for a colour camera, the mean of red, green and blue.
     """
 
     live = True
@@ -69,7 +69,7 @@ class MicroManagerFeed:
         raise SourceEndedError("Micro-Manager's camera was closed")
 
     def interrupt(self) -> None:
-        """Make a waiting `read` end soon."""
+        """End a `read` that is waiting in another thread, within a few milliseconds."""
         self._closing.set()
 
     def close(self) -> None:

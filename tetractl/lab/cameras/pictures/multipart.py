@@ -1,4 +1,4 @@
-"""Splits the bytes of a multipart/x-mixed-replace stream into parts; accepts any bytes.
+"""Splits the bytes of a multipart/x-mixed-replace stream into parts; never raises for bad bytes.
 
     --boundary CRLF  header lines CRLF  CRLF  body CRLF   --boundary CRLF ...
 
@@ -12,7 +12,10 @@ _BLANK = b"\r\n\r\n"
 
 
 class Multipart:
-    """Splits a stream of bytes into the bodies of parts; buffers at most one part."""
+    """Splits a stream of bytes into the bodies of its parts; buffers at most one part.
+
+    `damaged` counts the parts that could not be read.
+    """
 
     def __init__(self, boundary: str) -> None:
         self.damaged = 0

@@ -43,11 +43,11 @@ S = TypeVar("S", bound=SearchedPicture)
 
 
 class PictureCamera(ABC, Generic[S]):
-    """Base of `Camera`s that track robots in pictures; subclasses implement the search.
+    """Base class of cameras that track robots in pictures; subclasses implement `_see` and `check`.
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
-    number: if a live source is faster than the search, numbers are missing. Frames never have a
-    `fault`.
+    number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
+    is never set.
     """
 
     def __init__(self, section: PictureSection, clock: Clock, wake: Callable[[], None]) -> None:
@@ -68,11 +68,11 @@ class PictureCamera(ABC, Generic[S]):
 
     @abstractmethod
     def _see(self, picture: Grey, exposed_ns: int) -> S | None:
-        """Search a picture; return its robots and strangers, None if it gives no frame."""
+        """Search a picture; return its robots and strangers, None if it does not become a frame."""
 
     @abstractmethod
     def check(self) -> Health:
-        """Examine some pictures and return the problems."""
+        """Examine some pictures; return problems, warnings and facts."""
 
     @property
     def newest(self) -> CameraFrame | None:
@@ -81,7 +81,7 @@ class PictureCamera(ABC, Generic[S]):
 
     @property
     def damaged(self) -> int:
-        """Number of parts of the stream and pictures that could not be read."""
+        """Number of pictures and of parts of the stream that could not be read."""
         return self._unread + (0 if self._feed is None else self._feed.damaged)
 
     @property
@@ -90,7 +90,7 @@ class PictureCamera(ABC, Generic[S]):
         return self._feed is not None and self._feed.emulated
 
     def frames(self) -> list[CameraFrame]:
-        """Return, once, every frame since the last call, oldest first."""
+        """Return the frames since the last call, oldest first."""
         return drained(self._fresh)
 
     def __enter__(self) -> Self:
@@ -121,7 +121,9 @@ class PictureCamera(ABC, Generic[S]):
             thread.join(CLOSE_S)
 
     def _look(self) -> tuple[Look[S], ...]:
-        """Wait for some pictures and return the results for the last ones, oldest first."""
+        """Wait until 20 more pictures have come or the source has ended, at most `connect`; return
+        the results for the last 20, oldest first.
+        """
         first = self._looks[-1].number if self._looks else 0
 
         def enough() -> bool:
@@ -138,7 +140,7 @@ class PictureCamera(ABC, Generic[S]):
         return stream_lines(looks, name, self._ended, now_ns, rate, self.damaged)
 
     def _stream_facts(self, looks: Sequence[Look[S]]) -> dict[str, str]:
-        """Return resolution, rate and duration of the search, as far as known."""
+        """Return resolution, rate of pictures and duration of the search, as far as known."""
         facts: dict[str, str] = {}
         if self._size is not None:
             facts["resolution"] = f"{self._size[1]}x{self._size[0]}"

@@ -37,7 +37,7 @@ NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a de
 
 
 def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
-    """Open a source; AbortError with the reason if that fails."""
+    """Open a source, waiting up to `timeout_s` for a network camera; AbortError if that fails."""
     match source:
         case DeviceSource():
             return DeviceFeed(source, clock)
@@ -56,8 +56,9 @@ def open_feed(source: Source, clock: Clock, timeout_s: float) -> Feed:
 def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | None:
     """Return the grey levels (height, width) of a picture, None if its JPEG is damaged.
 
-    A JPEG of another `size` (height, width), or without `size` a side above `PIXELS_MAX`, is not
-    decoded and gives None as well. Raises cv2.error if OpenCV cannot convert pixels.
+    Also returns None for a JPEG that does not have the given `size` (height, width) or, if no size
+    is given, for a JPEG with a side above `PIXELS_MAX`. Raises cv2.error if OpenCV cannot convert
+    pixels.
     """
     content = picture.content
     if isinstance(content, np.ndarray):
@@ -130,7 +131,7 @@ class DeviceFeed:
 
 
 class FileFeed:
-    """A video file; each picture is returned at its time in the film."""
+    """A video file, played at its own rate."""
 
     live = False
     emulated = True  # robots in a film cannot be steered
@@ -150,7 +151,7 @@ class FileFeed:
         self._read = 0
 
     def read(self) -> Picture:
-        """Wait until the next picture is due."""
+        """Return the next picture of the file when it is due."""
         read, pixels = self._capture.read()
         if not read:
             raise SourceEndedError(f"{self._path} has ended")

@@ -37,9 +37,10 @@ def ranked(
 ) -> list[RankedChoice]:
     """Return the best choices of cells for an experiment that chooses its robots, best first.
 
-    Errors are predicted as by `tetractl analyze`, from the cells' poses. All choices are compared
-    along a few plans, and the best of them along more, up to `plans` (successive halving), with the
-    same random numbers. Only cells with a magnet count; [] if there are too few.
+    Errors are predicted as by `tetractl analyze`, from the cells' poses. The COMPARED choices that
+    are best by `worth` are compared along a few plans, and the best of them along more, up to
+    `plans` (successive halving), with the same random numbers. Only cells with a magnet count; []
+    if there are too few.
     """
     choice = experiment.chosen
     assert choice is not None, "the spec has robots: {choose: N}"

@@ -13,13 +13,14 @@ A controller that identifies a and speed plans with its estimates, which improve
 measurement. Without `corrects` there is no feedback.
 
 The derivatives of the final positions: a step moves robot i by d(heading, u) and turns it by
-w(heading, u). Let g_j be the derivative of its final position by its heading before signal j, with
-g_L = 0. The chain rule backwards in time gives
+w(heading, u). Let g_j be the derivative of the robot's final position with respect to its heading
+before signal j, with g_L = 0. The chain rule backwards in time gives
 
     d end / d u_j = dd/du + g_{j+1} dw/du,      g_j = dd/dheading + g_{j+1} (1 + dw/dheading)
 
-and likewise for its a and speed. The derivatives of a step are the derivatives of the problem's
-motion that the optimiser's kernels use; derivatives by a and speed are central differences.
+and likewise the derivatives with respect to the robot's a and speed. A step's derivatives with
+respect to heading and signal are those that the optimiser's kernels use; the derivatives with
+respect to a and speed are central differences.
 """
 
 import math
@@ -41,12 +42,13 @@ NUDGE = 1e-4  # relative change of a and speed for a central difference
 class Linear:
     """A plan of L signals for N robots, linearised; lengths in the spec's unit.
 
-    `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends:
-    `by_signal` (2N, L), of x_1, y_1, x_2, ..., by the signals [1/rad]; `by_heading` (L + 1, N, 2)
-    by the heading before each signal and at the end [1/rad]; `by_a` and `by_speed` (L, N, 2) by the
-    logarithms of a and speed during one signal alone. `turn_by_a` (L, N) is the derivative of one
-    signal's turn by ln a [rad]. `onward` (2N, 1) is the displacement of the ends by one more signal
-    of straight motion, and `seconds` (L,) the duration of each signal [s].
+    `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends
+    are `by_signal` (2N, L), of x_1, y_1, x_2, ... with respect to the signals [1/rad]; `by_heading`
+    (L + 1, N, 2), with respect to the heading before each signal and at the end [1/rad]; `by_a` and
+    `by_speed` (L, N, 2), with respect to the logarithms of a and speed during one signal alone.
+    `turn_by_a` (L, N) is the derivative of one signal's turn with respect to ln a [rad]. `onward`
+    (2N, 1) is the displacement of the ends by one more signal of straight motion, and `seconds`
+    (L,) the duration of each signal [s].
     """
 
     miss: Floats
@@ -94,9 +96,11 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
 def _steps(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return each step's derivatives by heading and by signal, (L, N, 2) each, and keep (L, N).
+    """Return the derivatives of each step's displacement with respect to the heading and to the
+    signal, (L, N, 2) each, and keep (L, N).
 
-    keep is the derivative of the next heading by the heading; by the signal, it is 1 - keep.
+    keep is the derivative of the next heading with respect to the heading; with respect to the
+    signal, that derivative is 1 - keep.
     """
     lanes = MOTIONS.load(problem.motion).lanes(problem.a, float(seconds.max()))
     robots = list(zip(problem.a.tolist(), problem.speed.tolist(), strict=True))
@@ -115,8 +119,8 @@ def _steps(
 def _by_logarithm(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats, which: int
 ) -> Floats:
-    """Return the derivatives of each step's dx, dy and turn by ln a (`which` 0) or ln speed (1),
-    (L, N, 3)."""
+    """Return the derivatives of each step's dx, dy and turn, (L, N, 3), with respect to ln a if
+    `which` is 0, or to ln speed if it is 1."""
     step, zero = MOTIONS.load(problem.motion).step, np.zeros_like(heading)
 
     def moved(factor: float) -> Floats:
@@ -222,7 +226,8 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     `miss` (N,) from the targets.
 
     The mean length of a normal vector with deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
-    with the complete elliptic integral E; its square and the square of `miss` are added.
+    with the complete elliptic integral E. The root of the sum of its square and that of `miss` is
+    returned.
     """
     count = len(miss)
     each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]

@@ -77,13 +77,14 @@ def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[
 class Steering:
     """The analysis of N robots along M plans that reach the targets; lengths in the spec's unit.
 
-    The shortest plan has `shortest` signals. `errors` (M,) are the predicted mean total errors with
-    feedback, `open_loop` (M,) without feedback; `planned` (M,) are the total errors without noise.
-    The other fields describe the plan of the median predicted error: `signals` is its length,
-    `singular` (2N,) the singular values of the derivative of the ends by the signals [length
-    unit/rad], descending, `weakest` (N,) each robot's share in the direction of the least singular
-    value, `robot_errors` (N,) the predicted mean errors, `covariance` (N, 2, 2) the covariance of
-    each end, and `free_covariance` that covariance without feedback.
+    `shortest` is the least number of signals with which a search reached the targets. `errors` (M,)
+    are the predicted mean total errors with feedback, `open_loop` (M,) without feedback; `planned`
+    (M,) are the total errors without noise. The other fields describe the plan of the median
+    predicted error: `signals` is its length, `singular` (2N,) the singular values of the derivative
+    of the ends with respect to the signals [length unit/rad], descending, `weakest` (N,) each
+    robot's share in the direction of the least singular value, `robot_errors` (N,) the predicted
+    mean errors, `covariance` (N, 2, 2) the covariance of each end, and `free_covariance` that
+    covariance without feedback.
     """
 
     shortest: int | None

@@ -91,7 +91,8 @@ class Choice(Model):
 
 
 class OrChoice:
-    """Annotation of the field `robots`: a list of robots, or a mapping, read as a `Choice`."""
+    """Annotation of the field `robots`: a list of robots, or a mapping, which is
+    read as a `Choice`."""
 
     def __get_pydantic_core_schema__(
         self, source: type[Any], handler: GetCoreSchemaHandler
@@ -144,10 +145,10 @@ class FoundRobots:
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Return, for each start (N, 2), the index of the target assigned to it, of (M, 2), N <= M.
+    """Return, for each start (N, 2), the index of the one of the targets (M, 2) assigned to it.
 
-    The sum of the squared distances from start to target is minimal, which minimises the motion
-    that is not common to all robots.
+    M must be at least N. The sum of the squared distances from start to target is minimal, which
+    minimises the motion that is not common to all robots.
     """
     from scipy.optimize import linear_sum_assignment  # slow to import, and seldom needed
 

@@ -38,7 +38,8 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
 
 
 def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
-    """Return the experiment with these cells as robots, at their poses, and targets assigned."""
+    """Return the experiment with the given cells as robots, which start at the cells' poses and are
+    assigned targets."""
     choice = experiment.chosen
     assert choice is not None, "the spec has robots: {choose: N}"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
@@ -58,7 +59,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
 
 
 def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
-    """Return the experiment with the robots in `setup`, which another of its trials found."""
+    """Return the experiment with the robots of `setup`, which one of its trials has found."""
     columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
     rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
     robots = [
@@ -77,8 +78,8 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Return the least difference of log(a) between two cells, minus its uncertainty; inf for one
-    cell."""
+    """Return the least difference of log(a) between two cells, minus that difference's standard
+    deviation; inf for a single cell."""
     order = np.argsort(a)
     logs, off = np.log(a[order]), a_sd[order] / a[order]
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
@@ -104,7 +105,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return, in order, the cells whose a and speed are nearest to the wanted ones."""
+    """Return, in the order of `choice.wanted`, the cells with the a and speed nearest to those."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)

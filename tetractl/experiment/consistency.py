@@ -20,7 +20,7 @@ def contradictions(
 ) -> Iterator[tuple[Loc, str]]:
     """Yield location and text of each contradiction between arena, robots and obstacles.
 
-    `robots` and `obstacles` are the valid ones, by their index in the spec.
+    `robots` and `obstacles` hold the valid entries of these lists by their index in the spec.
     """
     places: list[tuple[int, Loc, Point]] = [
         (i, loc, point)
@@ -52,7 +52,7 @@ def contradictions(
 
 
 def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield the location and reason if a control step would not fit into memory."""
+    """Yield location and text if a control step would need more memory than MEMORY_MAX."""
     held = 8 * experiment.controller.numbers_held(experiment.setup)
     if held > MEMORY_MAX:
         yield (

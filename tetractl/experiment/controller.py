@@ -50,7 +50,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def iterations_max(self) -> int:
-        """Largest number of iterations of one search; with several starts, of each start."""
+        """Largest number of iterations of a search, or of each start if a search has several."""
 
     @property
     @abstractmethod
@@ -64,7 +64,7 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J below which all sequences count as equally good, None without such a limit."""
+        """Cost J up to which all sequences count as equally good, None for no such limit."""
         return None
 
     @abstractmethod

@@ -17,12 +17,12 @@ from tetractl.experiment.base import Model
 class DelayedCommand:
     """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop or if the command switches the `field_off`. `reached`
-    (N,) is True for robots that receive it; it acts on each `late_ns` (N,) later, None for no
-    further delay. `headings` (N,) are the headings that the host had measured when it sent the
-    command [rad]; `wheels` (2, N) are the left and right wheel speeds commanded [length unit/s],
-    None if robots are sent the direction itself. `facing` is the direction towards which they turn
-    on the spot [rad]; `direction` is then None.
+    `direction` is u [rad], None for a stop or if the command switches the field off (`field_off`).
+    `reached` (N,) is True for robots that receive the command; it acts on each robot `late_ns` (N,)
+    after `due_ns`, None for no further delay. `headings` (N,) are the headings that the host had
+    measured when it sent the command [rad]; `wheels` (2, N) are the left and right wheel speeds
+    commanded [length unit/s], None if robots are sent the direction itself. `facing` is the
+    direction towards which they turn on the spot [rad]; `direction` is then None.
     """
 
     sent_ns: int
@@ -50,11 +50,14 @@ class Disturbance:
     """
 
     def parameters(self, a: Floats, speed: Floats) -> tuple[Floats, Floats]:
-        """Return the true a [rad/s] and speed [length unit/s], (N,) each; called once, first."""
+        """Return the true a [rad/s] and speed [length unit/s], (N,) each, given the spec's values.
+
+        Called once, before all other methods.
+        """
         return a, speed
 
     def placed(self, poses: Poses) -> Poses:
-        """Return the true poses before the first command, given the spec's; called once."""
+        """Return the true start poses, given the spec's start poses; called once."""
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:

@@ -31,7 +31,8 @@ STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [n
 class Measured:
     """The result of a calibration: values that replace values in the lab's sections.
 
-    `camera` and `actuator` hold keys of these sections; entries of lists are found by their `name`.
+    `camera` and `actuator` map keys of the lab's sections with these names to new values; an entry
+    of a list is found by its `name`.
     `lines` is a summary for readers.
     """
 
@@ -80,8 +81,8 @@ class CameraSection(DeviceSection):
         return imported(self.device)(self, setup, clock, wake)
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
-        """Return scale and rotation from two points in a picture, column and row [px], and their
-        distance along the spec's x axis [um]; UsageError if the points are too close.
+        """Return the picture's scale and rotation, measured by two points (column, row) [px] that
+        lie `um` [um] apart along the spec's x axis; UsageError if the points are too close.
         """
         raise UsageError(f"a camera of type {self.type} cannot be calibrated by a micrometer")
 
@@ -105,8 +106,8 @@ class ActuatorSection(DeviceSection):
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
-        port is needed; if not `alone`, a run uses the port at the same time. Returns a text about
-        the stops sent; AbortError if nothing can be sent.
+        port is needed; if `alone` is False, a run uses the port at the same time. Returns a text
+        about the stops sent; AbortError if nothing can be sent.
         """
         clock = MonotonicClock()
         with self.build(setup, clock) as actuator:

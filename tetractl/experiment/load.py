@@ -65,7 +65,8 @@ def override(document: Document, setting: str) -> None:
 
 
 def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
-    """Return the full location of a path, and the mapping or list that holds its last step."""
+    """Return the full location of a path, and the mapping or list in which its last step is
+    an entry."""
     data: Any = document.data
     loc: Loc = ()
     for step in steps[:-1]:
@@ -148,7 +149,7 @@ def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
 
 
 def resolved_yaml(experiment: Experiment) -> str:
-    """Return the YAML of a spec with every field, that loads as the same experiment."""
+    """Return a spec with every field as YAML text, which loads as the same experiment."""
     return dump(experiment.model_dump(mode="json"))
 
 
@@ -185,8 +186,8 @@ def start_of(spec: LoadedSpec, trial: int, plant: PlantInfo, start_unix_ns: int)
 
 
 def attach(attached: Attached, path: Path, text: str) -> Attached:
-    """Return the attached files and a further one; SpecError if every log has a file with its
-    name."""
+    """Return the attached files and the further file `path`; SpecError if a file with its name is
+    attached to the log already."""
     name = printable(path.name)
     if name in OWN_FILES or name in dict(attached):
         raise SpecError(
@@ -199,7 +200,7 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Return the data of a spec with current names and `sets` applied, and each value's location.
+    """Parse the text of a spec, convert renamed keys to their current names, and apply `sets`.
 
     Values `identified` in a file replace the text's values before `sets` are applied. Errors are
     added to the document's problems; InvalidSpecError if the text cannot be read as YAML.
@@ -216,8 +217,8 @@ def document_of(
 def _experiment(
     text: str, origin: str, sets: Sequence[str], folder: Path | None
 ) -> tuple[Experiment, tuple[str, ...], Attached]:
-    """Return the experiment, notices of renamed keys, and the files in `folder` that the spec
-    names."""
+    """Return the experiment, notices of renamed keys, and the texts of files in `folder` that the
+    spec names."""
     document = document_of(text, origin, sets)
     if "base" in document.data and "robots" not in document.data:
         hint = f"run it with: tetractl study {origin}"
@@ -251,7 +252,7 @@ def _experiment(
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:
-    """Return the valid arena, robots and obstacles, whatever other sections contain."""
+    """Return the valid arena, robots and obstacles, even if other parts of the spec are invalid."""
 
     def valid(kind: Any, values: Any) -> Iterator[tuple[int, Any]]:
         adapter = TypeAdapter(kind)

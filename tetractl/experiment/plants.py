@@ -36,7 +36,7 @@ class Calibration(Model):
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
-    """Return the spec with the plant that will be run: of the given `kind`, or the spec's.
+    """Return the spec with the plant that will be run: of the given `kind`, or the spec's if None.
 
     Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
     An unused `lab` section is kept for other runs.
@@ -141,7 +141,7 @@ def _merged(
 
 
 def _named(value: Any) -> bool:
-    """Return whether a value is a list of mappings with names."""
+    """Return whether a value is a list of mappings that each have a `name`."""
     if not isinstance(value, list | tuple):
         return False
     return all(isinstance(entry, Mapping) and "name" in entry for entry in value)

@@ -101,7 +101,7 @@ class KindName:
 
 
 def packages(spec: Model) -> dict[str, str]:
-    """Return {name: version} of the other packages that provide kinds used in a spec."""
+    """Return {name: version} of packages other than tetractl that provide kinds used in a spec."""
     used = (registry.kind(name) for registry, name in _kinds(spec))
     return {kind.package: kind.version for kind in used if kind.package}
 

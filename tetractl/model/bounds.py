@@ -1,8 +1,8 @@
 """Lower bounds of the total error that hold for every sequence of common directions.
 
-N robots move by (1)-(3) for t seconds at most: theta_i' = a_i sin(u - theta_i), with one u for all.
+N robots move by (1)-(3) for at most t seconds: theta_i' = a_i sin(u - theta_i), with one u for all.
 Let g_i be the vector from a robot's start to its target, e_i its distance to the target at the end,
-and w_i the integral of its unit heading vector, so that it moves by v_i w_i.
+and w_i the integral of its unit heading vector, so that the robot moves by v_i w_i.
 
 Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.
 
@@ -42,7 +42,8 @@ PAIRS_MAX = 1000
 
 @np.errstate(all="ignore")
 def reach(setup: Setup, seconds: float) -> Floats:
-    """Return the least error of each robot by its speed alone, (N,) [length unit]."""
+    """Return each robot's error (N,) after driving straight towards its target for `seconds`, 0 if
+    it arrives [length unit]."""
     gaps = np.linalg.norm(setup.targets - setup.starts.xy, axis=1)
     return np.maximum(gaps - setup.speed * seconds, 0.0)
 

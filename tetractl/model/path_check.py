@@ -66,7 +66,7 @@ def _least(each: Floats) -> Floats:
 
 
 def separations(x: Floats, y: Floats) -> Floats:
-    """Return the least distance of each of N robots to another over M samples, (N,).
+    """Return the least distance of each of N robots to another robot over M samples, (N,).
 
     x, y are (N, M) [length unit]; NaN samples are ignored.
     """
@@ -83,7 +83,8 @@ def separations(x: Floats, y: Floats) -> Floats:
 def check_path(setup: Setup, path: Floats, known: Bools, final: Poses) -> Verdict:
     """Return the verdict of `PathCheck` on a recorded path which ended in `final`.
 
-    `path` (M, N, 2 or more) begins with x and y; samples not `known` (M, N) are ignored.
+    `path` (M, N, 2 or more) begins with x and y; samples for which `known` (M, N) is False
+    are ignored.
     """
     whole = PathCheck.of(setup)
     for robot in range(path.shape[1]):

@@ -124,7 +124,8 @@ class Swimmers:
         """Advance every cell by one step, of a few milliseconds, by the midpoint rule.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
-        rate is proportional to it. `drift` [um/s] is the medium's flow. A resting cell only drifts.
+        rate is proportional to its length. `drift` [um/s] is the medium's flow. A resting cell only
+        drifts.
         """
         going = ~self.resting
         half = self.heading + self._turning(field, self.heading) * going * seconds / 2

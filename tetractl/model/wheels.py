@@ -148,7 +148,7 @@ class LaggingTurns:
         self._turning = np.zeros(count)  # true rates when the oldest command begins to act
 
     def sent(self, acts_ns: int, turning: Floats) -> None:
-        """Add turning rates (N,) that act from a time on [ns]."""
+        """Add turning rates (N,) [rad/s], which act from `acts_ns` [ns] on."""
         self._sent.append((acts_ns, turning))
 
     def ahead(self, heading: Floats, since: int, until: int) -> Floats:

@@ -78,8 +78,8 @@ class TimeLeft:
             self._unknown += self._left[arm]
 
     def of(self, workers: int) -> float | None:
-        """Return the remaining time [s] with `workers` parallel trials; None before the first
-        trial."""
+        """Return the remaining time [s] with `workers` parallel trials; None until a trial has been
+        timed."""
         if not self._spent:
             return None
         mean_s = 0.0
@@ -90,7 +90,7 @@ class TimeLeft:
 
 
 class RunObserver(Protocol):
-    """An object that is notified when trials start and end; they may end in any order."""
+    """An object that is notified when trials start and end; trials may end in any order."""
 
     def trial_started(self, task: Task) -> None:
         """Called when a trial starts."""

@@ -92,7 +92,8 @@ class Cluster:
         return self._workers
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield the tasks in the order in which they end; AbortError once the scheduler is gone."""
+        """Yield each task with its result or error, in the order in which the tasks end; AbortError
+        once the scheduler is gone."""
         # `alone` are tasks of lost Dask tasks, to be submitted one by one
         waiting, alone = deque(tasks), deque[Task]()
         running = dict[Any, list[tuple[Task, Path]]]()

@@ -43,7 +43,8 @@ class Executor(Protocol):
         ...
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield tasks in the order in which they end; tasks not started are left out."""
+        """Yield each task that was started with its result or error, in the order in which the
+        tasks end."""
         ...
 
     def end(self) -> None:
@@ -52,7 +53,7 @@ class Executor(Protocol):
 
 
 def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
-    """Return the executor for `jobs` trials at a time, at most the number of trials."""
+    """Return the executor that runs `jobs` trials at a time, or `tasks` if that is less."""
     jobs = min(jobs, tasks)
     return Processes(jobs, interrupt) if jobs > 1 else Here(interrupt)
 
@@ -72,7 +73,7 @@ class Here:
         self._ended = False
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield the tasks in order."""
+        """Yield each task with its result or error, in the given order."""
         for task in tasks:
             if self._ended or self._interrupt.requested:
                 return
@@ -105,7 +106,7 @@ class Processes:
         self._again = 0.0  # earliest time of the next SIGTERM [s]
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
-        """Yield the tasks in the order in which they end."""
+        """Yield each task with its result or error, in the order in which the tasks end."""
         with _signals_held_back():  # Python starts its semaphore tracker in the block
             self._ending = self._context.Event()
         waiting = deque(tasks)
@@ -220,7 +221,7 @@ def _start_worker(ending: Event) -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait for the parent process to end, then end the trial and shortly after this process."""
+    """Wait for the parent process to end. Then end the trial and, shortly after, this process."""
     parent = multiprocessing.parent_process()
     assert parent is not None
     parent.join()

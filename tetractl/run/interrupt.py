@@ -1,8 +1,8 @@
 """Handles signals: the first stops the robots after the control step, the second at once.
 
 This holds for every signal that can be caught and ends a process by default: Ctrl-C, SIGTERM,
-SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and others. Exceptions are the signals of a
-program fault, such as SIGSEGV, and SIGPIPE and SIGXFSZ, which Python turns into errors.
+SIGHUP of a closed terminal, SIGQUIT, SIGUSR1, SIGALRM and others. It does not hold for signals of
+a program fault, such as SIGSEGV, nor for SIGPIPE and SIGXFSZ, which Python turns into errors.
 """
 
 import os
@@ -18,7 +18,7 @@ _HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO"}
 _SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
 _OTHERS = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
 SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _OTHERS}))
-"""The signals that end a process by default."""
+"""The signals handled: those that can be caught and end a process by default, except faults."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
 
@@ -115,7 +115,7 @@ def interrupted_once(robots: bool = False) -> Iterator[None]:
 def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> None:
     """End the process at the next signal, at once: call `say`, exit with `code`.
 
-    It is for code that has nothing to stop or to close, where a KeyboardInterrupt during an import
+    Used by code that has nothing to stop or to close, where a KeyboardInterrupt during an import
     could be printed as a traceback and then ignored.
     """
 

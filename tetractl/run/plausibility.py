@@ -238,13 +238,13 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _and(names: Sequence[str]) -> str:
-    """Return names joined by commas and "and"; of more than three, two and a number."""
+    """Return names joined by commas and "and"; of more than three names, two and "N more"."""
     shown = list(names) if len(names) < 4 else [*names[:2], f"{len(names) - 2} more"]
     return " and ".join(filter(None, [", ".join(shown[:-1]), shown[-1]]))
 
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots whose a and start heading are like those of the first one."""
+    """Yield groups of robots with an a and a start heading like those of the group's first."""
     left = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if not left[i]:
@@ -356,7 +356,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
 
 @dataclass(frozen=True, slots=True)
 class PlacedWarning(SpecProblem):
-    """A warning with the file and line of the value in the spec that it is about."""
+    """A warning with the file and the line of the value that it concerns."""
 
     hint: str = ""
 

@@ -168,7 +168,7 @@ class LogStore:
         return found.outcome.complete and not found.recovered
 
     def place(self, arm: str, trial: int) -> Path:
-        """Rename unfinished logs of the trial, as `set_aside`; return the folder."""
+        """Rename unfinished logs of the trial, as `set_aside` does; return the folder."""
         set_aside(self.folder, trial)
         return self.folder
 

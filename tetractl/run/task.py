@@ -109,8 +109,8 @@ class Task:
 class Finished:
     """The result of a trial, its wall time `wall_s` and processor time `cpu_s`.
 
-    If the task requests a `digest`, the fields also have the digest, the number of `warnings` and
-    errors among the trial's messages, and the type of the `processor`.
+    If the task requests a `digest`, three more fields are set: the `digest`, the number of messages
+    of the trial that are warnings or errors (`warnings`), and the type of the `processor`.
     """
 
     result: Result

@@ -125,7 +125,7 @@ def _draw(
 
 
 def _headline(loaded: LoadedStudy, found: Sequence[FieldValue]) -> str:
-    """Return the plant, the number of trials, and the statistic drawn."""
+    """Return the title: study, plants, the statistic drawn, and the number of trials."""
     plants = sorted(set(origins(loaded)))
     counts = sorted({group.error.n for group in found})
     n = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

@@ -47,7 +47,7 @@ class Logs:
 
 @dataclass(frozen=True, slots=True)
 class Shard:
-    """The share number `index`, from 1, of the trials of a study in `of` shares of equal size."""
+    """One of `of` shares into which a study's trials are divided evenly; `index` counts from 1."""
 
     index: int = 1
     of: int = 1
@@ -68,9 +68,10 @@ class Shard:
 def lacking(
     loaded: LoadedStudy, store: Store, logs: Logs, shard: Shard, rerun_outdated: bool
 ) -> tuple[list[Task], dict[str, int]]:
-    """Return the tasks of trials without a row, and by arm the number of outdated rows kept.
+    """Return the tasks of trials without a row and, by arm, the number of outdated rows kept.
 
-    With `rerun_outdated` trials of outdated code are returned too. Tasks are ordered by trial
+    A row is outdated if another version of the code computed it; with `rerun_outdated`, the tasks
+    of such rows are returned too. Tasks are ordered by trial
     number, so that after an early end all arms have equally many trials.
     """
     count = loaded.study.trials.count

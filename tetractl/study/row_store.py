@@ -112,7 +112,10 @@ class Store:
         return added
 
     def _take(self, arm: Arm, folder: Path, row: Row) -> bool:
-        """Add a row of another folder with its log, unless there is an equivalent one."""
+        """Add a row of another folder with its log, unless this folder has an equivalent row.
+
+        Return whether the row was added.
+        """
         twin = self.rows[arm.name].get(row.trial)
         if twin is not None:
             alike = all(getattr(twin, name) == getattr(row, name) for name in DECIDING)

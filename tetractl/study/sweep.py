@@ -151,7 +151,7 @@ class Sobol(SampledSweep):
     type: Literal["sobol"]
 
     def shares(self, rng: np.random.Generator) -> Floats:
-        """Return the first numbers of the sequence (Owen, J. Complexity 14, 1998)."""
+        """Return the first `count` points of the sequence (Owen, J. Complexity 14, 1998)."""
         from scipy.stats import qmc  # slow to import, and only needed here
 
         sequence = qmc.Sobol(len(self.fields), rng=rng)

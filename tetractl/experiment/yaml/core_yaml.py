@@ -113,7 +113,7 @@ def compose(text: str) -> Node | None:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar; ValueError, with the reason, if the tag does not fit."""
+    """Return the value of a scalar with a tag; ValueError, with the reason, if they do not fit."""
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):
@@ -139,7 +139,7 @@ def short_tag(tag: str) -> str:
 
 
 def dump(data: Any) -> str:
-    """Return plain data as YAML in its order, one key per line, points in brackets."""
+    """Return plain data as YAML text, in the data's order: one key per line, points as [x, y]."""
     return yaml.dump(
         data,
         Dumper=_Dumper,

@@ -63,7 +63,7 @@ class Document:
 
     @property
     def notes(self) -> tuple[dict[Loc, Any], ...]:
-        """Locations of values and keys, and refused values, by their path in the data."""
+        """The locations of values, the locations of keys, and the errors of refused values."""
         return self.values, self.keys, self.refused
 
     def key(self, loc: Loc) -> Place:

@@ -133,7 +133,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return the message of `words`, with the schema's description of the field."""
+    """Return the message of `words`; for a wrong choice or pattern, one made from the schema."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":

@@ -18,7 +18,7 @@ RENAMED = {
     "controller.collision.check": "controller.collision.test",
     "controller.collision.stop": "controller.collision.stop_before_collision",
 }
-"""New paths of keys by their old paths, which differ in the last step."""
+"""{old path of a renamed key: new path}; the two paths differ only in the last step."""
 REVALUED = (
     ("controller.type", "pso-mpc", "mpc"),
     ("plant.motion", "continuous", "exact"),
@@ -29,7 +29,7 @@ REMOVED = {
     "controller.losses": "lost commands are always detected with 'estimate'",
     "controller.optimizer.precision": "particles always have double precision",
 }
-"""Keys that are no longer needed, and the reason."""
+"""{path of a key that is no longer needed: reason}."""
 
 
 def upgrade(document: Document) -> None:
@@ -57,7 +57,7 @@ def upgraded_path(steps: list[str]) -> list[str]:
 
 
 def _rename(document: Document, old: str, new: str) -> None:
-    """Rename a key in its place in the order; a problem if both the old and new key are given."""
+    """Rename a key without moving it; add a problem if both the old and the new key are given."""
     holder, loc = _holder(document, old)
     key, name = loc[-1], new.split(".")[-1]
     if key not in holder:

@@ -183,7 +183,11 @@ def left_out(plant: PlantSection) -> tuple[str, ...]:
 def end_covariance(
     plan: Linear, noise: Noise, corrects: bool = True, identifies: bool = False
 ) -> Floats:
-    """Return the covariance (2N, 2N) of the ends x_1, y_1, x_2, ... [length unit^2]."""
+    """Return the covariance (2N, 2N) of the ends x_1, y_1, x_2, ... [length unit^2].
+
+    `corrects` is whether the controller corrects deviations during the plan, and `identifies`
+    whether it identifies a and speed.
+    """
     count, length = len(plan.miss), len(plan.seconds)
     size = 2 * count
     p, cross = np.zeros((size, size)), np.zeros((size, size))

@@ -35,8 +35,9 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the section of the model predictive control by which an experiment is analysed.
 
-    It is the spec's section if that has this type, otherwise the default section, but with the
-    multistart optimiser, which has a tolerance, and without limits.
+    It is the spec's section if that has this type, otherwise the default section with the spec's
+    period and number of steps. Its optimiser is multistart, which has a tolerance, and a step's
+    evaluations and time are not limited.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
@@ -53,8 +54,8 @@ def planner(experiment: Experiment) -> MpcSection:
 
 
 def tolerance(section: MpcSection) -> float:
-    """Return the cost up to which a plan reaches the targets [length unit]: the optimiser's
-    tolerance, or the accepted error.
+    """Return the cost up to which a plan reaches the targets [length unit]: the larger of the
+    optimiser's tolerance and the accepted error.
     """
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
@@ -82,9 +83,9 @@ class Steering:
     (M,) are the total errors without noise. The other fields describe the plan of the median
     predicted error: `signals` is its length, `singular` (2N,) the singular values of the derivative
     of the ends with respect to the signals [length unit/rad], descending, `weakest` (N,) each
-    robot's share in the direction of the least singular value, `robot_errors` (N,) the predicted
-    mean errors, `covariance` (N, 2, 2) the covariance of each end, and `free_covariance` that
-    covariance without feedback.
+    robot's fraction of the squared unit vector that belongs to the least singular value,
+    `robot_errors` (N,) the predicted mean errors, `covariance` (N, 2, 2) the covariance of each
+    end, and `free_covariance` that covariance without feedback.
     """
 
     shortest: int | None

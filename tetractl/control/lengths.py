@@ -88,7 +88,7 @@ def least_length(problem: Problem) -> int:
 
 
 def always(_: Floats) -> bool:
-    """Return True: the default test of whether a plan is safe, which accepts all."""
+    """Return True: the default test of whether a plan is safe, which accepts every plan."""
     return True
 
 

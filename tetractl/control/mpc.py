@@ -138,7 +138,7 @@ class Mpc:
 
     @property
     def last_leg(self) -> int:
-        """Index of the last leg: the one to the targets, or the hold at the targets after it."""
+        """Index of the last leg: the hold if there is one, otherwise the leg to the targets."""
         return len(self.legs) - (self.hold is None)
 
     @property

@@ -90,7 +90,7 @@ def exposed(folder: Path) -> str | None:
 
 
 def _alone_in(group: int) -> bool:
-    """Return whether the user is the only member of a group, as of a user's private group."""
+    """Return whether the user is the only member of a group."""
     import grp
     import pwd
 

@@ -98,9 +98,9 @@ class Device(Protocol):
 class Camera(Device, Protocol):
     """Tracks N robots in the spec's coordinates.
 
-    Once it is entered, it has a frame and receives further ones in the background; after each it
-    calls the function `wake` with which it was created. Times are ns on the clock with which it was
-    created.
+    Once the camera is entered, it has a frame and receives further frames in the background. After
+    each frame it calls the function `wake` that its constructor was given; times are ns on the
+    clock that its constructor was given.
     """
 
     @property

@@ -34,8 +34,8 @@ class LossRule:
 class Losses:
     """Which of N robots are `lost` (N,), and how often each has been lost, `times` (N,).
 
-    The controller, the log's reader and `verify` all pass every camera frame in order, and so get
-    the same result. Without a rule no robot is ever lost.
+    The controller, the log's reader and `verify` all pass every camera frame to `see`, in order,
+    and so get the same result. Without a rule no robot is ever lost.
     """
 
     def __init__(self, rule: LossRule | None, count: int) -> None:

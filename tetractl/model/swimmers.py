@@ -1,4 +1,4 @@
-"""The model of swimming cells of the simulation and of the emulated microscope.
+"""The model of swimming cells that the simulation and the emulated microscope use.
 
 A cell swims along a helix whose axis follows (1)-(3): (3) turns the axis, not the momentary
 velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.

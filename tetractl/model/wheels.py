@@ -44,7 +44,10 @@ def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Float
 
 @dataclass(frozen=True, slots=True)
 class Wheel:
-    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count without motion."""
+    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count without motion.
+
+    With `invert`, positive counts drive the wheel backwards.
+    """
 
     gain: float = 1000.0 / COUNT_MAX
     dead_zone: int = 0

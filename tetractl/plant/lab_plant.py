@@ -53,7 +53,7 @@ class LabPlantSection(LabSection):
         supervision: LabSupervision,
     ) -> FoundRobots:
         """Open the lab, rotate the field, and return the cells that the camera has found; the field
-        goes on rotating until the first direction.
+        goes on rotating until the first direction is sent.
         """
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which is optional
 

@@ -25,9 +25,9 @@ OWNER_BYTES = 300
 def locked(folder: Path) -> Iterator[None]:
     """Hold the lock of a folder, a flock(2) on its file `.tetractl-lock`, which names the owner.
 
-    The kernel releases the lock when its process ends for any reason, so a leftover file of this
-    host does not lock the folder. A file of another host locks it, because not every network file
-    system shares locks between hosts.
+    The kernel releases the lock when the process that holds it ends, so a leftover file of this
+    host does not lock the folder. A file of another host locks the folder, because not every
+    network file system shares locks between hosts.
 
     Raises UsageError if another run holds the lock, LogError if the file cannot be written.
     """

@@ -35,7 +35,7 @@ RELAY_PATIENCE_S = 30.0  # time for the last calls after the robots were stopped
 
 
 class Relay:
-    """Queues every call for `observer`, in order, until it is closed.
+    """Queues every call for `observer`, in order, until the relay is closed.
 
     After an exception of the observer, or with a full queue, the next call raises an exception and
     later calls are dropped.

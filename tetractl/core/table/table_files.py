@@ -26,7 +26,7 @@ class TableFile(Protocol):
         ...
 
     def close(self) -> None:
-        """Write what is left, and close the file."""
+        """Write the rows that are not written yet, and close the file."""
         ...
 
 

@@ -18,7 +18,8 @@ TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 @dataclass(frozen=True, slots=True)
 class FieldRecord:
     """The field over time: components `x`, `y` (T,), relative to the reference field; value i holds
-    from `times[i]` [s] to `times[i + 1]`. There is no field before `times[0]`.
+    from `times[i]` [s] to `times[i + 1]`, the last value without end. There is no field before
+    `times[0]`.
     """
 
     times: Floats

@@ -27,9 +27,11 @@ UM_M = 1e-6
 
 
 def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
-    """Write poses as transforms in metres, a crop of each cell, and a whole picture per second.
+    """Write a log for viewers: poses as transforms in metres, a crop around each cell in each
+    picture, and a whole picture per second.
 
-    Crops are JPEG on /crops/cell N, whole pictures on /picture; the background is an attachment.
+    Crops are on the topics /crops/cell N, whole pictures on /picture; the background is an
+    attachment.
     """
     cells = _by_picture(followed)
     every = max(1, round(PICTURES_S * followed.rate_hz))

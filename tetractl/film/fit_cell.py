@@ -1,7 +1,8 @@
 """Speed, turning rate and bias of each cell of a film, with 95 % intervals.
 
 The filter of `lab.cameras.cells.helix` runs over the whole film again, with each cell's most likely
-noise of heading, speed and blobs. Its last covariance gives the uncertainty of a, bias and speed.
+noise of heading, speed and blobs. The filter's covariance after a cell's last picture gives the
+uncertainty of a, bias and speed.
 """
 
 import math
@@ -64,6 +65,7 @@ class CellSummary:
     `path_um` is the length of the path along the helix's axis, `sway_rad` the amplitude of the
     body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and
     `bias` are None without a known field; `magnetised` is whether the interval of `a` lies above 0.
+    `probability` is the least in any picture that the cell was not mistaken for another.
     """
 
     cell: int
@@ -83,7 +85,10 @@ class CellSummary:
 
 @dataclass(frozen=True, slots=True)
 class TrackNoise:
-    """The noise of each of N cells (N,), in the units of the candidates above."""
+    """The noise of each of N cells, (N,): `walk` of the heading [rad/sqrt(s)], `exactness` of the
+    blobs relative to the usual noise, walks `unsteady` of the speed [um/s per sqrt(s)] and `stray`
+    of position and helix [um per sqrt(s)].
+    """
 
     walk: Floats
     exactness: Floats
@@ -101,7 +106,9 @@ class TrackNoise:
 
     @property
     def growth(self) -> Floats:
-        """The filter's `growth` (N, 9): deviations of the random walks per sqrt(s)."""
+        """The filter's `growth` (N, 9): standard deviation of each state's random walk per
+        sqrt(s).
+        """
         none, rate = np.zeros(len(self.walk)), np.full(len(self.walk), 0.3)
         place = self.stray
         return np.column_stack(
@@ -133,10 +140,11 @@ def summarise(
 
 @dataclass(frozen=True, slots=True)
 class _Measured:
-    """Measurements of N cells in K pictures: values and deviations (K, N, 3), NaN without a blob.
+    """Measurements of N cells in K pictures: `values` (K, N, 3), NaN where a cell has no blob of
+    its own, and their standard deviations.
 
-    `starts` (N, 5) are each cell's first picture and its x, y, heading and speed in it. `pieces`
-    (K,) are the field between the previous picture and each picture.
+    `starts` (N, 5) are the number of each cell's first picture, and its x, y, heading and speed
+    there. `pieces` (K,) are the field from the previous picture to each picture.
     """
 
     values: Floats
@@ -180,10 +188,12 @@ class _Measured:
     def filtered(
         self, noise: TrackNoise, known: bool, about: Floats | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Return the last means (N, 12), covariances (N, 12, 12), and log-likelihoods (N,).
+        """Run the filter; return each cell's means (N, 12) and covariances (N, 12, 12) after its
+        last measurement, and its log-likelihood (N,).
 
-        The constant states start at `about`, means (N, 12); without it the filter has to estimate
-        them first, with a slightly larger error.
+        `known` is whether the field is known. The constant states (rate of the helix, a, bias)
+        start at their values in `about` (N, 12), the means of an earlier run; without `about`, the
+        filter has to estimate them first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth
@@ -273,7 +283,7 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
 
 
 def headings(path: CellPath) -> Floats:
-    """Return the heading of the helix (K,) [rad]."""
+    """Return the heading of the helix in each picture (K,) [rad]."""
     return np.array([cell.heading for cell in path.seen])
 
 

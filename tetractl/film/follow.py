@@ -1,4 +1,6 @@
-"""Tracks cells through a whole film; identities are also decided by later pictures."""
+"""Tracks cells through a whole film; later pictures help to decide which cell is which after cells
+met.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -129,7 +131,9 @@ def follow(
 
 
 def _sample(film: FilmPictures) -> list[Grey]:
-    """Return about BACKGROUND pictures spread evenly over the film's first BACKGROUND_S."""
+    """Return BACKGROUND to 2 BACKGROUND pictures, spread evenly over the film's first BACKGROUND_S;
+    all of them if there are fewer.
+    """
     count = 0
     for count, _ in enumerate(film, 1):
         if count >= BACKGROUND_S * film.rate_hz:
@@ -158,7 +162,7 @@ def _fill_back(
     rate_hz: float,
     born: Born,
 ) -> None:
-    """Add to a new cell's path the earlier pictures in which it was recognised."""
+    """Add a newly recognised cell to the earlier pictures in which it was already seen."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():

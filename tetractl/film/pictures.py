@@ -22,7 +22,8 @@ _DIGITS = re.compile(r"(\d+)")
 
 @dataclass(slots=True)
 class FilmPictures:
-    """The pictures at a path, for repeated iteration. `rate_hz` is given or the film's own.
+    """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
+    or the film's own.
 
     `damaged` is the number of pictures in the last iteration that could not be read or had another
     size.
@@ -72,7 +73,7 @@ def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
 
 
 def opencv():
-    """Import and return OpenCV without its messages; AbortError if it is not installed."""
+    """Import OpenCV, silence its messages, and return it; AbortError if it is not installed."""
     # FFmpeg's messages are not errors of tetractl
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     try:

@@ -31,7 +31,7 @@ from tetractl.results.mean_difference import (
 from tetractl.results.open_batch import counts, differences
 
 ENOUGH = 8
-"""Fewest trials on each side, or pairs, for a verdict."""
+"""Least number of pairs or, without pairs, of trials on each side, for a verdict."""
 PAIRED_T, WELCH_T = "paired t", "Welch's t"
 SIGNED_RANK, RANK_SUM = "signed rank", "rank sum"
 _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
@@ -43,12 +43,16 @@ class Contrast:
 
     `pairs` is the number of pairs of trials with the same disturbances; without pairs,
     `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
-    Welch's t test; `both` is another interval of it, computed from the intervals of the two means.
-    `rank_p` is the p of Wilcoxon's signed-rank test or, without pairs, rank-sum test. Each
-    `..._holm` is a p corrected for the number of contrasts. `detects` is the difference that the
-    test finds in 80 % of all studies of this size, in standard deviations of the paired differences
-    or of the values. `verdict` is "lower", "higher" or "undecided", or None with a `reason`. Groups
-    with different plants (`alike` False) are not tested; their p is NaN.
+    Welch's t test; `both` is another interval of this difference, computed from the intervals of
+    the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without pairs,
+    rank-sum test. `standardised` is the mean of the paired differences over their standard
+    deviation, `delta` Cliff's delta, and `deviations` the ratio of both standard deviations.
+    `p_holm`, `rank_p_holm` and `deviation_p_holm` are the p-values for means, ranks and standard
+    deviations, corrected for the number of contrasts. `detects` is the difference that the test
+    finds in 80 % of all studies of this size, in standard deviations of the paired differences or,
+    without pairs, of the values. `differs` lists the fields in which both specs differ. `verdict`
+    is "lower", "higher" or "undecided", or None with a `reason`. Groups with different plants
+    (`alike` False) are not tested: their p-values are NaN.
     """
 
     one: Group
@@ -158,9 +162,11 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
 
 
 def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
-    """Return the differences (n,) of paired total errors, `one` minus `other`, and "" or a reason.
-    Pairs are simulated trials with the same seed, number and disturbances; the controller does not
-    affect the disturbances. If there are no pairs, the text is the reason.
+    """Return the differences (n,) between the total errors of paired trials, `one` minus `other`,
+    and "" or the reason why there are no pairs.
+
+    A pair are two simulated trials with the same seed, number and disturbances, which do not depend
+    on the controller.
     """
     if not (one.origin.simulated and other.origin.simulated):
         return np.zeros(0), "no two trials in a lab have the same disturbances"
@@ -181,7 +187,7 @@ def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
 
 
 def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
-    """Return the total error of each counted trial, by its seed and number."""
+    """Return the total error of each counted trial by the trial's seed and number."""
     return {
         (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
     }
@@ -201,7 +207,7 @@ def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
 
 
 def _verdict(found: Contrast, p_holm: float) -> tuple[str | None, str | None]:
-    """Return the verdict, or None and the reason.
+    """Return the verdict and None, or None and the reason why there is no verdict.
 
     "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
     difference below or above 0, and a corrected p below 0.05.

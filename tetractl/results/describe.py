@@ -18,7 +18,8 @@ from tetractl.results.statistic import Value, statistics
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """The published result, and the measured mean minus the published one, tested by Welch's t.
+    """The published result, and the measured mean minus the published mean, tested by Welch's t
+    test.
 
     `difference` is None if the two are not comparable, such as an undisturbed simulation and
     real robots.
@@ -50,10 +51,11 @@ class Scaled:
 class Group:
     """A batch of trials of N robots, with a name; lengths in `unit`.
 
-    `total` and `robots` describe the errors of the n trials that count: the complete ones, whose
-    outcome the controller decided. `statistics` are the values of all registered statistics, over
-    all trials. `published` and `scaled` are None if the spec requests none; `scaled` is also None
-    for a simulation without disturbances and for an emulated lab.
+    Only complete trials count, those whose outcome the controller decided. `totals` (n,) and
+    `errors` (n, N) are the errors of the n trials that count; `total` and `robots` describe them.
+    `statistics` are the values of all registered statistics, over all trials. `published` and
+    `scaled` are None if the spec requests none; `scaled` is also None for a simulation without
+    disturbances and for an emulated lab.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""Estimates a mean or a share with its interval; `mean_difference` compares two means.
+"""Estimates a mean or a fraction with its interval; `mean_difference` compares two means.
 
-All are closed formulas without resampling, so the same values always give the same interval. An
-estimate from too few values is NaN, with a reason.
+All intervals are closed formulas without resampling, so the same values always give the same
+interval. An estimate from too few values is NaN, with a reason.
 """
 
 import math
@@ -66,7 +66,7 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """The number of n values above a `bound`, and Wilson's interval of their share.
+    """How many of n values are above a `bound`, and Wilson's interval of this fraction.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
@@ -130,7 +130,9 @@ class Distribution:
 
 
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
-    """Describe each row of an array of shape (R, n), with tails above `bound` or 10 medians."""
+    """Describe each row of an array of shape (R, n), with tails above `bound` or, if that is None,
+    above 10 medians of the row.
+    """
     count, n = rows.shape
     if n == 0:
         return [known_distribution(0, _NAN, _NAN, Interval.none("no values"))] * count
@@ -165,23 +167,26 @@ def _tail(values: Floats, median: float, bound: float | None) -> Tail:
 
 def published_distribution(n: int, mean: float, std: float) -> Distribution:
     """Describe a published result from its n, mean and standard deviation; the interval is
-    Student's on a logarithmic scale."""
+    Student's t interval on a logarithmic scale.
+    """
     if mean <= 0 or std <= 0:
         return known_distribution(n, mean, std, Interval.none("nothing varies"))
     return known_distribution(n, mean, std, Interval(*_log_t(n, mean, std), "log-t"))
 
 
 def t_quantile(degrees: float, confidence: float = CONFIDENCE) -> float:
-    """Return the bound that Student's |t| does not exceed with probability `confidence`."""
+    """Return the bound that |t|, with Student's distribution of `degrees` degrees of freedom, does
+    not exceed with probability `confidence`.
+    """
     return float(special.stdtrit(degrees, (1 + confidence) / 2))
 
 
 def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
     """Return the interval of the mean of sorted values (n,).
 
-    For values that are never negative, such as distances, it is Student's on a logarithmic scale,
-    with a higher upper end for skewed values; both ends are positive. For other values it is
-    Student's.
+    For values that are never negative, such as distances, it is Student's t interval on a
+    logarithmic scale, with a higher upper end for skewed values; both ends are positive. For other
+    values it is Student's t interval.
     """
     n = len(values)
     if n == 1:
@@ -198,7 +203,9 @@ def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
 
 
 def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
-    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)): the error of log m is s / (sqrt(n) m)."""
+    """Return m exp(-+ t(0.975, n - 1) s / (sqrt(n) m)) for n values of mean m and standard
+    deviation s: the standard error of log m is s / (sqrt(n) m).
+    """
     half = t_quantile(n - 1) * std / (math.sqrt(n) * mean)
     return float(mean * math.exp(-half)), float(mean * math.exp(half))
 
@@ -220,8 +227,8 @@ def _skewed_end(values: Floats, mean: float, std: float) -> float:
 
 
 def proportion_interval(successes: int, n: int) -> Interval:
-    """Return Wilson's interval of a proportion p: (p + z^2 / 2n -+ z sqrt(p (1 - p) / n + z^2 /
-    4n^2)) / (1 + z^2 / n).
+    """Return Wilson's interval of a proportion p = `successes` / n: (p + z^2 / 2n -+ z sqrt(p (1 -
+    p) / n + z^2 / 4n^2)) / (1 + z^2 / n).
     """
     if n == 0:
         return Interval.none("no trials")

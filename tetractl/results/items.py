@@ -164,8 +164,9 @@ def _trial(trial: ResultSummary) -> dict[str, Any]:
 
 
 def data_table(found: GroupComparison) -> Table:
-    """Return the table of `stats --format csv`: one row per trial of a single group, earlier
-    attempts last; one row per comparison of several groups, with the numbers of the JSON."""
+    """Return the table of `stats --format csv`: for one group, a row per trial, earlier attempts
+    last; for several groups, a row per comparison, with the same numbers as the JSON.
+    """
     if len(found.groups) == 1:
         return trials_table(found.groups[0].batch)
     return Table.of_records("comparisons", [flat(contrast_items(one)) for one in found.contrasts])

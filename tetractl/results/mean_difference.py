@@ -22,7 +22,9 @@ _NAN = math.nan
 
 @dataclass(frozen=True, slots=True)
 class MeanDifference:
-    """A difference of two means by a t test: `value` is the first minus the second."""
+    """A difference of two means, the first minus the second, tested by a t test with `degrees`
+    degrees of freedom.
+    """
 
     value: float
     ci95: Interval
@@ -79,7 +81,7 @@ def _reach(values: Distribution) -> tuple[float, float]:
 
 
 def paired_t(differences: Floats) -> MeanDifference:
-    """Compare two means by the differences (n,) of pairs, with Student's t: p and interval."""
+    """Compare two means from the differences (n,) of pairs, by Student's t test."""
     n = len(differences)
     differences = np.sort(differences)  # the order of the pairs must not matter
     mean = float(differences.mean()) if n else _NAN
@@ -143,7 +145,9 @@ _FEWEST = 5  # least number of values per side for a ratio of standard deviation
 
 @dataclass(frozen=True, slots=True)
 class Ratio:
-    """A ratio of two standard deviations, the first over the second; p tests that it is 1."""
+    """A ratio of two standard deviations, the first over the second; `p_value` tests whether it is
+    1.
+    """
 
     value: float
     ci95: Interval
@@ -151,7 +155,7 @@ class Ratio:
 
 
 def standardised(differences: Floats) -> Effect:
-    """Return the mean of the differences (n,) of pairs over their own standard deviation, d.
+    """Return d, the mean of the differences (n,) of pairs divided by their standard deviation.
 
     The interval is d -+ z sqrt(1/n + d^2 / 2(n - 1)), for large n (Hedges and Olkin, 1985).
     """

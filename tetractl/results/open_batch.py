@@ -20,7 +20,7 @@ OnLog = Callable[[int, int], object]
 
 @dataclass(frozen=True, slots=True)
 class Damaged:
-    """A log without a readable trial, or a damaged row, and the reason."""
+    """A log without a readable trial, or a damaged row: where it is, and what is wrong."""
 
     path: str
     problem: str
@@ -90,7 +90,7 @@ def counts(trial: ResultSummary) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """The files of a batch that is called `name`: logs, and files of a study's rows."""
+    """The files of a batch that is called `name`: logs, and files with the rows of a study."""
 
     name: str
     logs: Sequence[Path]
@@ -98,7 +98,7 @@ class Source:
 
     @classmethod
     def of(cls, paths: Sequence[Path | str], rows: bool = True) -> "Source":
-        """List the files of logs, folders and patterns, including attempts.
+        """Return the files that logs, folders and patterns name, including earlier attempts.
 
         Raises UsageError for a path without a trial.
         """
@@ -110,7 +110,9 @@ class Source:
         return cls(name + more, logs, [file for found in kept.values() for file in found])
 
     def by_arm(self, folder: Path) -> "list[Source]":
-        """Return a source per arm if `folder` contains only a study, otherwise this source."""
+        """Return a source per arm if `folder` contains only a study of several arms, otherwise this
+        source.
+        """
         logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
@@ -142,8 +144,9 @@ def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
 
 
 def sources(paths: Sequence[str]) -> list[Source]:
-    """Return one batch per folder of several folders, or per arm of the study whose folder is the
-    only path; otherwise all paths are one batch."""
+    """Return the files of each batch: of each folder, if the paths are several folders; of each
+    arm, if the only path is a study's folder; otherwise of all paths together.
+    """
     paths = [str(path) for path in without_others(paths)]
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
         found = [one_source([path]) for path in paths]
@@ -248,7 +251,8 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 
 
 def differences(one: Experiment, two: Experiment) -> list[str]:
-    """Return `path: value != value` for each field in which two experiments differ.
+    """Return a text such as `controller.horizon_max: 20 != 30` for each field in which two
+    experiments differ; only the path if a value is a section, or a list of another length.
 
     Fields that do not change a trial are left out: the description, the number and seed of the
     trials, and the error bound; also the robots, if both trials chose them by the same rule.
@@ -276,6 +280,6 @@ def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:
 
 
 def listing(differences: Sequence[str], most: int = 4) -> str:
-    """Join the first few differences into one line."""
+    """Join the first `most` differences into one line, with the number of the rest."""
     more = len(differences) - most
     return ", ".join(differences[:most]) + (f" and {more} more" if more > 0 else "")

@@ -1,7 +1,8 @@
-"""Outcomes of the trials of a batch, least distances between robots, and solve times.
+"""Statistics of a batch: how its trials ended, how near robots came to obstacles, to the arena's
+edge and to one another, and solve times.
 
-Distances are those of the true paths of the robots' centres; percentiles of solve times are over
-all steps of all trials.
+Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
+in a lab; percentiles of solve times are over all steps of all trials.
 """
 
 from collections import Counter
@@ -61,7 +62,7 @@ has none.
 def least(key: str, label: str, of: Distances) -> Statistic:
     """Return the statistic of the least distance over all robots and trials.
 
-    A trial whose log lacks the distance is left out; its column is empty.
+    A trial whose log lacks the distance is left out, and empty in its column.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
@@ -86,14 +87,18 @@ APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:
-    """Return the sum of distances at each way-point, None if the way-point was never passed."""
+    """Return the sum of the robots' distances to each way-point when it was passed, None if it
+    never was.
+    """
     wanted = len(trial.experiment.setup.legs) - 1
     known = (*trial.result.passed, *[None] * wanted)[:wanted]
     return {f"way_point_{i}": error for i, error in enumerate(known, 1)}
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return the fraction of the hold that each robot spent inside; None for an incomplete hold."""
+    """Return the fraction of the hold that each robot spent within `hold.radius` of its target;
+    None if the hold was not completed.
+    """
     if trial.experiment.hold is None:
         return {}
     names = trial.experiment.setup.names
@@ -110,8 +115,9 @@ def _lost(trial: ResultSummary) -> dict[str, Any]:
 def mean_of_each(
     of: Callable[[ResultSummary], dict[str, Any]], label: str, show: Callable[[float], str]
 ) -> Statistic:
-    """Return the statistic of the mean of each column that `of` returns for a trial, a row per
-    column."""
+    """Return a statistic with the mean over all trials of each column that `of` returns, one row
+    per column.
+    """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         columns = [of(trial) for trial in trials]

@@ -19,7 +19,9 @@ from tetractl.results.open_batch import counts
 
 @dataclass(frozen=True, slots=True)
 class Value:
-    """The value of a statistic: `items` of JSON by key, and `rows` (label, text) of a table."""
+    """The value of a statistic: by key for JSON (`items`), and as rows of label and text for a
+    table.
+    """
 
     items: dict[str, Any]
     rows: tuple[tuple[str, str], ...]
@@ -31,8 +33,10 @@ def _nothing(trial: ResultSummary) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class Statistic:
-    """`of_batch` returns the value for one or more trials of one experiment; `of_trial` returns the
-    columns of one trial in CSV, which are also its items in JSON."""
+    """How to compute a statistic: `of_batch` returns its value for one or more trials of one
+    experiment; `of_trial` returns the columns of one trial in CSV, which are also its items in
+    JSON.
+    """
 
     of_batch: Callable[[Sequence[ResultSummary]], Value]
     of_trial: Callable[[ResultSummary], dict[str, Any]] = _nothing
@@ -41,7 +45,7 @@ class Statistic:
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
     """Return the statistic of a number per trial: its mean and 95 % interval over complete trials.
 
-    A trial without a finite number is left out of the mean; its column is empty.
+    A trial without a finite number is left out of the mean, and empty in its column.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:

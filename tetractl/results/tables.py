@@ -37,8 +37,9 @@ def error_table(
     scale: float | None = None,
     finest: int = 9,
 ) -> Table:
-    """Return one row per named distribution of errors. Values have enough decimals for three digits
-    of the least mean, or of `scale`, but at most `finest`.
+    """Return one row per named distribution of errors. Values have the decimals that show three
+    digits of the least mean or, if given, of `scale`, but at most `finest`; much larger values have
+    fewer.
     """
     means = [values.mean for _, values in named if values.mean > 0]
     least = min(means, default=0.0) if scale is None else scale
@@ -171,7 +172,9 @@ def tail_label(values: Distribution) -> str:
 
 
 def _contrasts(found: Sequence[Contrast]) -> list[Table]:
-    """Return the differences of the means, the effect sizes, and a note on the tests."""
+    """Return three tables: the differences of the means, the effect sizes, and what the tests rest
+    on.
+    """
     if not found:
         return []
     first = found[0].one
@@ -245,13 +248,17 @@ def _flagged(groups: Sequence[Group]) -> Table:
 
 
 def finest(experiment: Experiment) -> int:
-    """Return the decimals of about a millionth of the arena; smaller errors have no meaning."""
+    """Return the number of decimals that shows about a millionth of the arena; smaller errors have
+    no meaning.
+    """
     extent = max(experiment.arena.width, experiment.arena.height)
     return min(max(6 - math.floor(math.log10(extent)), 0), 9)
 
 
 def page_trials(group: Group, numbers: Mapping[str, int]) -> Table:
-    """Return the table of a report: each trial's number on the page, its errors and its outcome."""
+    """Return the table of trials in a report: each trial's number on the page, its errors and
+    outcome.
+    """
     trials = group.batch.trials
     show = lengths(group.total.mean)
     return Table(

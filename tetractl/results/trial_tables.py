@@ -1,8 +1,8 @@
 """The tables of a trial: one row per control step, pose, estimate or event, or one for the trial.
 
-Every column has its unit: s, ms, rad, rad/s, the length unit of the experiment such as mm, mm/s.
-Times count from the first direction sent. `log` and `trial` are in every table, so that tables can
-be joined.
+The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
+as mm and mm/s. Times count from the first direction sent. `log` and `trial` are in every table, so
+that tables can be joined.
 """
 
 from collections.abc import Callable, Container, Mapping
@@ -23,8 +23,9 @@ _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 def steps(log: TrialLog) -> Table:
     """Return one row per control step k: the direction sent, its plan and its searches.
 
-    `left_NAME` and `right_NAME` are the wheel speeds of (24)-(25), `delivered_NAME` is False if
-    the plant knows that a command did not arrive.
+    Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by
+    equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did not reach
+    it.
     """
     setup, found = log.start.setup, log.steps
     columns: dict[str, Any] = {

@@ -51,7 +51,7 @@ def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
     """Return the first messages to a client: the server's description, and the topics with their
     schemas.
 
-    With the span of a recording [Unix ns], a viewer shows controls for the playback.
+    If the span of a recording [Unix ns] is given, viewers show controls for the playback.
     """
     info: dict[str, object] = {"op": "serverInfo", "name": name, "capabilities": ["time"]}
     info["sessionId"] = secrets.token_hex(8)  # identifies the server to a viewer that reconnects
@@ -76,12 +76,14 @@ def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
 
 
 def subscription(number: int) -> bytes:
-    """Pack a client's subscription number for messages; OverflowError if the number is invalid."""
+    """Return the bytes of a client's subscription number for `message`; OverflowError if the number
+    is invalid.
+    """
     return number.to_bytes(4, "little")
 
 
 def message(subscription: bytes, entry: Entry) -> bytes:
-    """Return a message for a subscription of a client."""
+    """Return a log's message as sent for one of a client's subscriptions."""
     return bytes([_MESSAGE]) + subscription + struct.pack("<Q", entry.log_ns) + entry.data
 
 
@@ -98,7 +100,9 @@ def playback_state(state: PlaybackState, request: bytes = b"") -> bytes:
 
 
 def control(said: bytes) -> tuple[Request, bytes] | None:
-    """Decode a request and its name; None for another message, struct.error for one cut short."""
+    """Decode a request and its name; None if `said` is not a request, struct.error if it is cut
+    short.
+    """
     if said[:1] != bytes([_CONTROL]):
         return None
     _, pausing, rate, seeking, seek_ns, length = struct.unpack_from("<BBfBQI", said)

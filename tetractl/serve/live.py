@@ -36,7 +36,7 @@ from tetractl.serve import foxglove_protocol
 from tetractl.serve.foxglove_protocol import PlaybackState, Request
 
 BACKLOG = 2048
-"""Length of a viewer's queue: three seconds of a trial with a camera of 120 Hz."""
+"""Length of a viewer's queue [messages]: three seconds of a trial with a camera of 120 Hz."""
 CLOSE_S = 0.25
 """Time for the viewers to receive their last messages, and again to end their connections [s]."""
 REQUEST_BYTES = 1 << 16
@@ -50,8 +50,8 @@ _QUIET.propagate = False
 class Viewers:
     """Sends a trial called `name` to viewers, and receives their requests.
 
-    A recording has the span `span_ns` [Unix ns]; `asked` is called in another thread with each
-    request of a viewer, and returns the new state of the playback.
+    `span_ns` [Unix ns] is the span of a recording, None for running trials. `asked` is called with
+    each request of a viewer, in another thread, and returns the new state of the playback.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class _Client:
             self.put(foxglove_protocol.message(subscription, entry))
 
     def put(self, message: str | bytes) -> None:
-        """Queue a message; the oldest one is dropped if BACKLOG wait."""
+        """Queue a message; if BACKLOG messages wait already, the oldest is dropped."""
         with self._some:
             self._waiting.append(message)
             self._some.notify()
@@ -344,7 +344,8 @@ class ServedReplay:
 
 
 class ServedRun:
-    """Sends the messages of a log for one trial after another: an `Observer` of each.
+    """Sends the messages that a log would contain, for one trial after another: an `Observer` of
+    each trial.
 
     A simulated trial is slowed to the wall clock `wall`, so that people can watch it.
     """

@@ -1,11 +1,10 @@
 """The server on the loopback address: a page, logs, a layout, and a live WebSocket for log viewers.
 
 Everything is below a path that begins with a random token, which keeps other users of this machine
-out: they can reach the port but do not know the link. Requests with a foreign `Host`, another
-site's name for this machine (DNS rebinding), are refused, and so are WebSockets with a foreign
-`Origin`, a page of another site in the operator's browser. Requests for parts of a file (RFC 9110,
-section 14) and from pages of another origin (CORS) are answered, since a log viewer reads a log
-piece by piece.
+out: they can reach the port but do not know the link. Requests whose `Host` is another site's name
+for this machine (DNS rebinding) are refused, and so are WebSockets whose `Origin` is a page of
+another site in the operator's browser. Requests for parts of a file (RFC 9110, section 14) and from
+pages of another origin (CORS) are answered, since a log viewer reads a log piece by piece.
 """
 
 import hmac
@@ -36,10 +35,10 @@ BLOCK_BYTES = 1 << 16
 class LoopbackServer:
     """Serves from construction to `close`, in threads of its own; a context manager.
 
-    `page` is HTML, `layout` JSON, `logs` are files by name. `live` is streamed over WebSockets,
-    also to pages of the viewer at the address `viewer`. Each has its own address: `page_url`,
-    `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be used; port 0
-    takes any free port.
+    It serves `page` (HTML), `layout` (JSON) and `logs`, which are files by name, and streams `live`
+    over WebSockets, also to pages of the viewer at the address `viewer`. Their addresses are
+    `page_url`, `layout_url`, `log_url` and `live_url`. Raises UsageError if the port cannot be
+    used; port 0 takes any free port.
     """
 
     def __init__(
@@ -242,7 +241,8 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
 
 
 def byte_range(asked: str, size: int) -> tuple[int, int] | None:
-    """Return the first and last byte that a `Range` header requests, None if that is impossible.
+    """Return the first and last byte that a `Range` header requests, None if a file of `size` bytes
+    has no such range.
 
     Several ranges are not supported and give None.
     """

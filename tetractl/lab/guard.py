@@ -40,12 +40,12 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardRules:
-    """The spec's `limits`, and what of robots and arena the guard needs.
+    """The spec's `limits`, and what the guard needs to know of robots and arena.
 
-    `speeds` (N,) are v of each robot [length unit/s], `turning` (N,) its fastest turn [rad/s]; `mm`
-    is the number of millimetres per length unit. Robots that are not `individual` can only be
-    stopped together. A run that `goes_on` continues without a lost robot, and ends when the last
-    one is lost.
+    `speeds` (N,) are the robots' v [length unit/s], `turning` (N,) their greatest turning rates
+    [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can
+    only be stopped together. A run that `goes_on` continues without a lost robot, and ends when the
+    last robot is lost.
     """
 
     names: tuple[str, ...]
@@ -65,9 +65,9 @@ class GuardRules:
 
 @dataclass(frozen=True, slots=True)
 class Ruling:
-    """The decision of a tick: which robots may move (N,), and the accepted poses (N,).
+    """The decision of a tick: which robots may move, `moving` (N,), and the accepted `poses` (N,).
 
-    A pose is None if a robot is not tracked. `reason` is why the run was aborted, "" otherwise.
+    A pose is None if the robot is not tracked. `reason` is why the run was aborted, "" otherwise.
     """
 
     state: GuardState
@@ -149,7 +149,7 @@ class Guard:
             self.state = GuardState.READY
 
     def abort(self, reason: str, emergency: bool = False) -> None:
-        """Enter `abort`; the reason of the first call is kept."""
+        """Enter `abort`, for good; later calls do not change the reason."""
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
@@ -161,7 +161,7 @@ class Guard:
             }
 
     def steered(self, now_ns: int, ahead: bool = True) -> None:
-        """Record that the controller gave a direction; not `ahead`, robots turn on the spot."""
+        """Record that the controller gave a direction; if not `ahead`, robots turn on the spot."""
         self._steered_ns, self._ahead = now_ns, ahead
 
     def late(self, missed: bool) -> None:
@@ -171,7 +171,7 @@ class Guard:
             self.abort(f"{self._late} control steps in a row were late")
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
-        """Take the last transmission: speeds [length unit/s] and turning rates [rad/s]."""
+        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         share = self.rules.limits.wheel_error if self.rules.individual else SWIMMERS
         self._motion.sent(now_ns, speed, turning, share)
         self._swaps.sent(now_ns, turning)
@@ -179,8 +179,8 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        Returns None for a frame that was not exposed after all earlier ones: it is dropped and
-        counted.
+        Returns None for a frame that was not exposed after all earlier frames; such a frame is
+        dropped and counted.
         """
         if frame.fault:
             self.abort(frame.fault)
@@ -233,8 +233,8 @@ class Guard:
     def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.
 
-        `damaged` is the number of damaged deliveries from the camera so far, `failure` is why the
-        actuator cannot send any more.
+        `damaged` is the number of pictures or datagrams so far that the camera could not read,
+        `failure` is why the actuator cannot send any more, None if it can.
         """
         limits = self.rules.limits
         asleep_ns = 0 if self._last_tick_ns is None else now_ns - self._last_tick_ns
@@ -370,7 +370,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Return whether a robot leaves the arena or, if outside, moves further away from it."""
+        """Return whether a robot leaves the arena or, if it is outside, moves away from it."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:
@@ -381,7 +381,7 @@ class Guard:
         )
 
     def _count_damaged(self, now_ns: int, total: int) -> None:
-        """Abort on too many damaged deliveries within a second."""
+        """Abort if too many pictures or datagrams within a second could not be read."""
         self._damaged.append((now_ns, total))
         while self._damaged and self._damaged[0][0] < now_ns - SECOND:
             self._damaged.popleft()

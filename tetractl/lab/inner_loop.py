@@ -1,7 +1,8 @@
 """The inner loop passes camera frames to the guard, and the guard's decisions to the actuator.
 
-It makes a step at every camera frame, in its own thread, so that planning cannot delay a stop. A
-held direction is sent at the actuator's rate; a new direction or a stop is sent at once.
+The loop makes a step at every camera frame, in its own thread, so that planning cannot delay a
+stop. It sends a new direction or a stop at once, and repeats the last direction at the actuator's
+rate.
 """
 
 import threading
@@ -66,8 +67,8 @@ class InnerLoop:
         self._thread.start()
 
     def steer(self, direction: float, ahead: bool = True) -> Transmission:
-        """Hold a direction u [rad] from now on; return the first transmission that carries it. If
-        not `ahead`, the robots turn towards it on the spot.
+        """Send a direction u [rad] from now on; return the first transmission that carries it. If
+        not `ahead`, the robots turn towards u on the spot.
 
         The transmission is a stop if the guard presently lets no robot move. AbortError with the
         guard's reason if no robot may move any more.
@@ -92,7 +93,7 @@ class InnerLoop:
             self.guard, self.frames = guard, FrameBuffer()
 
     def stop(self) -> None:
-        """Send the stop command to every robot ten times within 200 ms; never raises."""
+        """Send a stop to every robot ten times within 200 ms; never raises."""
         with self._held(STOP_S) as held:
             self._steering, self.idle = False, None
             self.guard.rest()
@@ -115,15 +116,15 @@ class InnerLoop:
             self._guarded_tick()
 
     def sent(self) -> list[Transmission]:
-        """Return, once, every transmission since the last call, oldest first."""
+        """Return the transmissions since the last call, oldest first."""
         return drained(self._sent)
 
     def warnings(self) -> list[tuple[int, str]]:
-        """Return, once, the guard's warnings since the last call, each with its time [ns]."""
+        """Return the guard's warnings since the last call, each as (time [ns], text)."""
         return drained(self._warnings)
 
     def close(self) -> None:
-        """End the thread; idempotent, never raises."""
+        """End the loop's thread; may be called twice, never raises."""
         self._closing.set()
         self._wake.set()
         if self._thread.is_alive():
@@ -131,7 +132,7 @@ class InnerLoop:
 
     @contextmanager
     def _held(self, timeout_s: float) -> Iterator[bool]:
-        """Hold the lock in the block; yield False if the lock is not free in time."""
+        """Hold the lock during the `with` block; yield False if it is not free in time."""
         held = self._lock.acquire(timeout=timeout_s)
         try:
             yield held
@@ -146,7 +147,7 @@ class InnerLoop:
             self.step()
 
     def _guarded_tick(self) -> None:
-        """Run one tick; an error in it stops the robots, but not this loop."""
+        """Make one step; an error during the step stops the robots, but not this loop."""
         try:
             self._tick()
         except AbortError as error:
@@ -174,7 +175,7 @@ class InnerLoop:
             self._turn(self.idle(now), ruling, now)
 
     def _turn(self, direction: float, ruling: Ruling, now: int) -> None:
-        """Send the direction that applies before robots are steered, unless frames are missing."""
+        """Send a direction before robots are steered; a stop in its place if frames are missing."""
         if now < self._next_ns:
             return
         self._next_ns = now + self._actuator.period_ns
@@ -214,7 +215,7 @@ class InnerLoop:
         self._let, self._new = ruling.moving, False
 
     def _pass_on(self, sent: Transmission) -> None:
-        """Report a transmission to a camera that identifies robots by their response."""
+        """Report a transmission to the camera, if it identifies robots by their response."""
         if self._on_signal is not None:
             self._on_signal(sent.direction, sent.sent_ns)
 

@@ -1,16 +1,17 @@
 """Checks whether robots move as commanded: compares a camera's poses with the transmissions.
 
-A robot with two wheels, at a distance r from its centre, can only move along its heading at v and
-turn at w. Which command acts at a time t is unknown: radio and wheels delay commands, and some are
-lost. So v(t) and w(t) lie between the least and the greatest values commanded in [t - DELAY_NS, t],
-each widened by the possible error of the wheels, a fraction g of the faster wheel's speed:
+A robot with two wheels, each at a distance r from the robot's centre, can only move along its
+heading at a speed v and turn at a rate w. Which command acts at a time t is unknown: radio and
+wheels delay commands, and some are lost. So v(t) and w(t) lie between the least and the greatest
+values commanded in [t - DELAY_NS, t], widened by the errors that result if the speed of each wheel
+is wrong by up to a fraction g:
 
     e = g max(|v|, |w| r),    v in [v - e, v + e],    w in [w - e / r, w + e / r].
 
-Over any part of the last WINDOW_NS, the displacement along the heading and the angle turned must
-lie between the integrals of these bounds; the displacement across the heading must lie within the
-integral of e, as a rolling robot does not move sideways. A slack is allowed for each. Lengths are
-in the spec's length unit.
+From any time in the last WINDOW_NS until now, the displacement along the heading and the angle
+turned must lie between the integrals of these bounds; the displacement across the heading must lie
+within plus or minus the integral of e, as a rolling robot does not move sideways. A slack is added
+to each bound. Lengths are in the spec's length unit.
 """
 
 import math
@@ -41,10 +42,10 @@ WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
 
 
 class MotionCheck:
-    """Compares N robots of `speeds` (N,) with their commands.
+    """Compares the motion of N robots, with the speeds `speeds` (N,), with their commands.
 
-    `radius` is r, 0 for robots without wheels; `noise` is the largest error of a pose [length
-    unit].
+    `radius` is r, 0 for robots without wheels; `noise` is the largest error of a position. Both are
+    in the spec's length unit.
     """
 
     def __init__(self, speeds: Sequence[float], radius: float, noise: float) -> None:
@@ -68,13 +69,15 @@ class MotionCheck:
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
 
     def forget(self, i: int) -> None:
-        """Start again with robot i at its next pose."""
+        """Forget the motion of robot i, which is compared again from its next pose on."""
         self._past[i].clear()
 
     def sent(
         self, now_ns: int, speed: Sequence[float], turning: Sequence[float], share: float
     ) -> None:
-        """Take a transmission: speeds [length unit/s], turning rates [rad/s], relative error."""
+        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s], and
+        the relative error g of the wheels as `share`.
+        """
         v, w = np.array(speed), np.array(turning)
         off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
         around = off / self._radius if self._radius else share * np.abs(w)
@@ -137,7 +140,9 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return the fault text for a motion (3,), along, across and around, that is out of bounds."""
+    """Return the fault text for a motion `way` (3,), along, across and around, that is out of the
+    bounds `least` and `most` (3,).
+    """
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2
     if along and abs(way[0]) < STANDS * abs(meant[0]):

@@ -1,5 +1,5 @@
-"""Accepts camera poses of a body that is upright on the floor, at a position that the robot can
-have reached since its last pose; buffers the frames with accepted poses.
+"""Accepts a camera's pose of a robot if the body is upright on the floor and the robot can have
+moved there since its last pose; buffers the frames with the accepted poses.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
@@ -22,9 +22,10 @@ SPACING_NS = SECOND // 10  # interval of the poses kept for this comparison, exc
 class MotionLimits:
     """Limits of a robot's motion: the greatest `speed` [length unit/s] and `turning` [rad/s].
 
-    `jump` [length unit] and `jump_heading` [rad] are allowed in addition to motion at these limits.
-    `lowest` and `highest` bound the height of the body [length unit], `tilt` its angle to the
-    vertical [rad]; `mm` is the number of millimetres per length unit.
+    A pose may differ from an earlier one by motion at `FASTER` times these limits, plus `jump`
+    [length unit] and `jump_heading` [rad]. `lowest` and `highest` bound the height of the body
+    [length unit], `tilt` its angle to the vertical [rad]; `mm` is the number of millimetres per
+    length unit.
     """
 
     speed: float
@@ -39,7 +40,7 @@ class MotionLimits:
 
 @dataclass(slots=True)
 class PoseFilter:
-    """The accepted poses of one robot: the last one, and some of the last second.
+    """The accepted poses of one robot: the last pose, and some poses of the last second.
 
     `refused` is why the newest pose was refused, "" if it was accepted or missing.
     """
@@ -56,7 +57,7 @@ class PoseFilter:
         self.refused = ""
 
     def lost(self) -> None:
-        """Take a frame in which the robot is not tracked."""
+        """Note that the robot is not tracked in the newest frame."""
         self.refused = ""
 
     def fault(self, pose: Pose, at_ns: int, driving: bool) -> str:
@@ -68,7 +69,9 @@ class PoseFilter:
         return "its pose jumped" if not fault and driving and self._jumps(pose, at_ns) else fault
 
     def add(self, pose: Pose, at_ns: int, refused: str) -> bool:
-        """Take a pose exposed at `at_ns`; return whether it is accepted."""
+        """Take a pose exposed at `at_ns`, unless `refused` says why not; return whether it is
+        accepted.
+        """
         self.refused = refused
         if self.refused:
             return False
@@ -98,7 +101,7 @@ class PoseFilter:
         )
 
     def _off_the_floor(self, pose: Pose) -> str:
-        """Return why a body's height or tilt is wrong for a robot on the floor, otherwise ""."""
+        """Return why a body's height or tilt is wrong for a robot on the floor; "" if both fit."""
         limits = self.limits
         if pose.height is not None and not limits.lowest <= pose.height <= limits.highest:
             return f"its body is at a height of {pose.height * limits.mm:.0f} mm"
@@ -112,8 +115,8 @@ KEPT = 20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz 
 
 @dataclass(frozen=True, slots=True)
 class AcceptedFrame:
-    """A camera frame, exposed after all earlier ones, with the poses of N robots that the guard
-    accepts.
+    """A camera frame, exposed after all earlier frames, and the N robots' poses that the guard has
+    accepted.
 
     `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
     pose is from this frame; if not, the robot was not tracked or its pose was refused.
@@ -145,8 +148,8 @@ class FrameBuffer:
             self.count += 1
 
     def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames that followed the first `count`, oldest first, and the number of all
-        frames so far, which is `count` for the next call. Dropped frames are left out.
+        """Return the frames after the first `count`, oldest first, and the number of all frames so
+        far: the `count` for the next call. Frames dropped from the buffer are left out.
         """
         with self._lock:
             return list(islice(reversed(self._frames), self.count - count))[::-1], self.count

@@ -1,4 +1,4 @@
-"""The preflight check: robots tracked, on their starts and answering; camera frames fresh."""
+"""The preflight check: are robots tracked, on their starts and answering, and frames fresh?"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,11 +26,11 @@ SILENCE_S = 0.5  # a camera's silence that ends the wait, unless the spec allows
 
 @dataclass(frozen=True, slots=True)
 class RobotFinding:
-    """The state of one robot: distance to its start [mm] and error of its heading [rad], None if
-    untracked.
+    """The state of one robot. `off_mm` is its distance from its start [mm] and `off_heading` its
+    heading minus its start heading [rad]; both are None if it is not tracked.
 
-    `misplaced` describes how far the robot is from its start, "" if it is there or untracked.
-    `untracked` describes why the robot is not tracked, "" if it is.
+    `misplaced` is a text that says how far the robot is from its start, "" if it is there or not
+    tracked. `untracked` is a text that says why the robot is not tracked, "" if it is.
     """
 
     name: str
@@ -47,7 +47,7 @@ class RobotFinding:
 
     @property
     def problems(self) -> tuple[str, ...]:
-        """The problems that keep the robot from starting, except its position."""
+        """The problems that keep the robot from starting, except a wrong position."""
         return (*((self.untracked,) if self.untracked else ()), *self.status.problems)
 
 
@@ -68,7 +68,7 @@ class Preflight:
 
     @property
     def all_problems(self) -> tuple[str, ...]:
-        """All problems that keep a run from starting, except the robots' positions."""
+        """All problems that keep a run from starting, except wrong positions of robots."""
         return (*self.problems, *(p for robot in self.robots for p in robot.problems))
 
     @property
@@ -173,7 +173,7 @@ def _watch(rig: Rig) -> list[CameraFrame]:
 
 
 def _latency_ms(seen: Sequence[CameraFrame]) -> tuple[float, float] | None:
-    """Return the median and greatest age of frames [ms]; None if the ages are not known."""
+    """Return the median and greatest age of frames on arrival [ms]; None if ages are not known."""
     ages = sorted(frame.received_ns - frame.sampled_ns for frame in seen)
     if not ages or not ages[-1]:
         return None

@@ -24,9 +24,9 @@ def moving_robots(rig: Rig) -> list[str]:
 
 
 def wait_for_rest(rig: Rig) -> str:
-    """Wait until the camera sees every robot stand still, and repeat the stop while one moves.
+    """Wait until the camera sees every robot stand still; repeat the stop while any robot moves.
 
-    Returns a text that names robots not at rest within `limits.standstill`, "" if all are.
+    Returns a text that names the robots not at rest within `limits.standstill`, "" if all rest.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -45,7 +45,7 @@ def wait_for_rest(rig: Rig) -> str:
 def wait_until_tracked(rig: Rig) -> str:
     """Wait until every robot is tracked, for robots that cannot stand still.
 
-    Returns a text that names robots not tracked within `limits.standstill`, "" if all are.
+    Returns a text that names the robots not tracked within `limits.standstill`, "" if all are.
     """
     limit_ns = round(rig.limits.standstill * SECOND)
     began = rig.clock.now()
@@ -75,7 +75,9 @@ def _lost(rig: Rig) -> list[str]:
 
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
-    """Return why robot i does not count as standing still in the frames, "" if it does."""
+    """Return why robot i does not count as standing still in the frames of `window`; "" if it
+    does.
+    """
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:

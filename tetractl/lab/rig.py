@@ -70,8 +70,8 @@ class Rig:
         self.close()
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
-        """Continue with a new setup, whose robots are the cells with `numbers`, at their present
-        poses.
+        """Continue with a new setup, whose robots are the cells with these numbers; their present
+        poses become their starts.
         """
         self.setup = setup
         self.start_anywhere()
@@ -93,12 +93,12 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return the message that robot i is not tracked, with the reason if known."""
+        """Return the text that robot i is not tracked, with the reason if known."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 
     def close(self) -> None:
-        """End the inner loop and release the devices; idempotent, never raises."""
+        """End the inner loop and release the devices; may be called twice, never raises."""
         self.loop.close()
         self._opened.close()
 
@@ -111,7 +111,7 @@ class Rig:
 def build_rig(
     lab: LabSection, setup: Setup, clock: Clock, emergency: threading.Event | None = None
 ) -> Rig:
-    """Return the rig of a spec; nothing is opened yet."""
+    """Build the rig of a spec, without opening any device."""
     wake = threading.Event()
     camera = lab.camera.build(setup, clock, wake.set)
     actuator = lab.actuator.build(setup, clock)
@@ -119,7 +119,7 @@ def build_rig(
 
 
 def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> GuardRules:
-    """Return the guard's limits in the spec's length unit."""
+    """Return the guard's rules for a setup, with lengths in the spec's length unit."""
     arena, per_mm = setup.arena, MM / setup.metres
     edge = limits.edge_mm * per_mm
     silence_s = setup.period_s * (limits.late_steps + 1)

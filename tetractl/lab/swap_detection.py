@@ -1,20 +1,21 @@
-"""Detects swapped or wrong robot numbers: robots that do not turn as commanded, but as another
-robot is commanded.
+"""Detects swapped or wrong robot numbers: a robot that does not turn as it is commanded, but as
+another robot is commanded.
 
 For robot i, the measured turning rate s_i(t) [rad/s] is compared with the rate w_j commanded to
 each robot j, with a delay d and a gain g,
 
     Q_ij = min over d, g of the integral of g^2 w_j(t - d)^2 - 2 g s_i(t) w_j(t - d) dt,
 
-which is the squared residual of j's commands minus a term common to all j. The gain is 1 except for
-a robot's own commands, since uncalibrated wheels turn it by somewhat more or less. Unequal wheels
-also turn it at a constant rate b, so its own commands are g w_i + b. Robot i follows j if Q_ii -
-Q_ij exceeds a fraction of the integral of (w_i - w_j)^2.
+which is the integral of (s_i - g w_j)^2 without the term s_i^2, which is the same for all j. The
+gain g is 1 for another robot's commands. For a robot's own commands, g is fitted, since
+uncalibrated wheels turn the robot somewhat more or less, and so is a constant rate b at which
+unequal wheels turn it: its own commands are g w_i + b. Robot i follows j if Q_ii - Q_ij exceeds a
+fraction of the integral of (w_i - w_j)^2.
 
-A robot that moves as commanded follows no other, and robots that stand still cannot follow one
-another in a ring (i follows j, j follows i): robots that follow one another in a ring are swapped.
-A single robot that follows another may have a different fault, and is observed for longer. Robots
-with the same commands cannot be distinguished.
+A robot that moves as commanded follows no other robot, and robots that stand still cannot follow
+one another in a ring (i follows j, j follows i): robots that follow one another in a ring are
+swapped. A single robot that follows another may have a different fault, and is observed for longer.
+Robots with the same commands cannot be distinguished.
 
 `IdentityWatch` checks cells: it warns if cells may have been swapped, and ends the trial if the
 doubt lasts.
@@ -104,7 +105,7 @@ class SwapDetector:
             stretch.forget(i)
 
     def fault(self) -> str:
-        """Return a message about robots that follow the commands of others, "" if none does."""
+        """Return a text about robots that follow the commands of other robots, "" if none does."""
         if self._found is None:
             self._found = self._fault()
         return self._found
@@ -121,8 +122,9 @@ class SwapDetector:
         return ""
 
     def _mean(self, until_ns: int, dt_ns: int) -> Floats:
-        """Return the mean turning rates (N,) in force within the `dt_ns` until a time, 0 before
-        the first transmission."""
+        """Return the mean turning rates (N,) commanded during the `dt_ns` before a time; rates are
+        0 before the first transmission.
+        """
         total, first = np.zeros(len(self._names)), until_ns - dt_ns
         while True:
             k = bisect_left(self._times, until_ns) - 1
@@ -147,7 +149,9 @@ class _TurnIntegrals:
         self._turned, self._seconds = np.zeros(n), np.zeros(n)  # integrals of s_i, and of 1
 
     def add(self, i: int, commanded: Floats, angle: float, dt: float) -> None:
-        """Add robot i's turn by `angle` [rad] in `dt` [s] at `commanded` rates (D, N) [rad/s]."""
+        """Add a turn of robot i by `angle` [rad] within `dt` [s], during which the `commanded`
+        rates of all robots were (D, N) [rad/s].
+        """
         self._commanded[:, i] += commanded**2 * dt
         self._common[:, i] += angle * commanded
         self._differ[i] += (commanded[0] - commanded[0, i]) ** 2 * dt
@@ -161,14 +165,14 @@ class _TurnIntegrals:
         self._differ[i] = self._way[:, i] = self._turned[i] = self._seconds[i] = 0.0
 
     def follows(self) -> np.ndarray:
-        """Return (N, N): whether robot i follows the commands of j better than its own."""
+        """Return whether robot i follows the commands of robot j better than its own, (N, N)."""
         misfit = (self._commanded - 2.0 * self._common).min(axis=0)
         better = self._own(GAINS)[:, None] - misfit
         return (self._differ > DISTINCT) & (better > BETTER * self._differ + CLEAR)
 
     def follows_alone(self, i: int) -> np.ndarray:
-        """Return (N,): whether robot i follows each robot's commands, and a bad wheel does not
-        explain it.
+        """Return, for each robot (N,), whether robot i follows that robot's commands in a way that
+        a bad wheel does not explain.
         """
         misfits = self._commanded[:, i] - 2.0 * self._common[:, i]
         misfit = misfits.min(axis=0)
@@ -185,7 +189,7 @@ class _TurnIntegrals:
         )
 
     def _own(self, gains: tuple[float, float]) -> Floats:
-        """Return Q_ii (N,) of each robot's own commands, for the best bias and gain in a range."""
+        """Return Q_ii (N,), for the best bias and the best gain between the two `gains`."""
         bias = np.array(BIASES)[:, None, None]
         commanded = np.diagonal(self._commanded, axis1=1, axis2=2)
         common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
@@ -195,7 +199,9 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return a ring of robots: each follows the next, the last follows the first; [] if none."""
+    """Return a ring of robots, each of which follows the next and the last the first; [] if
+    none.
+    """
     reach = follows.copy()
     for k in range(len(follows)):
         reach |= np.outer(reach[:, k], reach[k])
@@ -209,8 +215,10 @@ SURE = 0.9
 
 
 class IdentityWatch:
-    """Watches the identities of cells as robots with `names`. `unknown` maps the index of a robot
-    whose identity has been unknown for `patience_s` [s] to the reason why the run must end.
+    """Watches whether it is known which cell is which of the robots `names`.
+
+    If that has been unknown of a robot for `patience_s` [s], `unknown` maps the robot's index to
+    the reason why the run must end.
     """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:
@@ -219,8 +227,9 @@ class IdentityWatch:
         self.unknown: dict[int, str] = {}
 
     def see(self, film: CellFilm) -> Iterator[Note]:
-        """Take a picture's probabilities; yield a note when a seen cell's identity changes between
-        known and unknown."""
+        """Take the probabilities of a picture; yield a note for each robot whose identity becomes
+        known or unknown.
+        """
         now = film.sampled_ns
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:

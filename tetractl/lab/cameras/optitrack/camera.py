@@ -1,7 +1,7 @@
 """OptiTrack cameras as a `Camera`: a NatNet connection, and its checks before a run.
 
-The receiver's thread continues after any datagram or socket error: it counts bad datagrams, and
-stores the last socket error in `error`. It never waits until its frames are fetched.
+The receiver's thread continues after any bad datagram or socket error: it counts bad datagrams, and
+stores the last socket error in `error`. It never waits for somebody to fetch its frames.
 """
 
 import select
@@ -55,8 +55,7 @@ BUFFER = 1 << 18
 class OptitrackCamera:
     """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
 
-    Times are ns on `clock`.
-    `wake` is called, in the receiver's thread, after every new frame.
+    Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame.
     """
 
     def __init__(
@@ -94,7 +93,7 @@ class OptitrackCamera:
 
     @property
     def damaged(self) -> int:
-        """Datagrams dropped so far because they could not be read."""
+        """Number of datagrams so far that could not be read."""
         return self.stream.counts.bad
 
     def __enter__(self) -> Self:
@@ -145,11 +144,11 @@ class OptitrackCamera:
             raise AbortError(f"the camera server sends no new frames any more ({timeout_s:g} s)")
 
     def frames(self) -> list[CameraFrame]:
-        """Return, once, every frame since the last call, oldest first."""
+        """Return the frames since the last call, oldest first."""
         return drained(self._fresh)
 
     def __exit__(self, *_: object) -> None:
-        """Disconnect and end the thread; idempotent, never raises."""
+        """Disconnect and end the receiver's thread; may be called twice, never raises."""
         if self._sockets and not self._closing.is_set():
             self._send(Bare(MessageKind.DISCONNECT))
         self._closing.set()
@@ -160,7 +159,9 @@ class OptitrackCamera:
         self._sockets = []
 
     def check(self) -> Health:
-        """Return problems, such as bodies that are not streamed, and facts of server and clock."""
+        """Return problems, such as bodies that are not streamed, warnings, and facts of the server
+        and its clock.
+        """
         stream, sync = self.stream, self.stream.sync
         problems = diagnosis.not_streamed(stream, self.names)
         warnings = diagnosis.not_taken(self.senders, stream)
@@ -238,8 +239,8 @@ class OptitrackCamera:
         self._wake()
 
     def _chores(self) -> None:
-        """Send the periodic requests: for missing information, for the time, and to keep the
-        stream.
+        """Send the requests that are due: for missing information, for the server's time, and, in
+        unicast, to keep the stream going.
         """
         stream = self.stream
         if stream.info is None:
@@ -262,10 +263,11 @@ class OptitrackCamera:
                 self._echoes += 1
 
     def _ask_models(self) -> None:
-        """Request names that are unknown or have changed, or if a robot's body is not streamed.
+        """Request the bodies' names if they are unknown or have changed, or if a robot's body is
+        not streamed.
 
-        Once names are known, the interval between requests doubles each time, since some servers
-        report a change in every frame.
+        Once names are known, the interval between requests doubles each time, up to 8 s, since some
+        servers report a change in every frame.
         """
         stream, now = self.stream, self._clock.now()
         known = stream.model is not None

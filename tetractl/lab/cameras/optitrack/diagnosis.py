@@ -78,7 +78,9 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
 
 
 def _reads_as(frame: bytes, stream: Stream) -> str:
-    """Return the protocol versions that fit a frame's layout, the server's own first."""
+    """Return, as text, a protocol version that fits a frame's layout; the server's own is tried
+    first.
+    """
     own = [] if stream.info is None else [stream.info.version]
     for version in (*own, *reversed(LAYOUTS)):
         try:
@@ -126,7 +128,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 
 def bodies(stream: Stream) -> str:
-    """Return one line that lists the rigid bodies named or streamed by the server."""
+    """Return a line that lists the rigid bodies that the server has named or streamed."""
     named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
     every = tuple(dict.fromkeys((*named, *stream.seen)))
     shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
@@ -173,7 +175,7 @@ def _lacking(stream: Stream, model: ModelDef, name: str, robot: TrackedRobot) ->
 
 
 def not_taken(senders: Senders, stream: Stream) -> list[str]:
-    """Return warnings about datagrams of other senders and about answers without a request."""
+    """Return warnings about dropped datagrams: from other senders, or answers without a request."""
     lines: list[str] = []
     if senders.refused:
         sender, _ = senders.refused.most_common(1)[0]

@@ -58,8 +58,8 @@ class MessageKind(IntEnum):
 class RigidBody:
     """One rigid body of a frame.
 
-    `position` in m and `quaternion` (qx, qy, qz, qw) in the server's axes. An untracked body stays
-    in the frame with its last pose and `tracking_valid` False.
+    `position` [m] and `quaternion` (qx, qy, qz, qw) are in the server's axes. An untracked body
+    stays in the frames, with its last pose and with `tracking_valid` False.
     """
 
     id: int
@@ -70,7 +70,7 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class Ticks:
-    """Times of a frame, in ticks of the server's clock; sent from NatNet 3.0 on.
+    """Times of a frame, in ticks of the server's clock; servers send them from NatNet 3.0 on.
 
     `ServerInfo.clock_hz` is the number of ticks per second.
     """
@@ -82,7 +82,7 @@ class Ticks:
 
 @dataclass(frozen=True, slots=True)
 class NatNetFrame:
-    """One camera frame; `ticks` are None before 3.0."""
+    """One camera frame; `ticks` is None before NatNet 3.0."""
 
     number: int
     bodies: tuple[RigidBody, ...]
@@ -112,8 +112,8 @@ class BodyName:
 class ModelDef:
     """The rigid bodies a server streams.
 
-    `complete` is False if reading ended early at a data set of unknown layout and size (before
-    4.1): a body whose name is missing may then exist.
+    `complete` is False if reading ended early at a data set of unknown layout and size, which is
+    possible before NatNet 4.1: the server may then stream bodies that are missing here.
     """
 
     bodies: tuple[BodyName, ...]
@@ -126,7 +126,9 @@ class ModelDef:
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message; `bitstream` requests a protocol version (from 4.0, unicast)."""
+    """The client's first message; in unicast, from NatNet 4.0 on, `bitstream` requests a protocol
+    version.
+    """
 
     name: str = ""
     app_version: Quad = (0, 0, 0, 0)
@@ -137,7 +139,7 @@ class Connect:
 
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
-    """The answer to CONNECT; the last four fields exist from 3.0 on, otherwise None."""
+    """The answer to CONNECT; the last four fields are None before NatNet 3.0."""
 
     name: str
     app_version: Quad
@@ -169,14 +171,16 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class EchoRequest:
-    """A request for the server's time; the answer repeats `client`, the host's time [ns]."""
+    """A request for the server's time; `client` is the host's time [ns], which the answer
+    repeats.
+    """
 
     client: int
 
 
 @dataclass(frozen=True, slots=True)
 class EchoResponse:
-    """The server's time at its answer [ticks], and the `client` of the request."""
+    """The server's time when it answered [ticks], and the `client` of the request."""
 
     client: int
     server: int

@@ -33,7 +33,7 @@ NAME_MAX = 255  # bytes, without the closing NUL
 
 
 class Cursor:
-    """A read position in a payload of little-endian fields; it only moves forward, to the end."""
+    """A read position in a payload of little-endian fields; it only moves forward, up to `end`."""
 
     __slots__ = ("at", "data", "end")
 
@@ -54,7 +54,7 @@ class Cursor:
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:
-        """Read one structure."""
+        """Read one structure; return its fields."""
         start = self.at
         self.skip(layout.size)
         return layout.unpack_from(self.data, start)
@@ -64,8 +64,8 @@ class Cursor:
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
-        """Read the count of elements of at least `smallest` bytes each; they must fit into the
-        rest.
+        """Read a number of elements, which have at least `smallest` bytes each; WireError if so
+        many do not fit into the rest.
 
         This limits loops and memory by the datagram's size.
         """
@@ -75,7 +75,7 @@ class Cursor:
         return count
 
     def size(self, count: int, smallest: int) -> int:
-        """Read the byte size of a section that holds `count` elements."""
+        """Read the size [bytes] of a section with `count` elements of at least `smallest` bytes."""
         size = self.i32()
         if not 0 <= count * smallest <= size <= self.left:
             raise WireError(f"{count} elements in {size} bytes, {self.left} left")
@@ -230,7 +230,7 @@ _PLATE = (2 + 3 + 12 * 12 + 4 * 3) * 4 + 8  # width, length, origin, matrix, cor
 
 
 def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
-    """Read the rigid bodies' names and ids; those inside skeletons are not listed."""
+    """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
     if version < OLDEST:
         raise WireError(f"protocol {version} is older than {OLDEST}")
     cursor = Cursor(payload)

@@ -12,7 +12,7 @@ NORM_TOLERANCE = 1e-3
 
 
 class UpAxis(IntEnum):
-    """The server's vertical axis; the value is the server's answer to `UpAxis`."""
+    """The server's vertical axis; the value is the server's answer to the request `UpAxis`."""
 
     Y = 1
     Z = 2
@@ -21,14 +21,14 @@ class UpAxis(IntEnum):
 def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:
     """Return a body's pose on the floor in the server's axes; lengths in m, angles in rad.
 
-    The heading is the direction of the body's +x axis plus the robot's offset, in [-pi, pi]; the
-    tilt is the angle between the body's vertical axis and the server's.
+    The heading is the direction of the body's +x axis plus `heading_offset`, in [-pi, pi]; the tilt
+    is the angle between the body's vertical axis and the server's. Position, direction and tilt are
 
-    With z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)).
-    With y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
+    with z up: (x, y), atan2(2 (qw qz + qx qy), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qy^2)),
+    with y up: (x, -z), atan2(2 (qw qy - qx qz), 1 - 2 (qy^2 + qz^2)), acos(1 - 2 (qx^2 + qz^2)).
 
-    None if the body is not tracked: valid bit not set, a value not finite, or a quaternion
-    whose norm is not 1.
+    Returns None if the body is not tracked: its valid bit is not set, a value is not finite, or its
+    quaternion's norm is not 1.
     """
     x, y, z = body.position
     qx, qy, qz, qw = body.quaternion
@@ -47,7 +47,9 @@ def planar_pose(body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pos
 
 @dataclass(frozen=True, slots=True)
 class Placement:
-    """The cameras' axes in the spec's coordinates; `scale` is length units per metre."""
+    """The cameras' axes in the spec's coordinates: their origin `x`, `y` [length unit] and
+    `rotation` [rad]; `scale` is the number of length units per metre.
+    """
 
     x: float
     y: float
@@ -56,7 +58,7 @@ class Placement:
 
     @classmethod
     def of(cls, section: OptitrackSection, metres: float) -> "Placement":
-        """Return the placement in a spec whose length unit is `metres`."""
+        """Return the placement by a section, in a spec whose length unit is `metres` [m]."""
         return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:

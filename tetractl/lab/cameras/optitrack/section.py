@@ -80,13 +80,13 @@ class OptitrackSection(CameraSection):
     """Rigid body of every robot of the spec, once each."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the location and description of invalid robots or an unusable version."""
+        """Yield the place and text of each problem with the robots or the version."""
         yield from mismatches(self.robots, setup.names, ("body",))
         if self.version is not None and self.transport == "multicast":
             yield ("version",), "can only be requested in unicast; leave it out"
 
     def bounds(self) -> dict[str, str]:
-        """Return the server's address for display, {name: text}."""
+        """Return the server's address as {name: text}, for display."""
         return {"cameras": f"{self.server}:{self.command_port}, {self.transport}"}
 
     def heading_offset(self, name: str) -> float:
@@ -94,5 +94,5 @@ class OptitrackSection(CameraSection):
         return self.robot(name).heading_offset
 
     def robot(self, name: str) -> TrackedRobot:
-        """Return a robot's entry in the section."""
+        """Return the entry of the robot with a name."""
         return next(robot for robot in self.robots if robot.name == name)

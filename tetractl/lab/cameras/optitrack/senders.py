@@ -1,4 +1,4 @@
-"""Decides which datagrams come from the camera server, by its address and one port for each kind.
+"""Decides which datagrams come from the camera server, by its address and two of its ports.
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
 the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
@@ -15,7 +15,9 @@ KINDS_KEPT = 64  # largest number of senders whose refused datagrams are counted
 
 @dataclass(frozen=True, slots=True)
 class Sender:
-    """The origin of datagrams: address, port, and their kind (frames or answers)."""
+    """The origin of datagrams: address and port, and whether the datagrams are frames or
+    answers.
+    """
 
     host: str
     port: int
@@ -53,10 +55,12 @@ class Senders:
         return False
 
     def pin(self, port: int | None) -> None:
-        """Admit frames only from this port from now on; later calls change nothing."""
+        """Admit frames only from this port from now on; once a port is known, calls do nothing."""
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:
-        """Return the sender of most refused frames (or answers) and their number, None if none."""
+        """Return the sender of the most refused frames (if not `frames`: answers) and their number;
+        None if none was refused.
+        """
         found = [item for item in self.refused.most_common() if item[0].frames is frames]
         return found[0] if found else None

@@ -1,11 +1,11 @@
-"""A NatNet connection without its sockets: turns datagrams into camera frames and counts.
+"""A NatNet connection without its sockets: turns datagrams into camera frames, and counts both.
 
 Echoes give offset and drift of the server's clock against the host's. An echo states that the
-server's clock showed `ticks` between the request's sending and the answer's return; the time
-halfway is the best estimate, with an error of at most half the round trip. Therefore only echoes
-with the shortest round trips are used, also for the fit of the drift. Two echoes bound the clock's
-rate between them, even with a slow network or host. If a clock gained or lost more than
-`DRIFT_MAX`, it was set or runs at a wrong rate, and `fault` describes that.
+server's clock showed `ticks` at some time between the request's sending and the answer's return;
+the time halfway is the best estimate, with an error of at most half the round trip. Therefore only
+the echoes with the shortest round trips are used, also for the fit of the drift. Any two echoes
+bound the rate of the server's clock between them, even if network or host are slow. If that clock
+gained or lost more than `DRIFT_MAX` [s/s], it was set or runs at a wrong rate, and `fault` says so.
 """
 
 from collections import Counter, deque
@@ -60,12 +60,14 @@ class ClockSync:
 
     @property
     def synced(self) -> bool:
-        """Whether there is an echo, so that `to_host` can convert times."""
+        """Whether there has been an echo, so that `to_host` can convert times."""
         return bool(self._echoes)
 
     @property
     def round_trip_ns(self) -> int:
-        """Round trip of the reference echo [ns]; half of it bounds the error."""
+        """Round trip of the echo from which `to_host` converts times [ns]; half of it is the
+        largest error near that echo.
+        """
         return self._at.round_trip_ns
 
     def add(self, sent_ns: int, returned_ns: int, ticks: int) -> None:
@@ -93,7 +95,9 @@ class ClockSync:
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return a description of the clock's fault between an earlier echo and this one, or ""."""
+        """Return by how much the clock went wrong between an earlier echo and this one, as text; ""
+        if it did not.
+        """
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
             gained = new.server_ns - old.server_ns - span
@@ -115,7 +119,9 @@ class ClockSync:
 
 
 def _slope(echoes: list[Echo]) -> float:
-    """Return the fitted slope of (server time - host time) over host time, 0 if unknown."""
+    """Return the slope [s/s] of (server time - host time) over host time, fitted to echoes; 0 if
+    they span too short a time.
+    """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:
@@ -138,7 +144,7 @@ ECHOES = 64  # number of unanswered time requests to which an answer can be matc
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Counts of datagrams by result; every count only grows."""
+    """How many datagrams so far were frames, missed, dropped or not readable."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames
@@ -151,15 +157,15 @@ class StreamCounts:
 
 
 class Stream:
-    """The state of a server and its newest frame.
+    """What is known of a server, and its newest frame.
 
     `pinned` is the version that CONNECT requested, in unicast; `up` is the vertical axis if the
-    spec gives it. `feed` never raises on data. Times are ns on the host's clock.
+    spec gives it. `feed` never raises, whatever the datagram. Times are ns on the host's clock.
 
     `up_answer` is the server's answer to `UpAxis`, `unit_mm` its unit of length [mm].
-    `models_changed`: MODELDEF is older than the last change; `changing`: the newest frame reports
-    a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` the newest
-    frame that could not be read.
+    `models_changed`: bodies have changed since the last MODELDEF; `changing`: the newest frame
+    reports a change. `seen` are the ids of the bodies in the newest frame, `unread_frame` is the
+    newest frame that could not be read.
     """
 
     def __init__(

@@ -25,10 +25,10 @@ SERVER_INFO = SENDER + 15  # from 3.0: u64 clock, u16 data port, u8 multicast, g
 
 
 def parse(datagram: bytes, version: Version | None = None) -> Message:
-    """Read one datagram of a server.
+    """Read one datagram of a server; WireError, and no other error, if it cannot be read.
 
-    Frames and models need the version that SERVERINFO reported (or CONNECT pinned); other messages
-    do not. For any bytes, raises no error other than WireError.
+    `version` is the protocol version that SERVERINFO reported or CONNECT requested; only frames and
+    models need it.
     """
     kind, payload = split(datagram)
     match kind:
@@ -83,21 +83,21 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
 
 
 def datagram(kind: MessageKind, payload: bytes) -> bytes:
-    """Return the datagram of a kind with a payload."""
+    """Pack a payload into a datagram of a kind; WireError if it is too long."""
     if len(payload) + HEADER > DATAGRAM_MAX:
         raise WireError(f"{len(payload)} bytes do not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload
 
 
 def response_int(response: Response) -> int:
-    """Read a response of one i32, such as that to `UpAxis`."""
+    """Read a response that is one i32, such as the response to `UpAxis`."""
     if len(response.payload) != 4:
         raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
     return int.from_bytes(response.payload, "little", signed=True)
 
 
 def response_float(response: Response) -> float:
-    """Read a response of one f32, such as that to `FrameRate`."""
+    """Read a response that is one f32, such as the response to `FrameRate`."""
     if len(response.payload) != 4:
         raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
     return struct.unpack("<f", response.payload)[0]
@@ -128,13 +128,13 @@ def read_sender(payload: bytes) -> tuple[str, Quad, Quad]:
 
 
 def quad(payload: bytes, at: int) -> Quad:
-    """Return four bytes at an offset as a tuple, such as an address or a version."""
+    """Return the four bytes at an offset, such as an address or a version."""
     a, b, c, d = payload[at : at + 4]
     return a, b, c, d
 
 
 def read_text(payload: bytes) -> str:
-    """Read text up to its NUL, or to the end; bytes after the NUL are ignored."""
+    """Read text up to the first NUL, or to the end if there is none."""
     raw = payload[:257].partition(b"\0")[0]
     if len(raw) > 256:
         raise WireError("the text is too long for its field")
@@ -142,7 +142,7 @@ def read_text(payload: bytes) -> str:
 
 
 def u64(payload: bytes, at: int, size: int) -> int:
-    """Read an unsigned 64-bit integer from a payload that must have `size` bytes."""
+    """Read an unsigned 64-bit integer at an offset of a payload, which must have `size` bytes."""
     if len(payload) != size:
         raise WireError(f"{size} bytes expected, not {len(payload)}")
     return int.from_bytes(payload[at : at + 8], "little")

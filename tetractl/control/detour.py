@@ -56,8 +56,8 @@ def longer(count: int, most: int) -> Iterator[int]:
 
 
 def growth(problem: Problem, count: int) -> float:
-    """Return the factor by which a detour raises the accepted error: above 1 only if the plan that
-    it replaces has so few signals left, `count`, that it is nearly done."""
+    """Return the factor by which a detour raises the accepted error: above 1 only if few signals,
+    `count`, are left of the plan that the detour replaces."""
     nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
     return 1 + ACCEPT_GROWTH if nearly_done else 1.0
 

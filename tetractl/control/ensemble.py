@@ -118,7 +118,7 @@ class Ensemble:
         return plan
 
     def _turn(self, problem: Problem) -> None:
-        """Rotate the field by one step; if it is off, begin at the robots' mean heading."""
+        """Rotate the field by one step; if the field is off, begin at the robots' mean heading."""
         step = self.section.rate * float(problem.a.min()) * self.section.period
         if self._phase is None:
             heading = problem.poses.heading

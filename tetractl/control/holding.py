@@ -41,8 +41,8 @@ class CircleSearch(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: all rotations, the previous plan and one
-        round."""
+        """Least number of cost evaluations of a search: those of all rotations, of the
+        previous plan and of one round."""
         return len(PHASES) * len(RATES) + 1 + SAMPLES
 
     def search(

@@ -300,8 +300,8 @@ class Mpc:
         """Search every candidate horizon, and longer ones if necessary, and choose the plan.
 
         The horizons share a limit of evaluations equally. If it is too small for all horizons of
-        step 0, fewer, evenly spread ones are tried, each with WORTHWHILE times the evaluations of
-        the smallest search."""
+        step 0, fewer horizons, evenly spread, are tried, each with WORTHWHILE times the evaluations
+        of the smallest search."""
         section, step_key = self.section, mix(self.key, self.k)
         horizon, most = self._signals_left(), section.evaluations_max
         wanted = list(candidates(self.warm, horizon))

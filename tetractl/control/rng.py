@@ -17,7 +17,7 @@ MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def mix(key: int, index: int) -> int:
-    """Return draw `index` of `key`, 64 random bits; they may also serve as a new key."""
+    """Return draw `index` of `key`, 64 random bits, which may also serve as a new key."""
     z = (key + (index + 1) * GOLDEN) & MASK
     z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK
     z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK

@@ -96,8 +96,8 @@ class Search:
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
     iteration z, and `history[0]` is J(u_gb) before the first (Figure 3). `stopped` is the reason
-    why the search ended; it is a text only in a log of another version of tetractl, if the reason
-    is not a StopReason.
+    why the search ended, or a text if a log of another version of tetractl gives a reason that is
+    not a StopReason.
     """
 
     length: int

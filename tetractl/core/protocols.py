@@ -154,8 +154,8 @@ class Actuator(Device, Protocol):
     ) -> Transmission:
         """Send the common direction u [rad] and return the transmission that was really sent.
 
-        `poses` are the newest of each robot, exposed at `exposed_ns`, None for a robot that is not
-        tracked. Robots for which `moving` is false are held still; for an actuator that is not
+        `poses` are the newest pose of each robot, exposed at `exposed_ns`, None for a robot that is
+        not tracked. Robots for which `moving` is false are held still; for an actuator that is not
         `individual`, `moving` is true for all.
         """
         ...

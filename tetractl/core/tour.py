@@ -23,8 +23,8 @@ Integers = NDArray[np.int64]
 class LossRule:
     """A robot that was not tracked for `after_s` is lost, and the trial goes on without it.
 
-    If `replaced`, a body that is tracked again under its name counts as another robot, which takes
-    over the lost robot's target.
+    If `replaced`, a body that is tracked again under the robot's name counts as another robot,
+    which takes over the lost robot's target.
     """
 
     after_s: float
@@ -69,7 +69,8 @@ class HoldTask:
 
 
 class TourMeasure:
-    """Measures how accurately N robots passed and held `legs` (M + 1, N, 2): way-points, targets.
+    """Measures how accurately N robots passed their way-points and held at their targets, which are
+    the first M and the last of the `legs` (M + 1, N, 2).
 
     For each control step, call `step` with its leg and observation, then `add` with its frames;
     frames after `until_ns` are ignored. True poses are used if known. `loss` is the rule by which

@@ -27,8 +27,8 @@ class Start:
     """The start of a trial.
 
     `resolved` is the spec as YAML with all fields, including defaults and `--set`; `spec_hash` is
-    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the other
-    packages that provide a kind used by the spec.
+    the SHA-256 of its values, as 64 hex digits. `packages` are name and version of the
+    packages, other than tetractl, that provide a kind used by the spec.
     """
 
     setup: Setup

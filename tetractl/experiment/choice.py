@@ -145,7 +145,7 @@ class FoundRobots:
 
 
 def dealt(starts: Floats, targets: Floats) -> list[int]:
-    """Return, for each start (N, 2), the index of the one of the targets (M, 2) assigned to it.
+    """Return the index (N,) of the target that each start gets: starts (N, 2), targets (M, 2).
 
     M must be at least N. The sum of the squared distances from start to target is minimal, which
     minimises the motion that is not common to all robots.

@@ -50,7 +50,8 @@ def reach(setup: Setup, seconds: float) -> Floats:
 
 @np.errstate(all="ignore")
 def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
-    """Return G, the largest |w_1 - w_2| of pairs of robots [s].
+    """Return G [s], an upper bound of |w_1 - w_2| for pairs of robots; w is the integral of a
+    robot's unit heading vector over at most `seconds`.
 
     `turned` >= 0 is the difference of their start headings [rad]; all arguments broadcast.
     """

@@ -94,7 +94,7 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Residue:
-    """The rounding error carried over for each wheel, in steps of its gain, each in [-0.5, 0.5]."""
+    """The rounding error of each wheel, carried over as a multiple of its gain in [-0.5, 0.5]."""
 
     left: float = 0.0
     right: float = 0.0
@@ -137,7 +137,7 @@ class LaggingTurns:
     """Predicts the headings of N robots whose wheels follow commands with a first-order lag T.
 
     A robot has heading theta and turning rate w at time s. If the turning rates c sent to it act
-    until time t, and 0 after t, it comes to rest at the heading
+    until time t, and the rate 0 after t, the robot comes to rest at the heading
 
         theta + T w(s) + integral of c from s to t.
 

@@ -259,7 +259,7 @@ class LabPlant:
                 self._news.append(Note(now, "warning", f"{names[i]} is another cell now: {what}"))
 
     def _unwrapped(self, seen: Sequence[Pose | None]) -> Poses:
-        """Return the poses with headings unwrapped relative to the last ones.
+        """Return the poses with headings unwrapped relative to the last poses.
 
         A robot that has had no pose so far counts as being at its start.
         """

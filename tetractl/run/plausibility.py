@@ -1,5 +1,5 @@
 """Warns of problems in a valid spec that may prevent a trial from working as intended. Each check
-is a function in `CHECKS` that yields a `SpecWarning` for each problem, with numbers.
+is a function in `CHECKS` that yields a `SpecWarning` for each problem and states its numbers.
 docs/reference/warnings.md explains the warnings.
 """
 

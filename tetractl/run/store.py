@@ -45,7 +45,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 
 def _acquire(path: Path) -> int:
-    """Return the descriptor of the locked file; raise UsageError if it is in use."""
+    """Open and lock a file and return its descriptor; UsageError if another run has locked it."""
     while True:
         file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o644)
         try:

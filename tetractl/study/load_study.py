@@ -264,7 +264,7 @@ def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
 
 
 def spec_of(arm: Arm, count: int) -> LoadedSpec:
-    """Return an arm's spec with `count` as its number of trials, as it is logged by each trial."""
+    """Return an arm's spec with `count` trials: the spec that the log of each trial holds."""
     trials = arm.spec.experiment.trials.model_copy(update={"count": count})
     experiment = arm.spec.experiment.model_copy(update={"trials": trials})
     return replace(arm.spec, experiment=experiment)

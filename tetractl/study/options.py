@@ -71,8 +71,8 @@ def lacking(
     """Return the tasks of trials without a row and, by arm, the number of outdated rows kept.
 
     A row is outdated if another version of the code computed it; with `rerun_outdated`, the tasks
-    of such rows are returned too. Tasks are ordered by trial
-    number, so that after an early end all arms have equally many trials.
+    of such rows are returned too. Tasks are ordered by trial number, so that all arms have about
+    equally many trials if the run ends early.
     """
     count = loaded.study.trials.count
     tasks: list[Task] = []

@@ -1,4 +1,4 @@
-"""Algorithm 1 by compiled kernels; `tetractl.control.optimizers.pso.pso` is readable."""
+"""Algorithm 1 by compiled kernels; `tetractl.control.optimizers.pso` has a readable version."""
 
 import numpy as np
 

@@ -139,7 +139,7 @@ class Table:
         return len(self.columns[0].values) if self.columns else 0
 
     def with_first(self, **constants: Any) -> "Table":
-        """Return the table with further first columns, each with one constant value."""
+        """Return the table with further columns in front, each with one value for all rows."""
         first = (Column(name, [value] * len(self)) for name, value in constants.items())
         return Table(self.title, (*first, *self.columns), self.note)
 

@@ -139,7 +139,7 @@ class FrozenCamera(Disturbance):
         self._last: tuple[Poses, Bools] | None = None
 
     def measured(self, poses: Poses, valid: Bools, time_s: float) -> tuple[Poses, Bools]:
-        """Return the measurement; during an interval, the last one before it."""
+        """Return the measurement; during an interval, the last measurement before the interval."""
         if self._last is None or not (self._repeats and self._spells.at(time_s)):
             self._last = poses, valid
         return self._last

@@ -27,7 +27,7 @@ class SpellsSection(DisturbanceSection):
 
 
 class Spells:
-    """The intervals of one trial."""
+    """The intervals of one trial in which a disturbance acts."""
 
     def __init__(self, section: SpellsSection, rng: np.random.Generator) -> None:
         self._begin_s = rng.uniform(*section.between, section.times)

@@ -60,8 +60,8 @@ _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, 
 
 
 class _Plain:
-    """A command whose help shows paragraphs without their line breaks in the source, and choices or
-    placeholders in place of Python types.
+    """A command whose help joins the lines of each paragraph, and shows choices or placeholders in
+    place of Python types.
     """
 
     def __init__(self, *args: Any, **options: Any) -> None:

@@ -112,7 +112,9 @@ def survey(
 def _print_cells(
     cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
 ) -> None:
-    """Print each cell with 95 % intervals, and the pairs of cells with too similar a."""
+    """Print each cell with 95 % intervals, and the pairs of cells whose a are too similar to tell
+    the cells apart.
+    """
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
         near = "" if cell.free else ", was near the edge: its a is unreliable"

@@ -105,7 +105,9 @@ def refuse_existing(out: Path | None) -> None:
 
 @contextmanager
 def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
-    """Show a progress bar on a terminal; yields a function of the number done and the total."""
+    """Show a progress bar on a terminal; yields the function that updates it, called with the
+    number done and the total.
+    """
     from rich.console import Console
     from rich.progress import Progress
 
@@ -120,6 +122,6 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
 
 
 def announce_compiling(quiet: bool, text: str) -> None:
-    """Print on stderr that code is being compiled; with `quiet` only if that is a terminal."""
+    """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
     if not quiet or sys.stderr.isatty():
         print(text, file=sys.stderr, flush=True)

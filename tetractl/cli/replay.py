@@ -82,7 +82,9 @@ def _on_screen(
     from tetractl.view.terminal.replay_screen import play
 
     def opened(index: int) -> Player:
-        """Return a player of another trial, at the rate of the previous player."""
+        """Return a player of trial `index`, with the rate of the previous player and paused like
+        it.
+        """
         nonlocal player, damaged
         recording = Recording(read_trial(paths[index]))
         damaged |= recording.log.damage is not None
@@ -128,7 +130,7 @@ def _as_text(
 
 
 def is_terminal() -> bool:
-    """Return whether input and output are a terminal, with keys and a screen."""
+    """Return whether stdin and stdout are a terminal that can show a screen."""
     import os
 
     dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")

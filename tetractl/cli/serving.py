@@ -1,4 +1,4 @@
-"""Options and functions of commands that show a trial in Foxglove or Lichtblick by a WebSocket."""
+"""Options and functions for commands that show a trial in Foxglove or Lichtblick by a WebSocket."""
 
 import sys
 from collections.abc import Iterator
@@ -110,7 +110,9 @@ def answers(url: str) -> bool:
 
 @contextmanager
 def websockets_needed() -> Iterator[None]:
-    """Raise UsageError if the import in the block fails because the extra is not installed."""
+    """Raise UsageError if the import in the block fails because the extra `serve` is not
+    installed.
+    """
     try:
         yield
     except ModuleNotFoundError as error:

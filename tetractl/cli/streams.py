@@ -34,8 +34,8 @@ class PatientWriter(io.RawIOBase):
     """Writes bytes to a file descriptor, and drops them if the descriptor is stuck.
 
     If the descriptor accepts nothing for `patience_s`, bytes are dropped without waiting until it
-    accepts bytes again. If a write fails, its bytes are lost; if `tells`, the OSError is raised
-    once.
+    accepts bytes again. If a write fails, its bytes are lost; with `tells`, its OSError is then
+    raised, but only once.
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
@@ -64,7 +64,7 @@ class PatientWriter(io.RawIOBase):
         return True
 
     def write(self, data: "ReadableBuffer", /) -> int:
-        """Write or drop bytes; return the number given, as if all were written."""
+        """Write or drop bytes; return their number, as if all were written."""
         piece = bytes(data)
         if sys.is_finalizing():  # the writing thread has ended, perhaps while it held the lock
             return len(piece)
@@ -195,7 +195,7 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
 
     Only a pipe, a socket or a terminal has a reader: if both streams are files, no signal is sent.
     If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
-    before `watch`.
+    before `Interrupt.watch`.
     """
     read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None

@@ -122,7 +122,8 @@ def run_command(
     json: bool,
     unattended: bool,
 ) -> tuple[int, Path]:
-    """Run the trials of a spec, or trial `only`, and print the statistics; or print the spec.
+    """Run the trials of a spec, or only trial `only`, and print the statistics; with `dry_run`,
+    only print the spec.
 
     Return the exit code and the logs' folder. Trials are served at `port`, unless it is None.
     """
@@ -192,7 +193,8 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
 def stoppable(
     experiment: "Experiment", console: "Console", unattended: bool = False
 ) -> "Iterator[Interrupt]":
-    """Compile the controller, then yield an interrupt, which signals set during the `with` block.
+    """Compile the controller, then yield an `Interrupt` that counts each signal during the `with`
+    block as a request to stop.
 
     In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """
@@ -247,7 +249,9 @@ def run_trials(
 
 
 def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
-    """Print what a run would do, all as YAML, so that the text is a valid spec."""
+    """Print what a run would do: the resolved spec, then the rest in YAML comments, so that the
+    whole text is a valid spec.
+    """
     from tetractl.experiment.load import resolved_yaml
     from tetractl.run.task import log_path
     from tetractl.run.trial_limits import limits

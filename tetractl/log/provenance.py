@@ -26,7 +26,7 @@ VERSION_KEYS = frozenset({"python", "tetractl", "code", "git_commit", "git_dirty
 """Keys that `versions` may return."""
 
 LISTS = frozenset({"cpu_features", "numba_settings", "numpy_dispatch"})
-"""Keys of a host's facts that are lists of words."""
+"""Keys of those facts of a host whose values are lists of words."""
 
 PLUGIN = "package."
 """Prefix of the key for a package that provides a kind used by the spec; the value is its version.
@@ -71,7 +71,8 @@ def _present(features: Mapping[str, bool]) -> str:
 
 
 def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if its record lacks it.
+    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if the facts in `host`
+    lack it.
 
     It is LLVM's name and six digits that identify the instruction sets in use: results of code
     compiled for two types may differ in the last bits.

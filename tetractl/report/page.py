@@ -97,7 +97,9 @@ def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
 
 
 def _page(title: str, body: str, scripts: str) -> str:
-    """Return the whole page; its security policy allows only this style and script."""
+    """Return the whole page; its security policy allows no script but this one, and nothing from
+    outside the page.
+    """
     style = (ASSETS / "page.css").read_text()
     program = f'"use strict";\n{scripts}'
     allowed = b64encode(hashlib.sha256(program.encode()).digest()).decode()
@@ -136,7 +138,9 @@ def _cards(group: Group) -> str:
 
 
 def _overview(groups: Sequence[Group]) -> Table:
-    """Return the table of mean total errors, and of trials that entered an obstacle, of groups."""
+    """Return a table with each group's mean total error and the number of its trials that entered
+    an obstacle.
+    """
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
     return Table(
@@ -180,8 +184,9 @@ def _json(value: Any) -> str:
 
 
 def _errors(groups: Sequence[Group], numbers: Mapping[str, int], drawn: Sequence[str]) -> str:
-    """Return the section of errors: a dot per total error, linked to its trial, and figures
-    `drawn`."""
+    """Return the section of errors: a dot per total error, linked to its trial, and the figures in
+    `drawn`.
+    """
     picture = of_groups(groups, numbers) + "".join(drawn)
     return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
 

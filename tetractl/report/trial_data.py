@@ -20,16 +20,20 @@ from tetractl.replay.dish_pictures import MOST, DishPictures
 FRAMES_HZ = 30.0
 """Largest rate of camera frames on the page [Hz], since screens show no more."""
 PLAN_ERROR = 1e-3
-"""Largest error of a plan on the page, relative to the arena's longer side."""
+"""Largest distance of a plan drawn on the page from the plan itself, relative to the arena's longer
+side.
+"""
 HISTORY_ERROR = 5e-3
-"""Largest error of a curve of log J over the iterations, relative to the curve's size."""
+"""Largest distance of a drawn curve of log J over the iterations from the curve itself, relative to
+the curve's size.
+"""
 MISSING = -32768
 """The 16-bit number that represents NaN."""
 LARGEST = 32767
 
 
 def floats(values: ArrayLike) -> dict[str, Any]:
-    """Return an array in single precision: {"f4": base64}."""
+    """Return an array in single precision as an object for JSON: {"f4": base64}."""
     return {"f4": _text(np.asarray(values, dtype="<f4"))}
 
 
@@ -123,7 +127,9 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
-    """Return the indices of frames from the first direction on, at most at `FRAMES_HZ`."""
+    """Return the indices of at most `FRAMES_HZ` frames per second, from one control period before
+    the first direction on.
+    """
     times = log.mocap_ns
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
     if not len(from_start):
@@ -174,7 +180,7 @@ def _on_log_axes(history: Floats) -> Floats:
 
 
 def corners(curves: Sequence[Floats], error: float) -> "list[np.ndarray[Any, np.dtype[np.intp]]]":
-    """Return the rising indices of the points to keep of each curve (n, N, 2) of N robots.
+    """Return the increasing indices of the points to keep of each curve (n, N, 2) of N robots.
 
     The first and last points are kept. Every other point is within `error` of the straight line
     between the points kept before and after it (Douglas and Peucker 1973). All spans of all curves

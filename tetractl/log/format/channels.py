@@ -28,7 +28,9 @@ from tetractl.log.format.tetractl_pb2 import (
 FORMAT_VERSION = 2
 
 TEXT = 2000
-"""Largest number of characters read of an operator message, with control characters escaped."""
+"""Largest number of characters of an operator message, after which a reader cuts it; control
+characters are escaped.
+"""
 
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
@@ -97,7 +99,9 @@ HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
 
 
 class Entry(NamedTuple):
-    """One message: topic, time received (log) and time sampled (publish) [Unix ns], and bytes."""
+    """One message: its topic, when the host received or sent it (`log_ns`), when its content was
+    sampled (`publish_ns`) [Unix ns], and its bytes.
+    """
 
     topic: str
     log_ns: int

@@ -54,7 +54,9 @@ def encode_film(film: CellFilm, seen: Observation, start_ns: int) -> dict[str, M
 
 
 def checksums(cells: CellCrops, seen: Observation, shown: Iterable[bytes]) -> list[int]:
-    """Return the CRC-32 of the cells found with their frame's poses, then that of each image."""
+    """Return checksums (CRC-32): one of the cells found together with the poses of their frame,
+    then one of each image.
+    """
     bare = CellCrops.FromString(cells.SerializeToString())
     bare.ClearField("crc")
     poses = np.column_stack([seen.poses.array(), seen.valid]).tobytes()

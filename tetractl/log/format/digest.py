@@ -11,13 +11,13 @@ HOST_DIGEST = "host_digest"
 
 
 class ContentDigest:
-    """SHA-256 over the records of a log, in file order, without host records; with `host`, only
-    over the host records, except the report of a recovery.
+    """SHA-256 over the records of a log, in file order: over all but the host records or, with
+    `host`, over the host records alone. Neither covers the report of a recovery.
 
-    A record is preceded by its number of fields and a field by its length in bytes, so that no two
-    different logs give the same bytes to hash. The fields of a message are topic, both times and
-    data; of metadata, name and items by key without the checksum and the digests; of an attachment,
-    name, media type and data.
+    A record is preceded by the number of its fields, and a field by its length in bytes, so that no
+    two different logs give the same bytes to hash. The fields of a message are topic, both times
+    and data; of metadata, name and items by key without the checksum and the digests; of an
+    attachment, name, media type and data.
     """
 
     def __init__(self, host: bool = False) -> None:

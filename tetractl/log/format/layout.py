@@ -32,7 +32,9 @@ def layout(setup: Setup) -> str:
     parts = json.loads((_FILES / "layout.json").read_text())
 
     def plot(title: str, *curves: tuple[str, str, str]) -> dict[str, Any]:
-        """Return a panel of curves: the path, label and colour of each."""
+        """Return a panel of curves; each is given by the path of its values, its label and its
+        colour.
+        """
         keys = ("value", "label", "color")
         paths = [parts["curve"] | dict(zip(keys, curve, strict=True)) for curve in curves]
         titles = dict.fromkeys(("foxglovePanelTitle", "lichtblickPanelTitle"), title)

@@ -61,7 +61,7 @@ def decode_note(message: Log, start_ns: int) -> Note:
 
 
 class Scene:
-    """Draws one experiment; arguments are in the experiment's length unit."""
+    """Composes the messages that draw one experiment, from lengths in the experiment's unit."""
 
     def __init__(self, setup: Setup) -> None:
         self._setup = setup
@@ -74,7 +74,7 @@ class Scene:
     def transforms(self, frames: Frames, start_ns: int) -> FrameTransforms:
         """Return the poses in camera frames as transforms; the trial began at `start_ns` [Unix ns].
 
-        Transforms are ordered by robot; frames in which a robot is not tracked are left out.
+        Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
         """
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         made = FrameTransforms()
@@ -139,8 +139,8 @@ class Scene:
     def _target(
         self, name: str, color: Color, way_points: Floats, target: Floats, unix_ns: int
     ) -> SceneEntity:
-        """Return rings around the target (a robot's size), way-points (half that size) and the
-        hold.
+        """Return rings: of a robot's size around the target, of half that size around each
+        way-point, and of the hold's radius around the target.
         """
         angle = np.linspace(0.0, 2 * np.pi, 32, endpoint=False)
         ring, body = np.column_stack([np.cos(angle), np.sin(angle)]), self._body / 2 / self._metres

@@ -36,11 +36,11 @@ def find_logs(
     """Return the logs of some paths, each once, in the order given.
 
     A path is a log, a folder or a pattern with `*`, `?`, `[...]` or `**`. A folder gives the logs
-    in it and in its sub-folders, sorted by name with numbers in their order. A .part file counts as
-    a log, since a crashed trial belongs to its batch, unless the finished log exists too. A
-    recovered log is left out if its source is among the paths. With `attempts`, folders and
+    in it and in its sub-folders, sorted by name with numbers in numerical order. A .part file
+    counts as a log, since a crashed trial belongs to its batch, unless the finished log exists too.
+    A recovered log is left out if its source is among the paths. With `attempts`, folders and
     patterns also give the logs that `--resume` set aside. Raises UsageError for a path that does
-    not exist, and for a folder or a pattern without logs that is not in `bare`.
+    not exist, and for a folder or a pattern without logs, unless it is in `bare`.
     """
     found: dict[Path, Path] = {}
     for path in without_others(paths):
@@ -50,10 +50,10 @@ def find_logs(
 
 
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the paths except files that are not logs by their ending.
+    """Return the paths without those files whose endings show that they are not logs.
 
-    A shell expands `logs/slip/*` to the tables and figures of a study and to the folders of its
-    arms. Raises UsageError if no path is left.
+    Such files are named when a shell expands `logs/slip/*`: to the tables and figures of a study,
+    besides the folders of its arms. Raises UsageError if no path is left.
     """
     places = [Path(path) for path in paths]
     kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]
@@ -84,7 +84,7 @@ def find_log(path: Path | str) -> Path:
 
 
 def _sources(log: Path) -> set[Path]:
-    """Return the possible sources of a recovered log; empty for any other log."""
+    """Return the paths of the logs from which a recovered log may come; empty for any other log."""
     if not log.name.endswith(RECOVERED_SUFFIX):
         return set()
     stem = log.name.removesuffix(RECOVERED_SUFFIX)

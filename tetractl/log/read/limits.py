@@ -4,7 +4,7 @@ A few bytes of a file may need much memory or time: compressed zeros, empty mess
 million particles. Each log therefore has a `Budget` of memory, from which the bytes needed are
 subtracted before anything is unpacked or decoded. With these limits no command takes more than 30 s
 and 1 GB on one log, and a log may contain about an hour of a trial at 120 Hz. The environment
-variable FACTOR raises the limits for a longer trial.
+variable that FACTOR names raises the limits, for a longer trial.
 """
 
 import math
@@ -20,7 +20,7 @@ CHUNK = 1 << 24
 MESSAGE = 1 << 22
 """Largest size of a message that is decoded [bytes]; a step of 1000 robots has about a million."""
 METADATA = 1 << 18
-"""Largest size of a metadata record [bytes], twice the result of 1000 robots."""
+"""Largest size of a metadata record [bytes], twice what the result of 1000 robots needs."""
 TIMING = 1 << 22
 """Largest size of the record with the solve times [bytes], enough for 400,000 steps."""
 KEYS = 10_000
@@ -32,10 +32,10 @@ ATTACHMENT = 1 << 22
 PROBLEMS = 50
 """Largest number of damaged records of a log that are listed."""
 OVERLAP = 8
-"""Largest number of bytes that overlapping records may claim, as a multiple of the file's size."""
+"""Largest sum of the sizes of all records, which may overlap, as a multiple of the file's size."""
 
 RECORD_COST = 1000
-"""Bytes charged for a record outside a chunk, and for a schema or channel."""
+"""Bytes charged to the budget for a record outside a chunk, and for a schema or channel."""
 MESSAGE_COST = 400
 """Bytes charged for each message before it is decoded, since even an empty message takes time."""
 STEP_COST = 4000
@@ -46,7 +46,7 @@ NUMBER_COST = 16
 
 
 def factor() -> float:
-    """Return the value of the environment variable FACTOR, at least 1."""
+    """Return the value of the environment variable that FACTOR names, at least 1."""
     with suppress(ValueError):
         given = float(os.environ.get(FACTOR, "1"))
         if math.isfinite(given):
@@ -74,12 +74,16 @@ def swarm_limit() -> float:
 
 
 def simulation_limit() -> float:
-    """Return the largest product of positions and obstacles for simulating a trial again."""
+    """Return the largest number of positions, times (1 + number of obstacles), for simulating a
+    trial again.
+    """
     return 5e7 * factor()
 
 
 def path_limit() -> float:
-    """Return the largest product of positions and obstacles to check a path: 20 ns per pair."""
+    """Return the largest number of pairs of a position with an obstacle or another robot for
+    checking a path; a pair takes 20 ns.
+    """
     return 5e8 * factor()
 
 

@@ -93,7 +93,7 @@ class RawLog:
 
     @cached_property
     def result_read(self) -> tuple[Result | None, str]:
-        """The result, None if it cannot be read, and the reason for that."""
+        """The result and "", or None and the reason why it cannot be read."""
         items = self.metadata.get(channels.RESULT)
         if items is None:
             return None, "the log has no result: the run was cut short or the log's end is lost"
@@ -155,7 +155,7 @@ class RawLog:
 
     @property
     def host_altered(self) -> bool:
-        """Whether the host records differ from their digest, which the last host record states.
+        """Whether the host records do not match their digest, which the last of them states.
 
         False for logs of earlier versions, which lack this digest.
         """
@@ -174,7 +174,7 @@ class RawLog:
 
 
 def _reason(error: Exception) -> str:
-    """Return the message of a record's error in one line."""
+    """Return the message of an error in decoding a record, in one line."""
     text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
     return printable(text or type(error).__name__, 200)
 

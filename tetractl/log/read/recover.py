@@ -27,7 +27,9 @@ PART_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The damage of a log, and the records copied to `path`, None for an undamaged log."""
+    """The damage of a log, and the numbers of intact records in it; they were copied to `path`,
+    None if nothing was copied.
+    """
 
     source: str
     path: str | None
@@ -54,9 +56,9 @@ def recovered_path(log: Path) -> Path:
 def recover(log: Path, out: Path | None = None) -> Recovery:
     """Write every intact chunk, metadata record and attachment of a log to a complete file.
 
-    The file is `out`, by default `recovered_path`; an undamaged log is copied only to `out`. An
-    unfinished copy of an earlier call is replaced. Raises LogError if nothing can be read, if the
-    file exists already, or if another process is writing it.
+    The file is `out`, by default `recovered_path`; an undamaged log is copied only if `out` is
+    given. An unfinished copy of an earlier call is replaced. Raises LogError if nothing can be
+    read, if the file exists already, or if another process is writing it.
     """
     contents = scan(log)
     if not contents.records:

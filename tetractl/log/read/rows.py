@@ -65,7 +65,7 @@ class Row:
 
     @classmethod
     def read(cls, stated: Any, experiment: Experiment, place: str) -> Self:
-        """Return the row of a line decoded from JSON, after a check of every value.
+        """Check every value of a line decoded from JSON, and return its row.
 
         Raises one of the exceptions `UNREADABLE` for a line that tetractl does not write.
         """
@@ -103,7 +103,7 @@ class Row:
 
 
 UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
-"""Exceptions of decoding a line that tetractl did not write."""
+"""Exceptions that decoding a line may raise if tetractl did not write it."""
 
 
 def _count(value: Any) -> int:

@@ -43,7 +43,9 @@ _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
 _DATA_END_BODY = 4
 _KIND = b"\x10\0\0\0application/"
-"""Length and start of the media type of tetractl's attachments."""
+"""Bytes with which the media type of each attachment of tetractl begins: its length and first
+word.
+"""
 _NAME_MAX = 200
 
 Verified = int | Attachment | Metadata  # a record; for a chunk, its number of messages
@@ -65,7 +67,8 @@ def scan(path: Path) -> RawLog:
 def peek(path: Path) -> RawLog | None:
     """Return only metadata and attachments, found by the file's index; None for a damaged file.
 
-    The checksums over the data section and the index are tested, which cover the whole file.
+    Two checksums are tested, which together cover the whole file: of the data section and of the
+    index.
     """
     with _named(path):
         return _Scan(path).indexed()
@@ -134,8 +137,8 @@ class _Scan:
     def _read_index(self, channels: bool = True) -> None:
         """Read the index at the end of the file: the number of messages, and the records' offsets.
 
-        With `channels`, it also reads channels and schemas, needed for messages; this takes
-        longest.
+        With `channels`, it also reads the channels and schemas that messages need, which takes most
+        of the time.
         """
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")

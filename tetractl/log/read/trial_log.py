@@ -57,7 +57,8 @@ class Damage:
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """A message for the operator at `time_s` after the first direction was sent, negative before.
+    """A message for the operator; `time_s` [s] counts from the first direction sent, negative
+    before it.
 
     `level` is "info", "warning" or "error".
     """
@@ -157,7 +158,9 @@ class ResultSummary:
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """Missing numbers `first` to `last`, between two times since the first direction [s]."""
+    """Numbers `first` to `last` of `what`, such as camera frames, that are missing between two
+    times since the first direction [s].
+    """
 
     what: str
     first: int

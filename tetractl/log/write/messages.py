@@ -128,7 +128,9 @@ class Messages:
         return made
 
     def film(self, sample: Sample) -> list[Entry]:
-        """Return a picture's film messages, none without a film."""
+        """Return the messages of the microscope's picture in a camera frame; none if there is no
+        picture.
+        """
         if sample.film is None:
             return []
         seen = sample.observation

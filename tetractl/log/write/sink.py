@@ -38,8 +38,8 @@ _sync_data = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasyn
 
 
 def _while_open(method: Method[P]) -> Method[P]:
-    """Decorate a method to do nothing on a closed sink, and to close it with LogError after an
-    OSError.
+    """Decorate a method: on a closed sink it does nothing; after an OSError it closes the sink and
+    raises LogError.
     """
 
     @wraps(method)
@@ -115,8 +115,9 @@ class Sink:
     def metadata(self, name: str, items: Mapping[str, str], last: str = "") -> None:
         """Add a metadata record with its checksum, after all messages so far.
 
-        The last record states the content digest of all records (`last` is DIGEST), the last host
-        record that of all host records (HOST_DIGEST); both digests include the record itself.
+        The last record of a log states the content digest (`last` is DIGEST), the last host record
+        the digest of all host records (`last` is HOST_DIGEST). Both digests cover the record that
+        states them.
         """
         self._flushed(name, items)
         stated = {last: self._digests[last].hexdigest()} if last else {}
@@ -156,7 +157,9 @@ class Sink:
         self._sync_written()
 
     def flush_if_due(self) -> float | None:
-        """Flush every CHUNK_S, sync every SYNC_S; return the time until one of them is due [s]."""
+        """Flush messages older than CHUNK_S, sync writes older than SYNC_S; return the time until
+        either is due again [s], None if nothing waits.
+        """
         now, times = time.monotonic(), []
         if self._chunk_since is not None:
             times.append(self._chunk_since + CHUNK_S)

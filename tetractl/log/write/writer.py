@@ -22,8 +22,8 @@ PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s
 BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
 CHUNK_NS = 2 * SECOND
-"""Trial time of a chunk of a simulation [ns], so that a repeated simulation has the same chunks. If
-a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
+"""Length of a simulation's chunks [ns of trial time], so that a repeated simulation has the same
+chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
 """
 LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
 
@@ -97,7 +97,7 @@ class Encoder:
         self._sink.metadata(channels.RESULT, stated, DIGEST)
 
     def _end_chunk(self, trial_ns: int) -> None:
-        """End the chunk if its trial time is over at `trial_ns`."""
+        """End the chunk if `trial_ns`, the time of the trial, is past its length."""
         if trial_ns - self._flushed_ns >= self._chunk_ns:
             self.flush_frames()
             self._sink.flush()

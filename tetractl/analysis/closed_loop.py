@@ -230,8 +230,8 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     `miss` (N,) from the targets.
 
     The mean length of a normal vector with deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
-    with the complete elliptic integral E. The root of the sum of its square and that of `miss` is
-    returned.
+    with the complete elliptic integral E. The result is the root of the sum of this
+    length's square and the square of `miss`.
     """
     count = len(miss)
     each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]

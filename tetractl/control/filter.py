@@ -269,8 +269,8 @@ class FilterBank:
         self._bank = self._around(best, tau)
 
     def _around(self, best: int, tau: Floats):
-        """Return a bank with the dead times `tau` [s]. Each filter is a copy of the one whose dead
-        time is nearest in the present bank.
+        """Return a bank with the dead times `tau` [s]. Each filter is a copy of the filter
+        with the nearest dead time in the present bank.
         """
         bank = self._bank
         source = [int(np.argmin(np.abs(bank.tau - one))) for one in tau]

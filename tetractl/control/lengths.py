@@ -118,7 +118,7 @@ class Searcher:
     def search(
         self, length: int, start: Floats | None, among: int = 1, thorough: bool = False
     ) -> Search | None:
-        """Search one length; return None if the limits do not allow it.
+        """Search sequences of one length; return None if the limits do not allow it.
 
         The evaluations left are shared equally by `among` searches: this one and the next ones.
         """

@@ -251,8 +251,8 @@ class Mpc:
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem, if margins are adaptive with obstacles and separation grown by the
-        robots' greatest deviation, given the estimate `known`; None for a motion known exactly."""
+        """Return the problem; adaptive margins grow its obstacles and separation by the robots'
+        greatest deviation, given the estimate `known`, None for a motion known exactly."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem

@@ -90,7 +90,7 @@ class Device(Protocol):
     def check(self) -> Health:
         """Return problems, warnings and facts, without moving a robot.
 
-        It may be called several times between entering the device and a run.
+        `check` may be called several times between entering the device and a run.
         """
         ...
 
@@ -98,9 +98,9 @@ class Device(Protocol):
 class Camera(Device, Protocol):
     """Tracks N robots in the spec's coordinates.
 
-    Once the camera is entered, it has a frame and receives further frames in the background. After
-    each frame it calls the function `wake` that its constructor was given; times are ns on the
-    clock that its constructor was given.
+    Once its context is entered, the camera has a frame and receives further frames in the
+    background. After each frame it calls the function `wake` that its constructor was given; times
+    are ns on the clock that its constructor was given.
     """
 
     @property
@@ -121,8 +121,8 @@ class Camera(Device, Protocol):
 class Actuator(Device, Protocol):
     """Turns the common direction into motion of N robots.
 
-    Sending raises AbortError if the device does not accept it; `failure` then gives the reason.
-    Times are ns on the clock with which the actuator was created.
+    Sending raises AbortError if the device does not accept the command; `failure` then gives the
+    reason. Times are ns on the clock with which the actuator was created.
     """
 
     @property

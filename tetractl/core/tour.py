@@ -46,7 +46,7 @@ class Losses:
         self._seen_ns: Integers | None = None
 
     def see(self, frame: Observation) -> list[int]:
-        """Update by the next frame; return the indices of robots replaced by others in it."""
+        """Update the losses by the next frame; return the indices of robots replaced in it."""
         if self._rule is None:
             return []
         if self._seen_ns is None:

@@ -105,7 +105,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return, in the order of `choice.wanted`, the cells with the a and speed nearest to those."""
+    """Return a cell for each of `choice.wanted`, in this order: the nearest in a and speed."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)

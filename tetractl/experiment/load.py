@@ -65,8 +65,8 @@ def override(document: Document, setting: str) -> None:
 
 
 def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
-    """Return the full location of a path, and the mapping or list in which its last step is
-    an entry."""
+    """Return the full location of a path, and the mapping or list to which its last step
+    belongs."""
     data: Any = document.data
     loc: Loc = ()
     for step in steps[:-1]:

@@ -36,7 +36,7 @@ class Calibration(Model):
 
 
 def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
-    """Return the spec with the plant that will be run: of the given `kind`, None for the spec's.
+    """Return the spec with the plant that will be run: of a given kind, or the spec's own.
 
     Values of the lab's calibration file replace the spec's; the file's text is attached to the log.
     An unused `lab` section is kept for other runs.

@@ -178,7 +178,7 @@ class WheelDrive:
     """Moves N robots on wheels; `host` computes the wheel speeds sent to them.
 
     `a` and `speed` (N,) are the true values: turning rates and speeds are scaled by the ratio of
-    the true value to that of the setup. The generator `walking` draws the random walk of the
+    the true value to the setup's value. The generator `walking` draws the random walk of the
     heading, `walk` [rad/sqrt(s)], at `truth_rate` [Hz]; `erring` draws values that are constant in
     a trial.
     """

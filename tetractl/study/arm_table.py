@@ -44,8 +44,9 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
     """Write the tables and return their paths; the same rows give the same `trials.csv`.
 
     The columns of `trials.csv` are `log` (a path from the study's folder, empty if no log was
-    kept), `trial`, `arm`, `controller`, the swept fields by their paths, the columns of `tetractl
-    export`, `trial_digest` and `code`. `times.csv` has the columns that differ from run to run.
+    kept), `trial`, `arm`, `controller`, the swept fields by their paths, all columns of
+    `tetractl export`, `trial_digest` and `code`. `times.csv` has the columns that differ from run
+    to run.
     """
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
     trials: list[dict[str, Any]] = []

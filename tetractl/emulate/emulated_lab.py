@@ -22,7 +22,7 @@ Report = Callable[[str, Facts], None]
 
 
 class Record:
-    """Writes events to a file, if a path is given. `t_ns` is `time.monotonic_ns`."""
+    """Writes events to a file, if a path is given; their times are those of `time.monotonic_ns`."""
 
     def __init__(self, path: Path | None) -> None:
         self._file: TextIO | None = None
@@ -33,18 +33,18 @@ class Record:
                 raise TetractlError(f"cannot write the record {path}: {error.strerror}") from None
 
     def add(self, t_ns: int, event: str, **facts: Any) -> None:
-        """Append an event."""
+        """Append an event with its time `t_ns` and its facts."""
         if self._file is not None:
             line = {"t_ns": t_ns, "event": event, **facts}
             self._file.write(json.dumps(line, separators=(",", ":")) + "\n")
 
     def flush(self) -> None:
-        """Flush the file."""
+        """Write buffered events to the file."""
         if self._file is not None:
             self._file.flush()
 
     def close(self) -> None:
-        """Close the file; idempotent."""
+        """Close the file; may be called twice."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -117,7 +117,7 @@ class EmulatedLab:
         self.loop.run()
 
     def close(self) -> None:
-        """Release ports and names, and close the record; idempotent."""
+        """Release ports and names, and close the record; may be called twice."""
         counts = self.actuator.close() | self.camera.close()
         self._note("end", worst_lag_ms=self.loop.worst_lag_ns / 1e6, **counts)
         self._record.close()
@@ -196,7 +196,7 @@ class EmulatedLab:
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:
-        """Put every robot on its start, as given by the script or the spec.
+        """Put every robot on its start, which the script gives or, if not, the spec.
 
         If trials choose their cells, no cell is moved.
         """

@@ -1,7 +1,8 @@
 """Triggers and undoes the faults of a script, and records when each became visible.
 
-A fault becomes visible when its first effect is sent: with the first frame exposed or sent during
-the fault, or at once. A table next to each device lists its faults; each row is made by `fault`.
+A fault becomes visible with the first frame exposed during the fault, with the first frame sent
+during it, or at once; see `Visible`. A table next to each device lists its faults; `fault` makes
+each row.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +22,9 @@ Share = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
 
 
 class Visible(Enum):
-    """When a fault becomes noticeable."""
+    """The event at which a fault becomes visible: a frame exposed during the fault is sent, a frame
+    is sent during the fault, or the fault starts.
+    """
 
     EXPOSED = auto()
     SENT = auto()
@@ -52,7 +55,7 @@ class Fault(Model):
 
 
 def setting(target: object, **values: object) -> Undo:
-    """Set attributes; return the function that restores their values."""
+    """Set attributes of an object; return the function that restores their values."""
     before = {name: getattr(target, name) for name in values}
     for name, value in values.items():
         setattr(target, name, value)
@@ -65,8 +68,8 @@ def setting(target: object, **values: object) -> Undo:
 
 
 def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
-    """Return a function that starts a fault by setting attributes of `target(device, fault)`; a
-    value may be a function of the fault.
+    """Return a function that starts a fault: it sets attributes of `target(device, fault)` to
+    `values`. A value may be a function of the fault.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:
@@ -77,8 +80,9 @@ def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that starts a fault by `act(device, fault)(on)` and ends it by `act(device,
-    fault)(not on)`."""
+    """Return a function that starts a fault by calling `act(device, fault)(on)`; the fault is ended
+    by calling the same `act(device, fault)` with `not on`.
+    """
 
     def begin(fault: Fault, device: Any) -> Undo:
         switch = act(device, fault)
@@ -93,8 +97,8 @@ def fault(
 ) -> type[Fault]:
     """Return a kind of fault: a row of a device's table.
 
-    `keys` are further fields of the kind in a script, after `Fault`'s: a type, or a pair of type
-    and default.
+    `keys` are the fields that the kind has in a script in addition to those of `Fault`: each a
+    type, or a pair of type and default.
     """
     fields: dict[str, Any] = {"fault": (Literal[name], ...)}
     for key, kind in keys.items():
@@ -125,7 +129,8 @@ class _Pending:
 class Injector:
     """Schedules the faults of a script; `device_of` returns the device of a fault.
 
-    `report(phase, fault)` is called when a fault starts, becomes visible, and ends.
+    `report(phase, fault)` is called with the phase "start" when a fault becomes visible, and with
+    the phase "end" when it ends.
     """
 
     timeline: Timeline
@@ -136,7 +141,9 @@ class Injector:
     _since: set[str] = field(default_factory=set)
 
     def happened(self, what: str) -> None:
-        """Schedule the faults timed from an event (start, client, run), when it first happens."""
+        """Record an event (start, client or run); when it first happens, schedule the faults whose
+        times count from it.
+        """
         if what in self._since:
             return
         self._since.add(what)
@@ -146,13 +153,13 @@ class Injector:
                 self.timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Record an exposure; called just before it."""
+        """Record that the exposure with a number is about to be taken."""
         for pending in self._pending:
             if pending.exposure is None:
                 pending.exposure = exposure
 
     def sent(self, exposure: int) -> None:
-        """Record that the frame of an exposure was sent, or withheld by a fault."""
+        """Record that the frame of the exposure with a number was sent, or withheld by a fault."""
         for pending in list(self._pending):
             first = pending.exposure
             at_sending = pending.fault.visible is Visible.SENT

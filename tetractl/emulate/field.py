@@ -1,7 +1,8 @@
 """The emulated actuator of type `field`: a current driver on a serial port, coils, cells in a dish.
 
 The driver runs the firmware's own core; its currents follow the core's set points with a
-first-order lag, L/R of the coils. Cells swim by `model.swimmers` in the true field.
+first-order lag, whose time constant is L/R of the coils. Cells swim by `model.swimmers` in the
+field of these currents.
 """
 
 import math
@@ -32,10 +33,10 @@ LAG_S = 0.004  # 20 mH over 5 ohm
 class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
 
-    `currents` [A] are the true currents. Faults set `supply_mv`, `temperature_dc` (tenths of a
-    degree Celsius) and `mute` (the driver receives but does not reply), or call `switch`.
-    `tell(event, **facts)` records each command when it is read from the port, before the driver
-    receives it.
+    `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set
+    `supply_mv`, `temperature_dc` (tenths of a degree Celsius) and `mute` (the driver receives but
+    does not reply), or call `switch`. `tell(event, **facts)` records each command when it is read
+    from the port, before the driver receives it.
     """
 
     def __init__(
@@ -77,13 +78,13 @@ class CurrentDriver(SerialDevice):
                 self._answer(reply)
 
     def advance(self, until_ns: int) -> None:
-        """Advance in whole milliseconds, up to the last one before `until_ns`."""
+        """Advance in steps of 1 ms, as long as a step does not go beyond `until_ns`."""
         while self._now_ns + STEP_NS <= until_ns:
             self._now_ns += STEP_NS
             self._step()
 
     def switch(self, on: bool) -> None:
-        """Switch the driver on or off; switching it on clears its latched faults."""
+        """Switch the driver on or off; switching it on clears an emergency stop or overheating."""
         self.powered = on
         if on:
             self._core = DriverCore(self._limits, self._now_ms)
@@ -224,7 +225,7 @@ class EmulatedField(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells [mT], for the record."""
+        """The true field at the cells, for the record: {"field_mt": [x, y]} [mT]."""
         return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
 
     def switch(self, on: bool) -> None:
@@ -236,10 +237,10 @@ class EmulatedField(PluggedDevice):
         self.dish.advance(until_ns)
 
     def tick(self) -> None:
-        """Do nothing: the driver replies at once."""
+        """Do nothing, since the driver replies at once."""
 
 
 def _limits(section: FieldSection) -> DriverLimits:
-    """Return built-in limits of a driver that agree with the spec."""
+    """Return the limits built into the driver, which are those of the spec."""
     milliamperes, slew = round(1000 * section.current_max_a), round(1000 * section.slew_max_a_s)
     return DriverLimits(milliamperes, slew, round(1000 * section.watchdog))

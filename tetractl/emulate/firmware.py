@@ -1,7 +1,7 @@
-"""The firmware's cores, compiled for this machine: emulated devices run the real devices' code.
+"""The firmware's cores, compiled for this computer: emulated devices run the real devices' code.
 
-`<name>_core.c` and `framing.c` of `firmware/` are built once into the user's cache folder, by the
-compiler in $CC or the first of cc, gcc and clang.
+`<name>_core.c` and `framing.c` of `firmware/` are compiled once into the user's cache folder, by
+the compiler in $CC or, without $CC, by the first that is found of cc, gcc and clang.
 """
 
 import ctypes
@@ -47,7 +47,7 @@ FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
 
 
 def compiler() -> str | None:
-    """Return the path of a C compiler, or None."""
+    """Return the path of a C compiler, None if there is none."""
     names = [os.environ.get("CC", ""), "cc", "gcc", "clang"]
     return next(filter(None, (shutil.which(name) for name in names if name)), None)
 
@@ -63,7 +63,7 @@ def source_folder() -> Path:
 
 @cache
 def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
-    """Return the compiled core `name`, built in `folder` (default: the cache) if needed.
+    """Return the compiled core `name`, compiled into `folder` (default: the cache) if needed.
 
     TetractlError if there is no compiler, no source, or the source does not compile.
     """
@@ -101,7 +101,7 @@ def _build(codes: list[Path], path: Path) -> None:
 
 
 class CoreEvent(IntEnum):
-    """Result of reading a byte: which frame, if any, it completed."""
+    """The result of reading a byte: what kind of frame, if any, the byte completed."""
 
     NOTHING = 0
     ACCEPTED = 1
@@ -121,13 +121,15 @@ class _Core:
         self._core = ctypes.create_string_buffer(self._call("size"))
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
-        """Read bytes from the radio or line; return the events that they complete."""
+        """Read bytes from the radio or the serial line; return an event for each completed
+        frame.
+        """
         push = getattr(self._library, f"{self.name}_push")
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
-        """Return, once, the reply that is due now; no bytes if none is."""
+        """Return the reply that is due now, b"" if none is; each reply is returned once."""
         reply = ctypes.create_string_buffer(self.reply_size)
         size = self._call("take_reply", self._core, now_ms, reply)
         return reply.raw[:size]
@@ -146,13 +148,13 @@ class RobotCore(_Core):
         self._call("init", self._core, index)
 
     def wheels(self, now_ms: int) -> Counts:
-        """Return the present wheel counts, which the watchdog may have set to 0."""
+        """Return the present counts of both wheels, which the watchdog may have set to 0."""
         left, right = ctypes.c_int8(), ctypes.c_int8()
         self._call("wheels", self._core, now_ms, ctypes.byref(left), ctypes.byref(right))
         return left.value, right.value
 
     def status(self, now_ms: int) -> Status:
-        """Return the status flags of a reply."""
+        """Return the status flags that a reply would have now."""
         return Status(self._call("status", self._core, now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
@@ -162,8 +164,9 @@ class RobotCore(_Core):
 
 @dataclass(frozen=True, slots=True)
 class DriverLimits:
-    """The built-in limits of a driver: greatest current [mA] and slew rate [mA/s] of a coil pair,
-    watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius]."""
+    """The limits built into a driver: greatest current [mA] and slew rate [mA/s] of a coil pair,
+    watchdog [ms], and the temperature that stops the driver [0.1 degrees Celsius].
+    """
 
     current_max_ma: int
     slew_ma_s: int
@@ -206,5 +209,5 @@ class DriverCore(_Core):
         self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:
-        """Return the status flags of a reply."""
+        """Return the status flags that a reply would have now."""
         return DriverStatus(self._call("status", self._core, now_ms))

@@ -1,4 +1,4 @@
-"""An event loop in one thread: events in the order of their times, and readable files."""
+"""An event loop in one thread: runs events in the order of their times, and watches files."""
 
 import heapq
 import select
@@ -14,9 +14,9 @@ IDLE_S = 0.05  # longest wait without events, so that a request to end is notice
 
 
 class Timeline:
-    """A queue of events by time [ns]. `advance(t)` is called before each event at t.
+    """A queue of events by time [ns]; `advance(t)` is called before the events at a time t.
 
-    Without files to watch, it is a discrete-event simulation: tests run it in virtual time.
+    A timeline needs no clock: tests run it in virtual time, as a discrete-event simulation.
     """
 
     def __init__(self, advance: Callable[[int], None], start_ns: int = 0) -> None:
@@ -51,8 +51,8 @@ class Timeline:
 class Loop:
     """Runs a timeline in real time on the host's monotonic clock.
 
-    `worst_lag_ns` is the largest delay of an event so far, and `on_lag` is called for each delay
-    above `LAG_NS`: both show the effect of a loaded host.
+    `worst_lag_ns` is the largest delay of an event so far [ns]; `on_lag` is called with each delay
+    above `LAG_NS`. Delays show that the host is too busy.
     """
 
     now = staticmethod(time.monotonic_ns)
@@ -65,11 +65,11 @@ class Loop:
         self._ended = False
 
     def watch(self, fd: int, act: Act) -> None:
-        """Call `act` whenever `fd` can be read."""
+        """Call `act` whenever the file descriptor `fd` can be read."""
         self._readers[fd] = act
 
     def forget(self, fd: int) -> None:
-        """Stop watching `fd`."""
+        """Stop watching the file descriptor `fd`."""
         self._readers.pop(fd, None)
 
     def end(self) -> None:

@@ -19,12 +19,12 @@ _BAUDS = {
 
 
 def uart_ns(size: int, baud: int) -> int:
-    """Return the time [ns] that a number of bytes takes on a serial line, at ten bits each."""
+    """Return the time [ns] that `size` bytes take on a serial line, at ten bits per byte."""
     return size * 10 * SECOND // baud
 
 
 class SerialDevice(ABC):
-    """A device that receives and answers through `port`; bytes are delayed as on a serial line."""
+    """A device that receives and answers through `port`, with the delays of a serial line."""
 
     def __init__(self, timeline: Timeline, port: "PseudoPort", baud: int) -> None:
         self.port = port
@@ -41,7 +41,9 @@ class SerialDevice(ABC):
         """Record bytes read from the port, even if the device does not receive them."""
 
     def readable(self) -> None:
-        """Read bytes written to the port; the device receives them after their time on the line."""
+        """Read the bytes that a program wrote to the port; the device receives them after the time
+        that they take on the line.
+        """
         data = self.port.read()
         if not data:
             return
@@ -58,7 +60,7 @@ class SerialDevice(ABC):
 
 
 class PluggedDevice:
-    """A device named `what` on a port that can be unplugged; `wired` is its end of the line."""
+    """A device, described by `what`, on a port that can be unplugged; `wired` reads and answers."""
 
     what: ClassVar[str]
     port: "PseudoPort"
@@ -66,13 +68,13 @@ class PluggedDevice:
     _loop: Loop | None = None
 
     def open(self, loop: Loop) -> dict[str, Any]:
-        """Plug the device in; return its name and its port."""
+        """Plug the device in; return its description and the port's name."""
         self._loop = loop
         self.plug()
         return {"actuator": f"{self.what} at {self.port.link}", "port": str(self.port.link)}
 
     def close(self) -> dict[str, Any]:
-        """Pull the device out; return the count of chunks at a wrong baud rate."""
+        """Unplug the device; return how many chunks of bytes came at a wrong baud rate."""
         self.unplug()
         return {"garbled": self.wired.garbled}
 
@@ -90,7 +92,7 @@ class PluggedDevice:
             self.unplug()
 
     def unplug(self) -> None:
-        """Unplug the device; idempotent."""
+        """Unplug the device; may be called twice."""
         if self._loop is not None:
             self._loop.forget(self.port.fd)
         self.port.unplug()
@@ -120,7 +122,7 @@ class PseudoPort:
             raise
 
     def unplug(self) -> None:
-        """Remove port and name; a program that uses the port gets errors. Idempotent."""
+        """Remove port and name; a program that uses the port gets errors. May be called twice."""
         if self.fd >= 0 and self.link.is_symlink() and str(self.link.readlink()) == self._target:
             self.link.unlink()
         self._close()
@@ -135,7 +137,7 @@ class PseudoPort:
         return _BAUDS.get(termios.tcgetattr(self._far)[5], 0) if self.fd >= 0 else 0
 
     def read(self) -> bytes:
-        """Return the bytes that were written to the port."""
+        """Return the bytes that the program has written to the port, b"" if none."""
         try:
             return os.read(self.fd, 4096) if self.fd >= 0 else b""
         except BlockingIOError:

@@ -19,7 +19,7 @@ from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem, did
 
 
 def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
-    """Return the fault described by a mapping, whose key `fault` names the kind."""
+    """Return the fault that a mapping describes; the mapping's key `fault` names the kind."""
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
@@ -137,7 +137,7 @@ class Sides:
 
     @property
     def faults(self) -> dict[str, type[Fault]]:
-        """Every fault that the lab can have, by name."""
+        """Every kind of fault that the lab can have, by its name."""
         kinds = (*self.camera.faults, *self.actuator.faults, MARK)
         return {get_args(kind.model_fields["fault"].annotation)[0]: kind for kind in kinds}
 
@@ -150,7 +150,9 @@ def load_script(path: Path, camera: str = "optitrack", actuator: str = "m3pi-xbe
 def parse_script(
     text: str, origin: str, camera: str = "optitrack", actuator: str = "m3pi-xbee"
 ) -> Script:
-    """Read the text of a script; `origin` is its name in error messages."""
+    """Read the text of a script for a lab of these types; InvalidSpecError with a line for each
+    problem. `origin` is the script's name in error messages.
+    """
     document = parse_document(text, origin)
     sides = Sides.of(camera, actuator)
     try:

@@ -19,11 +19,12 @@ Facts = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """Options of the emulation. Port 0 is any free port, None the spec's port.
+    """Options of the emulation. A port of 0 means any free port, None the spec's port.
 
-    `record` is a file for the true events. `replace_after` [s]: robots that have stood still for
-    this time after a run are switched off and on and put back on their starts. `chosen`: trials
-    choose their cells, so the emulation's settings give the cells in the dish.
+    `link` is the name of the serial port, None for the spec's. `record` is a file for the true
+    events, None for no file. `replace_after` [s]: robots that have stood still for this time after
+    a run are put back on their starts and switched off and on; None leaves them where they are.
+    `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish.
     """
 
     address: str = "127.0.0.1"
@@ -40,9 +41,9 @@ class Options:
 class Stage:
     """The data and functions shared by both devices; `setup` and `lab` come from the spec.
 
-    `note(event, **facts)` adds to the record. A camera calls `exposed(exposure, frame)` at each
-    exposure, `sent(exposure)` at the time of sending its frame, even if the frame is withheld, and
-    `client(address)` for each new client.
+    `note(event, **facts)` adds an event to the record. A camera calls `exposed(exposure, frame)`,
+    with the numbers of exposure and frame, at each exposure; `sent(exposure)` when the exposure's
+    frame is sent or would be sent without a fault; and `client(address)` for each new client.
     """
 
     lab: LabSection
@@ -70,29 +71,30 @@ class Body(Protocol):
 
     @property
     def standing(self) -> bool:
-        """Whether the robot is at rest, or slower than a camera could detect."""
+        """Whether the robot is at rest, or moves more slowly than a camera could detect."""
         ...
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot at a pose [mm, rad], at rest."""
+        """Put the robot, at rest, at a pose [mm, rad]."""
         ...
 
 
 class EmulatedSide(Protocol):
     """One device of an emulated lab.
 
-    `Settings` is the device's section in a script's `emulation`; `faults` are its possible faults.
+    `Settings` is the model of the device's section in a script's `emulation`; `faults` are the
+    faults that the device can have.
     """
 
     Settings: ClassVar[type[Model]]
     faults: ClassVar[Sequence[type[Fault]]]
 
     def open(self, loop: Loop) -> Facts:
-        """Open ports and names; return the device's address for its clients."""
+        """Open ports and names; return facts for the clients, such as the device's address."""
         ...
 
     def close(self) -> Facts:
-        """Release ports and names; idempotent. Return counts for the record."""
+        """Release ports and names, and return counts for the record; may be called twice."""
         ...
 
 
@@ -100,7 +102,7 @@ class EmulatedCamera(EmulatedSide, Protocol):
     """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
 
     def hide(self, hidden: bool) -> None:
-        """Leave all bodies untracked, as while robots are carried, or track them again."""
+        """If `hidden`, track no body, as while robots are carried; otherwise track all again."""
         ...
 
 
@@ -123,7 +125,9 @@ class EmulatedActuator(EmulatedSide, Protocol):
         ...
 
     def switch(self, on: bool) -> None:
-        """Switch the robots off, as while being carried, or on, which restarts their programs."""
+        """Switch the robots off, as while they are carried, or on, which restarts their
+        programs.
+        """
         ...
 
     def advance(self, until_ns: int) -> None:

@@ -1,5 +1,5 @@
-"""Emulated network cameras: drawn pictures as a multipart MJPEG stream on this computer, and the
-settings and faults that all of them share.
+"""Emulated network cameras: serve drawn pictures as a multipart MJPEG stream on this computer; and
+the settings and faults that all these cameras share.
 """
 
 import queue
@@ -35,12 +35,12 @@ WAIT_S = 0.05
 class EmulatedNetworkCamera:
     """Serves pictures at http://127.0.0.1:`port`/; a context manager.
 
-    `draw(exposed_ns)` returns the picture of an exposure on `clock`. Picture k is exposed k /
-    `rate_hz` after the camera was entered, for `exposure_s`, and leaves `latency_s` later, or as
-    soon as it is drawn; a busy host skips some exposures. `mangle` changes the bytes of a part
-    before they are sent; `frozen` stops exposures while it is set; only every `every`-th picture is
-    sent. A camera that `drips` sends an endless header byte by byte. Raises TetractlError if the
-    port is in use.
+    `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. The
+    middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera was
+    entered. The picture is sent `latency_s` after that, or as soon as it is drawn; a busy host
+    skips some exposures. `mangle` changes the bytes of a part before they are sent; `frozen` stops
+    exposures while it is set; only every `every`-th picture is sent. A camera that `drips` sends an
+    endless header byte by byte. Raises TetractlError if the port is in use.
     """
 
     def __init__(
@@ -107,7 +107,7 @@ class EmulatedNetworkCamera:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Stop exposing, and close every connection."""
+        """Stop taking pictures, and close every connection."""
         self._closing.set()
         self._server.shutdown()
         self._server.server_close()
@@ -168,13 +168,13 @@ def cut_before_its_end(whole: bytes) -> bytes:
 
 
 def oversized(whole: bytes) -> bytes:
-    """Return a part whose JPEG claims to be 32767 x 32767."""
+    """Return a part whose JPEG claims to have 32767 x 32767 pixels."""
     at = whole.index(b"\xff\xc0") + 5
     return whole[:at] + b"\x7f\xff\x7f\xff" + whole[at + 4 :]
 
 
 def part(jpeg: bytes) -> bytes:
-    """Return one part of the stream, its boundary first."""
+    """Return one part of the stream for a JPEG file, beginning with the boundary."""
     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
     return head.encode() + jpeg + b"\r\n"
 
@@ -247,9 +247,9 @@ STREAM_FAULTS = (
 
 
 class StreamedCamera(ABC):
-    """Base of emulated cameras that serve pictures as MJPEG; a thread draws them.
+    """Base class of emulated cameras that serve pictures as MJPEG; a thread draws the pictures.
 
-    A subclass returns the present scene, and draws the scene of an exposure.
+    A subclass returns the present scene as numbers, and draws the scene at an exposure.
     """
 
     Settings: ClassVar[type[Model]]
@@ -273,14 +273,16 @@ class StreamedCamera(ABC):
 
     @abstractmethod
     def _scene(self) -> Floats:
-        """Return the present scene as numbers that can be interpolated."""
+        """Return the present scene as numbers that can be interpolated in time."""
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
-        """Return the picture of an exposure, by `_scene_at`; called in the camera's thread."""
+        """Return the picture of an exposure, drawn by `_scene_at`; called in the camera's
+        thread.
+        """
 
     def open(self, loop: Loop) -> Facts:
-        """Serve the stream."""
+        """Start to serve the stream; return its address."""
         clock, settings = MonotonicClock(), self._settings
         self._start_ns = loop.now() - clock.now()
         self._remember()
@@ -306,11 +308,13 @@ class StreamedCamera(ABC):
         return {"pictures": self._exposures}
 
     def _joined(self) -> None:
-        """Called when a client begins to watch; does nothing unless overridden."""
+        """Do nothing, unless overridden; called when a client begins to watch."""
         return
 
     def _scene_at(self, t_ns: int) -> Floats:
-        """Return the scene at a time [ns], interpolated between the two stored scenes around it."""
+        """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
+        scenes before and after.
+        """
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)
         if i == 0:

@@ -1,6 +1,6 @@
 """The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
 
-The arena is drawn with optics, floor, tags, blur and noise. No picture is real: an emulated camera
+The arena is drawn with optics, floor, tags, blur and noise. No picture is real. The emulated camera
 is a pinhole with known optics, so that results from its pictures can be compared with the truth.
 """
 
@@ -29,9 +29,9 @@ class Optics:
     """A pinhole camera that looks from `position` at `target` [m, z up], and its imperfections.
 
     `up` is the direction on the floor that is up in the picture [rad]. `distortion` contains
-    OpenCV's k1, k2, p1, p2 and, optionally, k3. `blur_px` is the lens's Gaussian blur, `exposure_s`
-    the time during which motion smears, `gain` multiplies the light, `noise` is the standard
-    deviation of each pixel in grey levels at gain 1.
+    OpenCV's k1, k2, p1, p2 and, optionally, k3. `blur_px` is the standard deviation of the lens's
+    Gaussian blur, `exposure_s` the time during which motion smears, `gain` multiplies the light,
+    and `noise` is the standard deviation of each pixel in grey levels at gain 1.
     """
 
     width: int
@@ -57,9 +57,10 @@ class Optics:
         tilt: float = 0.35,
         up: float = math.pi / 2,
     ) -> Self:
-        """Return the nearest camera that sees all floor tags with some margin.
+        """Return the camera nearest to the floor that sees all floor tags with some margin.
 
-        `view` is the horizontal angle of view [rad] and `tilt` the angle between the optical axis
+        `metres` is the spec's length unit [m], `width` and `height` are those of a picture [px],
+        `view` is the horizontal angle of view [rad], and `tilt` the angle between the optical axis
         and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
@@ -91,13 +92,15 @@ class Optics:
 
     @property
     def matrix(self) -> Floats:
-        """The intrinsic matrix K, (3, 3), pixel centres at whole numbers."""
+        """The intrinsic matrix K, (3, 3); pixel centres are at whole numbers."""
         across, down = (self.width - 1) / 2, (self.height - 1) / 2
         return np.array([[self.focal_px, 0, across], [0, self.focal_px, down], [0, 0, 1]])
 
     @property
     def axes(self) -> Floats:
-        """The camera's right, down and forward in the arena's axes, (3, 3): a rotation."""
+        """The directions right, down and forward of the camera in the arena's axes, one per row
+        (3, 3): a rotation matrix.
+        """
         forward = np.subtract(self.target, self.position)
         forward /= np.linalg.norm(forward)
         right = np.cross(forward, (math.cos(self.up), math.sin(self.up), 0.0))
@@ -128,9 +131,9 @@ Shades = NDArray[np.float32]
 
 @dataclass(slots=True)
 class Renderer:
-    """Renders robots with tags and floor tags through the optics; the same seed gives the same
-    pictures. `metres` is the spec's length unit [m]. Tags whose number is in `hidden` are not
-    drawn; tags in `strays` are drawn on the floor as well.
+    """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
+    same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
+    not drawn; the tags in `strays` are also drawn on the floor.
     """
 
     robots: Sequence[RobotTag]
@@ -166,9 +169,9 @@ class Renderer:
         return self._finished(canvas)
 
     def card(self, robot: RobotTag, poses: Poses, i: int) -> Floats:
-        """Return the pixels of the corners of robot i's card before distortion, (4, 2).
+        """Return the pixels (4, 2), before distortion, of the corners of robot i's card.
 
-        The card is the tag with its white margin; its top left corner comes first, then clockwise.
+        The card is the tag with its white margin. Corners run clockwise from the top left corner.
         """
         heading = poses.heading[i] - robot.heading_offset
         return self._card((poses.x[i], poses.y[i]), robot.height_mm, heading, robot.size_mm)
@@ -183,7 +186,9 @@ class Renderer:
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """Return the picture of the floor with its tags, drawn again if other tags are hidden."""
+        """Return the picture of the floor and its tags; it is drawn again if other tags are
+        hidden.
+        """
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
@@ -220,7 +225,9 @@ class Renderer:
         part += ink[..., 0]
 
     def _texture(self, number: int) -> Shades:
-        """Return a card's grey levels and its coverage, (side, side, 2)."""
+        """Return the grey levels of the card of a tag's number and its coverage, 1 everywhere, as
+        an array (side, side, 2).
+        """
         if number not in self._textures:
             modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
             grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
@@ -242,7 +249,9 @@ class Renderer:
         return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Return standard normal noise (height, width): a random window of one larger field."""
+        """Return standard normal noise (height, width), cut at random from a larger field of
+        noise.
+        """
         if self._noise is None:
             draw = np.random.default_rng(self.seed).standard_normal
             self._noise = draw((height + SPARE, width + SPARE), np.float32)
@@ -251,7 +260,9 @@ class Renderer:
         return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
 
     def _undistorted(self) -> tuple[Shades, Shades]:
-        """Return column and row without distortion of each pixel of the distorted picture."""
+        """Return, for each pixel of the distorted picture, the column and the row of the same point
+        in the undistorted picture: two arrays (height, width).
+        """
         if self._bent is None:
             optics = self.optics
             rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
@@ -301,7 +312,7 @@ class EmulatedAprilTag(StreamedCamera):
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def hide(self, hidden: bool) -> None:
-        """Leave all robots out of the pictures, or draw them again."""
+        """If `hidden`, leave all robots' tags out of the pictures; otherwise draw them again."""
         self.renderer.hidden.clear()
         if hidden:
             self.renderer.hidden.update(robot.tag for robot in self.renderer.robots)

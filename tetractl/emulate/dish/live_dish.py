@@ -37,10 +37,10 @@ class FieldDriver(Protocol):
 class Dish:
     """Cells between the coils of a driver.
 
-    `coils` are the true coils, `reference_mt` the field strength for which the cells' a is given.
-    `walls` [um] are the edges that cells slide along, None for a dish without edges. If cells are
-    `held`, a placed cell stays at its place until the driver makes a field, as if a helper held it
-    with a pipette, so that a trial begins with the cells on their starts.
+    `coils` are the true coils; `reference_mt` is the field strength at which the cells' a holds.
+    `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
+    placed cell stays at its place until the driver makes a field, as if a helper held it with a
+    pipette, so that a trial begins with the cells on their starts.
     """
 
     def __init__(
@@ -61,7 +61,9 @@ class Dish:
         self.drop()
 
     def drop(self) -> None:
-        """Scatter the cells around the middle again, like a fresh drop from a pipette."""
+        """Scatter the cells around the middle of the dish, like a fresh drop from a pipette; do
+        nothing in a dish without edges.
+        """
         if (walls := self._walls) is None:
             return
         count, random = len(self.cells), self._random
@@ -73,7 +75,7 @@ class Dish:
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
-        """Let a cell divide; the daughter becomes the last cell."""
+        """Let the cell with an index divide; the daughter becomes the last cell."""
         self.cells = self.cells.divide(row, self._random)
 
     @property
@@ -82,7 +84,9 @@ class Dish:
         return self.coils.field(self.driver.currents)
 
     def advance(self, until_ns: int) -> None:
-        """Advance driver and cells in whole steps, up to the last step before `until_ns`."""
+        """Advance driver and cells in whole steps, as long as a step does not go beyond
+        `until_ns`.
+        """
         while self._now_ns + FIELD_NS <= until_ns:
             self._now_ns += FIELD_NS
             self.driver.advance(self._now_ns)
@@ -103,9 +107,10 @@ class Dish:
 
 
 class CellBody:
-    """The true state of one cell of a dish: x, y [mm] and heading [rad] of its helix's axis.
+    """The true state of one cell of a dish: x, y [mm], and as heading [rad] the direction of its
+    helix's axis.
 
-    A cell never stands still, so it counts as standing while no field steers it.
+    A cell never stands still; it counts as standing while the driver makes no field.
     """
 
     def __init__(self, name: str, dish: Dish, row: int) -> None:
@@ -128,18 +133,20 @@ class CellBody:
 
     @property
     def standing(self) -> bool:
-        """Whether no field steers the cell."""
+        """Whether the driver makes no field to steer the cell."""
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell at a pose [mm, rad], where it stays if cells are held."""
+        """Put the cell at a pose [mm, rad]; if the dish's cells are `held`, it stays there."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return cells with the a and speeds of a setup; other properties are drawn at random."""
+    """Return cells with the a and the speeds of a setup, and with the random walk `walk` of the
+    heading [rad/sqrt(s)]; other properties are drawn at random.
+    """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6
     cells.bias[:], cells.walk[:] = 0.0, walk
@@ -147,7 +154,9 @@ def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
 
 
 def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmers, Sequence[str]]:
-    """Return random cells and their names: `count` with a magnet, then `strangers` without."""
+    """Return random cells and their names: first `count` cells with a magnet, then `strangers`
+    cells without. `walk` is the random walk of their headings [rad/sqrt(s)].
+    """
     cells = Swimmers.drawn(np.random.default_rng(seed), count + strangers, strangers)
     cells.walk[:] = walk
     kinds = ["cell"] * count + ["stranger"] * strangers

@@ -1,7 +1,8 @@
 """Draws synthetic pictures of a dish: bodies, specks, a bubble, light, blur and noise.
 
-Nothing here is a real picture. Column c and row r of a picture of `um_px` show
-x = (c + 1/2) um_px and y = (height - 1/2 - r) um_px [um], from its lower left corner: y points up.
+Nothing here is a real picture. In a picture with the scale `um_px`, the pixel in column c and row r
+shows the point x = (c + 1/2) um_px, y = (height - 1/2 - r) um_px [um], measured from the picture's
+lower left corner: y points up.
 """
 
 import math
@@ -27,11 +28,11 @@ NOISE_SPARE = 64  # margin by which the field of noise is larger than a picture 
 
 @dataclass(frozen=True, slots=True)
 class RenderedSpeck:
-    """Debris or a bubble: an ellipse of width `size_um` at x, y [um], `stretch` times as long, with
+    """Debris or a bubble: an ellipse at x, y [um], `size_um` wide and `stretch` times as long, with
     its long axis at the angle `turn` [rad].
 
-    `shade` is its contrast relative to a cell's, `drift` its velocity [um/s]; `rim`: it has a
-    bright rim.
+    `shade` is its contrast as a multiple of a cell's contrast, `drift` its velocity [um/s]; `rim`
+    is whether it has a bright rim.
     """
 
     x: float
@@ -48,9 +49,10 @@ class RenderedSpeck:
 class PictureLook:
     """The properties of an emulated microscope's pictures.
 
-    `bright` cells are brighter than the medium. `light` is the medium's grey level in the middle,
-    `contrast` the difference to a cell. `vignetting` is the fraction of light lost in the corners;
-    `light_drift` [1/s] and `flicker` (100 Hz) are fractions of the light. `noise` [grey levels]
+    `bright` is whether cells are brighter than the medium. `light` is the medium's grey level in
+    the middle of the picture, `contrast` the difference between cell and medium [grey levels].
+    `vignetting` is the fraction of light lost in the corners. The light changes by the fraction
+    `light_drift` [1/s] and flickers at 100 Hz by the fraction `flicker`. `noise` [grey levels]
     includes shot noise; `quality` is the JPEG quality, None for no JPEG. `focus_um` is the height
     in focus, `corner_um` the position of the picture's lower left corner in the dish.
     """
@@ -73,7 +75,7 @@ class PictureLook:
 
     @classmethod
     def drawn(cls, random: np.random.Generator, side_px: int, um_px: float | None = None) -> Self:
-        """Return a random look within the ranges of docs/explanation/cells.md."""
+        """Return a random look, with values in the ranges given in docs/explanation/cells.md."""
         scale = float(random.uniform(2.0, 5.0)) if um_px is None else um_px
         bright = bool(random.random() < 0.5)
         span = side_px * scale
@@ -133,8 +135,8 @@ class DishPainter:
     ) -> Grey:
         """Return a grey picture (height, width) taken at a time [s].
 
-        `moments` are the bodies at times spread evenly over the exposure, `shown` (N,) is True for
-        cells in the dish.
+        `moments` are the bodies of the N cells at times spread evenly over the exposure; `shown`
+        (N,) is True for the cells to be drawn.
         """
         look = self.look
         ink = self._specks_at_rest().copy()
@@ -184,8 +186,8 @@ class DishPainter:
     def _patch(
         self, x: float, y: float, reach_px: float
     ) -> tuple[tuple[slice, slice], Floats, Floats] | None:
-        """Return the slices of a picture around a position, and x, y of their pixels relative to it
-        [px, y up]; None outside the picture.
+        """Return the slices of a picture up to `reach_px` around a position [um], and x and y
+        (upwards) of their pixels relative to the position [px]; None outside the picture.
         """
         column, row = self._pixels(x, y)
         left, right = (
@@ -245,6 +247,6 @@ class DishPainter:
 
 
 def recoded(picture: Grey, quality: int) -> Grey:
-    """Return a picture after JPEG compression of the given quality."""
+    """Return a picture as it is after JPEG compression with a quality from 0 to 100."""
     coded = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE), np.uint8)

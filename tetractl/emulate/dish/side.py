@@ -44,7 +44,9 @@ class MicroscopeSettings(StreamSettings):
 
 
 def _changes(**values: Callable[[Any, PictureLook], Any]) -> Callable[[Any, Any], Undo]:
-    """Return a function that starts a fault by changing the look, and returns its undo function."""
+    """Return a function that starts a fault by changing values of the pictures' look, and that
+    returns the function that undoes the change.
+    """
 
     def begin(fault: Any, device: Any) -> Undo:
         painter: DishPainter = device.painter
@@ -147,7 +149,7 @@ class EmulatedMicroscope(StreamedCamera):
         self._hidden = False
 
     def hide(self, hidden: bool) -> None:
-        """Leave all cells out of the pictures, or draw them again."""
+        """If `hidden`, leave all cells out of the pictures; otherwise draw them again."""
         self._hidden = hidden
 
     def _joined(self) -> None:

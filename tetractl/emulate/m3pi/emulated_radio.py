@@ -1,9 +1,9 @@
 """The emulated radio: the XBee at the PC, UARTs, transmission, loss and acknowledgements; no I/O.
 
-A frame takes time on the PC's UART, then 32 us per byte on the air after a short random wait, then
-time on the robot's UART. Broadcasts are not acknowledged; a unicast is sent up to four times. The
-module answers AT commands that request a parameter, and reports the result of each transmission. In
-transparent mode, bytes are sent without frames.
+A frame takes time on the PC's UART, then, after a short random wait, 32 us per byte on the air,
+then time on the robot's UART. Broadcasts are not acknowledged; a message to one robot is sent up to
+four times, until it is acknowledged. The module answers AT commands that request a parameter, and
+reports the result of each transmission. In transparent mode, bytes are sent without frames.
 """
 
 import random
@@ -41,7 +41,7 @@ Write = Callable[[bytes], None]
 
 @dataclass(frozen=True, slots=True)
 class ModuleSettings:
-    """Settings of the module; `mode` is AP, `explicit` whether AO is 1."""
+    """Settings of the module; `mode` is its parameter AP, `explicit` is whether its AO is 1."""
 
     baud: int = 57600
     mode: int = 2
@@ -75,7 +75,7 @@ class EmulatedModule:
             self._send(BROADCAST_16, data[start : start + PAYLOAD], lambda delivery: None)
 
     def receive(self, source: int, payload: bytes) -> None:
-        """Take a payload received by radio."""
+        """Pass a payload received by radio from the address `source` on to the PC."""
         if not self.settings.mode:
             self._write(payload)
         elif self.settings.explicit:  # both addresses, endpoints, cluster, profile, options
@@ -120,8 +120,9 @@ Heard = Callable[[bytes], None]
 class EmulatedRadio(SerialDevice):
     """The PC's module on its port, and one module per robot at `addresses`.
 
-    `on_wire` is called with every chunk of bytes read from the port. `loss` is the probability that
-    a robot does not receive a transmission.
+    `on_wire` is called with every chunk of bytes read from the port, `on_heard` with each robot
+    that receives a payload and the payload. `loss` is the probability that a robot does not receive
+    a transmission.
     """
 
     def __init__(
@@ -153,14 +154,16 @@ class EmulatedRadio(SerialDevice):
         self._on_wire(data)
 
     def poll_answers(self) -> None:
-        """Send the robots' answers; call it about every millisecond."""
+        """Send the answers that robots have ready; to be called about every millisecond."""
         for address, robot in self.robots.items():
             if answer := robot.answer():
                 ready = self._timeline.now_ns + uart_ns(len(answer), ROBOT_BAUD)
                 self._timeline.at(ready, lambda a=address, d=answer: self._reply(a, d))
 
     def _take_air(self, size: int) -> int:
-        """Reserve the air for a transmission of `size` bytes; return when it ends [ns]."""
+        """Reserve the radio channel for a transmission of `size` bytes; return when it ends
+        [ns].
+        """
         start = max(self._timeline.now_ns, self._air_ns)
         wait = round(self._random.uniform(0, BACKOFF_NS))
         self._air_ns = start + wait + (size + AIR_OVERHEAD) * AIR_NS_A_BYTE

@@ -1,7 +1,7 @@
 """An emulated robot: wheels, battery, and the program that reads the radio.
 
-Lengths are millimetres. The motion is (21)-(23) with wheels that follow their commanded speeds
-with a first-order lag.
+Lengths are millimetres. The robot moves by equations (21)-(23) of the paper; its wheels follow
+their commanded speeds with a first-order lag.
 """
 
 import math
@@ -32,7 +32,7 @@ class Program(Protocol):
         ...
 
     def answer(self, now_ms: int) -> bytes:
-        """Return the bytes to send now, if any."""
+        """Return the bytes that the robot sends now, b"" if none."""
         ...
 
 
@@ -70,9 +70,9 @@ class Query(Enum):
 
 
 class SlaveDecoder:
-    """Decodes commands from the serial stream, in chunks that may end anywhere.
+    """Decodes commands from a serial stream, given in chunks that may end anywhere.
 
-    `ignored` counts data bytes without a command, commands that lost their data, and unknown
+    `ignored` counts data bytes without a command, commands without their data byte, and unknown
     commands.
     """
 
@@ -107,7 +107,7 @@ _MOTORS = {motor.value + back: (motor, 1 - 2 * back) for motor in Motor for back
 
 
 class SlaveProgram:
-    """The 3pi's serial-slave program. It has no watchdog: without commands it drives on."""
+    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on."""
 
     def __init__(self) -> None:
         self._decoder = SlaveDecoder()
@@ -127,18 +127,18 @@ class SlaveProgram:
                     self._answer += battery_mv.to_bytes(2, "little")
 
     def counts(self, now_ms: int) -> Counts:
-        """Return the last commanded counts, which never expire."""
+        """Return the counts commanded last, which never expire."""
         return self._counts[0], self._counts[1]
 
     def answer(self, now_ms: int) -> bytes:
-        """Return the answers to all requests so far, without delay."""
+        """Return the answers to the requests since the last call, without delay."""
         answer, self._answer = self._answer, b""
         return answer
 
 
 @dataclass(slots=True)
 class EmulatedBattery:
-    """Four NiMH cells: the voltage falls with the load and with the charge drawn."""
+    """A battery of four NiMH cells, whose voltage falls with the load and with the charge drawn."""
 
     open_mv: float = 5100.0
     sag_mv: float = 150.0  # at full load, both wheels at 1 m/s
@@ -157,9 +157,10 @@ class EmulatedBattery:
 class EmulatedRobot:
     """The true state of one robot.
 
-    `boot` starts the robot's program when it is switched on. `x`, `y` [mm] and `heading` [rad] are
-    in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm] is r of
-    (23), `lag_s` [s] the wheels' time constant. Faults set `powered`, `stuck` and `veer`.
+    `boot` starts the robot's program when the robot is switched on. `x`, `y` [mm] and `heading`
+    [rad] are in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm]
+    is r of equation (23), the distance from a wheel to the centre; `lag_s` [s] is the wheels' time
+    constant. Faults set `powered`, `stuck` (left and right wheel) and `veer`.
     """
 
     name: str
@@ -189,7 +190,7 @@ class EmulatedRobot:
 
     @property
     def standing(self) -> bool:
-        """Whether both wheels are at rest, or slower than a camera could detect."""
+        """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
         return max(abs(self.left), abs(self.right)) < STANDING_MM_S
 
     @property
@@ -203,7 +204,7 @@ class EmulatedRobot:
             self.program.hear(data, self.now_ns // 1_000_000, self.battery_mv)
 
     def answer(self) -> bytes:
-        """Return the bytes from the robot to its radio module."""
+        """Return the bytes that the robot now sends to its radio module."""
         return self.program.answer(self.now_ns // 1_000_000) if self.powered else b""
 
     def counts(self) -> Counts:
@@ -227,7 +228,7 @@ class EmulatedRobot:
             self.program = self.boot()
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the robot at a pose, at rest."""
+        """Put the robot, at rest, at a pose [mm, rad]."""
         self.x, self.y, self.heading = x, y, heading
         self.left = self.right = 0.0
 

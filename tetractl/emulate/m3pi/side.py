@@ -36,8 +36,9 @@ Note = Callable[..., None]
 class CommandLog:
     """Records each command as it is read from the port.
 
-    `mode` is the XBee parameter AP. A broadcast is recorded with `sequence`, `flags` and the
-    `wheels` of all robots; a command to one robot with its `address` and `wheels`.
+    `mode` is the XBee parameter AP; `slave` is whether the robots run the serial-slave program. A
+    broadcast is recorded with `sequence`, `flags` and the `wheels` of all robots, a command to one
+    robot with the robot's `address` and `wheels`.
     """
 
     def __init__(self, mode: int, slave: bool, note: Note) -> None:
@@ -48,7 +49,7 @@ class CommandLog:
         self._slaves: dict[int, tuple[SlaveDecoder, list[int]]] = {}
 
     def read(self, data: bytes) -> None:
-        """Record the commands that these bytes complete."""
+        """Take bytes read from the port, and record the commands that they complete."""
         if self._api is None:
             self._payload(0xFFFF, data)
             return
@@ -224,7 +225,7 @@ class EmulatedM3pi(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The speeds of all wheels [mm/s]."""
+        """The speeds of all wheels, for the record: {"wheels": [[left, right], ...]} [mm/s]."""
         return {"wheels": [[round(r.left, 2), round(r.right, 2)] for r in self.robots]}
 
     def switch(self, on: bool) -> None:
@@ -242,7 +243,7 @@ class EmulatedM3pi(PluggedDevice):
         self.radio.poll_answers()
 
     def robot(self, name: str) -> EmulatedRobot:
-        """Return a robot by name."""
+        """Return the robot with a name."""
         return next(robot for robot in self.robots if robot.name == name)
 
 

@@ -1,4 +1,6 @@
-"""The emulated Motive: NatNet over UDP, unicast or multicast, frames at camera rate."""
+"""The emulated Motive: sends frames at the cameras' rate by NatNet over UDP, unicast or
+multicast.
+"""
 
 import random
 import socket
@@ -43,7 +45,8 @@ class Motive:
     """An emulated Motive server. `expose` returns the bodies at the timeline's present moment.
 
     Exposures are numbered from 1, without gaps. `on_exposed(exposure, frame number)` is called at
-    each, `on_sent(exposure)` at the time of sending its datagrams, even if a fault withholds them.
+    each exposure, and `on_sent(exposure)` when its datagrams are sent or would be sent without a
+    fault. `on_client(address)` is called for each new client.
     """
 
     def __init__(
@@ -79,12 +82,12 @@ class Motive:
 
     @property
     def command_port(self) -> int:
-        """The UDP port for commands that was really opened."""
+        """The UDP port for commands; once it is open, its real number."""
         return self.streaming.command_port if self.command is None else _port(self.command)
 
     @property
     def data_port(self) -> int:
-        """The UDP port that frames come from or, in multicast, go to."""
+        """The UDP port from which frames are sent or, in multicast, to which they are sent."""
         return self.server.data_port
 
     def open(self) -> int:
@@ -104,13 +107,13 @@ class Motive:
         return self.command.fileno()
 
     def close(self) -> None:
-        """Release the ports; idempotent."""
+        """Release the ports; may be called twice."""
         for opened in (self.command, self.data):
             if opened is not None:
                 opened.close()
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
-        """Answer the messages at the command port; `catch_up` first advances the timeline."""
+        """Answer the messages at the command port; `catch_up` advances the timeline before each."""
         assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
@@ -207,7 +210,9 @@ def mangle(datagram: bytes, chance: random.Random) -> bytes:
 
 
 def _packed(message: Message, version: Version) -> bytes:
-    """Pack a message in a protocol version; a version outside 2.6 to 4.3 as the nearest of them."""
+    """Pack a message in a protocol version; versions before 2.6 are packed as 2.6, versions after
+    4.3 as 4.3.
+    """
     if version > NEWEST and isinstance(message, ModelDef):
         return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
     return pack_answer(message, max(OLDEST, min(version, NEWEST)))

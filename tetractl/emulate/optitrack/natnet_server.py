@@ -1,5 +1,5 @@
-"""Settings, answers and clients of the emulated Motive, without sockets: reads clients' messages
-and packs the server's answers and frames.
+"""The emulated Motive without its sockets: settings, clients and answers; reads clients' messages,
+and packs answers and frames.
 """
 
 import struct
@@ -49,11 +49,12 @@ EMULATED_VERSION = Version(4, 1)
 class Streaming:
     """Motive's streaming settings. Port 0 takes any free port; times are in seconds.
 
-    The time from exposure to transmission has the mean `latency` and the deviation `jitter`; one
-    frame in 250 is late by up to nearly half a frame. A version above 4.3 is packed as 4.3, with
-    longer descriptions of rigid bodies. `keeps_version`: clients cannot choose another version;
-    `answers_models`: requests for MODELDEF are answered; `models_changed`: every frame reports
-    changed models; `unit_mm`: the answer to `UnitsToMillimeters`, though frames are in metres.
+    The time from exposure to transmission has the mean `latency` and the standard deviation
+    `jitter`; on average, one frame in 250 is delayed further, by up to nearly half a frame period.
+    A version above 4.3 is packed as 4.3, with longer descriptions of rigid bodies. `keeps_version`:
+    clients cannot choose another version; `answers_models`: requests for MODELDEF are answered;
+    `models_changed`: every frame reports changed models; `unit_mm`: the answer to
+    `UnitsToMillimeters`, although positions are always in metres.
     """
 
     address: str = "127.0.0.1"
@@ -77,9 +78,10 @@ class Streaming:
 
 @dataclass(slots=True)
 class Trouble:
-    """State that faults set: silent (no answers, no frames), no frames, the same frame repeated, a
-    frame counter set back, edit mode, a fraction of damaged datagrams, frames in another `version`,
-    or a number of `outdated` frames whose exposure times are `outdated_s` [s] too early.
+    """What faults have set: the server is silent (no answers, no frames), sends no frames, repeats
+    the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
+    the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
+    frames whose exposure times are `outdated_s` [s] too early.
     """
 
     silent: bool = False
@@ -95,7 +97,9 @@ class Trouble:
 
 @dataclass(slots=True)
 class Client:
-    """A unicast client: the protocol version it requested, and the time of its last message."""
+    """A unicast client: the protocol version in which it is served, and when it was last heard
+    [ns].
+    """
 
     version: Version
     heard_ns: int
@@ -103,7 +107,9 @@ class Client:
 
 @dataclass(slots=True)
 class ServerCounts:
-    """Counters of the server."""
+    """Numbers of frames sent, of datagrams sent, of requests that could not be read, of requests
+    for MODELDEF, and of clients dropped because they were silent.
+    """
 
     frames: int = 0
     datagrams: int = 0
@@ -119,14 +125,16 @@ Address = tuple[str, int]
 
 @dataclass(slots=True)
 class ServerClock:
-    """The server's clock: at host time `since_ns` it is `ahead_ns` ahead, then runs at `rate`."""
+    """The server's clock. Up to the host time `since_ns` it is `ahead_ns` ahead of the host's
+    clock; from then on it advances by `rate` seconds per second.
+    """
 
     ahead_ns: int = 0
     rate: float = 1.0
     since_ns: int = 0
 
     def ticks(self, when_ns: int) -> int:
-        """Return the server clock's ticks at a time of the host [ns]."""
+        """Return what the server's clock shows [ticks] at a time of the host's clock [ns]."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
         return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
@@ -135,7 +143,7 @@ class MotiveServer:
     """Answers clients and keeps a list of them; `on_client` is called with each new client's
     address.
 
-    `data_port` is the port that frames come from or, in multicast, go to.
+    `data_port` is the port from which frames are sent or, in multicast, to which they are sent.
     """
 
     def __init__(
@@ -181,8 +189,8 @@ class MotiveServer:
         return None
 
     def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses and versions of the clients that get frames; drop silent unicast
-        clients.
+        """Return the addresses to which frames are sent, each with its protocol version; in
+        unicast, first drop the clients that have been silent for `client_timeout`.
         """
         s = self.streaming
         if s.transport == "multicast":
@@ -206,7 +214,9 @@ class MotiveServer:
         self.clients[sender] = Client(version, now_ns)
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Return whether a unicast client may choose this version; servers from 4.0 on allow it."""
+        """Return whether a unicast client may choose a version; servers before 4.0 do not allow
+        any.
+        """
         version = Version(*asked)
         if self.streaming.keeps_version:
             return False
@@ -270,7 +280,7 @@ def parse_request(received: bytes) -> Message:
 
 
 def pack_answer(message: Message, version: Version | None = None) -> bytes:
-    """Pack one datagram from the server; frames and models need a version from 2.6 to 4.3."""
+    """Pack one datagram of the server; for frames and models, `version` must be 2.6 to 4.3."""
     match message:
         case NatNetFrame() | ModelDef() if version is None:
             raise WireError("frames and models need a protocol version")
@@ -328,7 +338,7 @@ def section(parts: Sequence[bytes], version: Version) -> bytes:
 
 
 def packed_body(body: RigidBody, version: Version, markers: Sequence[Vec3] = ()) -> bytes:
-    """Pack a rigid body; before 3.0 with its markers."""
+    """Pack a rigid body, in versions before 3.0 with its markers."""
     parts = [packed("i7f", body.id, *body.position, *body.quaternion)]
     if version < (3, 0):
         parts.append(packed("i", len(markers)) + b"".join(packed("3f", *at) for at in markers))
@@ -339,7 +349,7 @@ def packed_body(body: RigidBody, version: Version, markers: Sequence[Vec3] = ())
 
 
 def suffix(frame: NatNetFrame, version: Version) -> bytes:
-    """Pack a frame's suffix: zeros for timecode, latency and time stamp; ticks and params."""
+    """Pack a frame's suffix: ticks and params, and zeros for timecode, latency and time stamp."""
     if version < (3, 0):
         return packed("fIIfHi" if version < (2, 7) else "fIIdHi", 0.0, 0, 0, 0.0, frame.params, 0)
     ticks = frame.ticks or Ticks(0, 0, 0)
@@ -354,9 +364,10 @@ def pack_modeldef(
     markers: int = 0,
     grown: bytes = b"",
 ) -> bytes:
-    """Pack a MODELDEF payload: `others` (type, bytes), then every body with `markers` markers.
+    """Pack a MODELDEF payload: first the data sets in `others`, each a type and bytes, then every
+    rigid body with `markers` markers.
 
-    `grown` is appended to each body's description, as by a newer protocol.
+    `grown` is appended to each body's description, as a newer protocol would do.
     """
     if not version.known:
         raise WireError(f"protocol {version} cannot be packed")

@@ -1,4 +1,6 @@
-"""The emulated camera of type `optitrack`: settings, faults, and a server of bodies."""
+"""The emulated camera of type `optitrack`: its settings and faults, and a server of rigid
+bodies.
+"""
 
 from collections.abc import Sequence
 from operator import attrgetter
@@ -247,7 +249,7 @@ class EmulatedOptitrack:
         )
 
     def open(self, loop: Loop) -> Facts:
-        """Open the UDP ports."""
+        """Open the UDP ports; return their addresses."""
         loop.watch(self.motive.open(), lambda: self.motive.readable(loop.catch_up))
         streaming = self.motive.streaming
         return {
@@ -259,22 +261,22 @@ class EmulatedOptitrack:
         }
 
     def close(self) -> Facts:
-        """Close the UDP ports."""
+        """Close the UDP ports; return counts for the record."""
         self.motive.close()
         counts = self.motive.counts
         return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
 
     def hide(self, hidden: bool) -> None:
-        """Leave all bodies untracked while `hidden`, or track them again."""
+        """If `hidden`, track no body; otherwise track all bodies again."""
         for body in self.tracked:
             body.tracked = not hidden
 
     def tracked_body(self, name: str) -> TrackedBody:
-        """Return a robot's rigid body by the robot's name."""
+        """Return the rigid body of the robot with a name."""
         return self.tracked[self.place_of(name)]
 
     def place_of(self, name: str) -> int:
-        """Return a robot's index."""
+        """Return the index of the robot with a name."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
 
@@ -298,7 +300,9 @@ def _tracked(
 
 
 def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
-    """Return the cameras' coordinate system; Motive's own default is y up."""
+    """Return the cameras' axes; up is y, Motive's default, unless settings or else the spec say
+    z.
+    """
     up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
     x, y = section.origin
     return View(up, (x * stage.mm, y * stage.mm), section.rotation)

@@ -13,7 +13,9 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """The cameras' axes in the spec's coordinates, as in the camera's section; origin in mm."""
+    """The cameras' axes in the spec's coordinates, as in the camera's section: vertical axis `up`,
+    `origin` [mm] and `rotation` [rad].
+    """
 
     up: UpAxis = UpAxis.Y
     origin: tuple[float, float] = (0.0, 0.0)
@@ -38,11 +40,12 @@ class View:
 class TrackedBody:
     """One robot's rigid body; `offset` is the spec's heading offset [rad].
 
-    `noise` are the standard deviations of a pose [mm, rad], drawn from `random`. Faults set the
-    other fields: not tracked; frozen at the last pose (`repeats`); displaced by `shift` [mm], in
-    the robot's own axes if `own`, growing by `step` [mm] per exposure; turned by `turned` [rad],
-    growing by `turn` [rad] per exposure; at another `height` [mm]; rolled about its own x axis by
-    `roll` [rad]; with a position of NaN; or with a quaternion of norm `norm`.
+    `noise` are the standard deviations of a pose [mm, rad]; the noise is drawn from `random`.
+    Faults set the other fields: the body is not tracked; frozen at its last pose (`repeats`);
+    displaced by `shift` [mm], which grows by `step` [mm] per exposure, along the robot's own axes
+    if `own`; turned by `turned` [rad], which grows by `turn` [rad] per exposure; at another
+    `height` [mm]; rolled about its own x axis by `roll` [rad]; at a position of NaN; or has a
+    quaternion of norm `norm`.
     """
 
     robot: Body
@@ -103,10 +106,10 @@ def _rolled(
 def expose(
     tracked: Sequence[TrackedBody], view: View, swapped: set[int], hidden: set[int]
 ) -> tuple[RigidBody, ...]:
-    """Return the bodies as reported in a frame.
+    """Return the bodies as the cameras report them in a frame.
 
-    The two bodies at the indices in `swapped` exchange their ids; bodies whose ids are in `hidden`
-    are left out.
+    If `swapped` holds two indices, these two bodies exchange their ids; bodies whose ids are in
+    `hidden` are left out.
     """
     bodies = [each.expose(view) for each in tracked]
     if len(swapped) == 2:

@@ -27,7 +27,9 @@ class FieldRecord:
     y: Floats
 
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
-        """Return the field between two times [s] as constant pieces: duration [s], x and y."""
+        """Return the field between two times [s] as constant pieces, each with its duration [s], x
+        and y.
+        """
         first, last = np.searchsorted(self.times, (start, end), side="right")
         cuts = [start, *self.times[first:last].tolist(), end]
         found = []

@@ -46,8 +46,8 @@ class CellPath:
 class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read.
 
-    `doubtful` are pairs of cells that could not be distinguished after they met, with the
-    probability of the assignment chosen.
+    `doubtful` lists cells that could not be distinguished after they met, with the probability that
+    their numbers were then assigned correctly.
     """
 
     paths: tuple[CellPath, ...]
@@ -143,7 +143,9 @@ def _sample(film: FilmPictures) -> list[Grey]:
 
 
 def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
-    """Return the scale [um/px] at which moving objects have the usual length of cells."""
+    """Return the scale [um/px] at which the median length of moving objects is the usual length of
+    a cell.
+    """
     finder = BlobFinder(30.0, 0.02 * sample[0].size)
     finder.learn(sample)
     blobs: list[Blob] = [blob for picture in sample for blob in finder.find(picture)]

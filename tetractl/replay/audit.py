@@ -78,8 +78,9 @@ def _run(log: TrialLog) -> Iterator[Difference]:
 
 
 def _frames(log: TrialLog) -> Iterator[Difference]:
-    """Check that frame numbers and times rise, and that no frame is received before its
-    exposure."""
+    """Check that frame numbers and times increase, and that no frame is received before its
+    exposure.
+    """
     for name, values, least in (
         ("frames", log.frames, 1),
         ("sampled_ns", log.mocap_ns, 1),

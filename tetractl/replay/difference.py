@@ -30,10 +30,10 @@ class Difference:
 
 @dataclass(frozen=True, slots=True)
 class Tolerance:
-    """The allowed difference of two numbers: |ours - logged| <= relative * larger + absolute.
+    """The allowed difference between two numbers: |ours - logged| <= relative * larger + absolute.
 
-    `larger` is the larger of both magnitudes. Without a tolerance two numbers must have the same
-    bits, or both be NaN. Integers, texts and truth values must always be equal.
+    `larger` is the larger of their magnitudes. With both tolerances 0, the two numbers must have
+    the same bits, or both be NaN. Integers, texts and truth values must always be equal.
     """
 
     relative: float = 0.0

@@ -37,7 +37,7 @@ class FilmCheck:
         self.notes: list[str] = []
 
     def differences(self) -> Iterator[Difference]:
-        """Yield the first difference between the logged cells and those found again."""
+        """Yield the first difference between the logged cells and those found again, if any."""
         log = self._log
         wanted = "opencv" in log.start.plant.facts  # earlier logs have no film
         if log.damage or not (wanted or self._entries):
@@ -117,7 +117,9 @@ class FilmCheck:
 
 
 def _search_again(film: CellFilm, tolerance: float) -> None:
-    """Search each crop again; raise ValueError if the blob found differs from the stated one."""
+    """Search each crop again; raise ValueError if a blob found differs from the logged blob by more
+    than `tolerance`.
+    """
     from tetractl.lab.cameras.cells.crops import found_again  # needs OpenCV
 
     rows = zip(film.crops, film.corners.tolist(), film.blobs, strict=True)

@@ -239,7 +239,7 @@ class Player:
         return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
-        """At the end of the span, pause or, with `loop`, begin again."""
+        """If the end of the span is reached, pause or, with `loop`, begin again."""
         if self._clock.now() >= self.until_ns and not self._clock.paused:
             if self._loop:
                 self._seek(self.start_ns)

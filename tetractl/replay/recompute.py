@@ -157,7 +157,7 @@ class _Repeated:
         index: int,
         logged: Search,
     ) -> None:
-        """Add contradictions between a logged search and its problem or optimiser to `wrong`."""
+        """Add to `Rerun.wrong` what in a logged search contradicts its problem or its optimiser."""
         name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
@@ -186,7 +186,9 @@ class _Countdown:
 
 
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
-    """Raise _TooLongError if a round of a search exceeds the limit for logs."""
+    """Raise _TooLongError if one round of a search is larger than the limit for searches of
+    logs.
+    """
     robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
     if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError
@@ -275,7 +277,8 @@ def first_steps(log: TrialLog) -> list[Step]:
 def _outcome(
     log: TrialLog, controller: Controller, last: Step | None, rerun: Rerun
 ) -> Difference | None:
-    """Check that the controller ends the trial as logged, on a frame of the last period.
+    """Check that the controller, on a camera frame of the last control period, ends the trial with
+    the logged outcome.
 
     The log does not name the frame on which the trial ended: in a simulation it is the newest frame
     one control period after the last command, in the lab one of the newest. The stop may have been

@@ -23,10 +23,10 @@ EARLY = 0.25  # a stop may precede the end of a control period by this fraction 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
 
-    Periods count from the first direction sent, which may belong to a square driven before the
-    first plan. A direction sent in the first half of a period counts for the whole period. The
-    remainder is the time for which the last direction was held after the last whole period.
-    UsageError if no direction was sent, or if the field was off at times.
+    Periods count from the first direction sent, which may belong to the square that robots drive
+    before the first plan to be identified. A direction sent in the first half of a period counts
+    for the whole period. The remainder is the time for which the last direction was held after the
+    last whole period. UsageError if no direction was sent, or if the field was off at times.
     """
     require_field(log)
     sent = sorted(
@@ -67,10 +67,11 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
 
 @dataclass(frozen=True, slots=True)
 class Apart:
-    """Two trials of N robots at M times: `time_s` (M,) from the first direction of each.
+    """The distance between two trials of N robots at M times; `time_s` (M,) counts from the first
+    direction of each trial.
 
-    `distance` (M, N) [length unit] is the distance between a robot's measured positions in both
-    trials, NaN unless it was tracked in both.
+    `distance` (M, N) [length unit] is the distance between the positions of a robot measured in the
+    two trials, NaN unless it was tracked in both.
     """
 
     names: tuple[str, ...]

@@ -166,7 +166,9 @@ def _run(
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:
-    """Return J on a grid over the two dimensions; the other signals are those of u_gb."""
+    """Return J on a grid over the two signals of the figure; the other signals are those of
+    `u_gb`.
+    """
     axis = np.linspace(LOWER, UPPER, GRID)
     costs = np.empty((GRID, GRID))
     for row, value in enumerate(axis):

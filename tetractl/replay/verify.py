@@ -260,7 +260,9 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
 
 
 def _difference(key: str, there: str | None, here: str | None) -> str:
-    """Return text on a fact that differs between hosts; of a list, only the words that differ."""
+    """Return a text on the fact `key`, which differs between the log's host (`there`) and this one
+    (`here`); of a list, only the words that differ.
+    """
     if there is not None and here is not None and key in provenance.LISTS:
         ours, theirs = set(here.split()), set(there.split())
         only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))

@@ -213,8 +213,9 @@ def _log_t(n: int, mean: float, std: float) -> tuple[float, float]:
 def _skewed_end(values: Floats, mean: float, std: float) -> float:
     """Return the upper end of Hall's interval of a mean (J. R. Statist. Soc. B 54, 1992).
 
-    With the skewness G of the sample and g = G / sqrt(n), f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g /
-    6 removes the skewness from Student's T; the end is m - f^-1(-t(0.975, n - 1)) s / sqrt(n).
+    The values (n,) have mean m and standard deviation s. With their skewness G and g = G / sqrt(n),
+    f(T) = T + g T^2 / 3 + g^2 T^3 / 27 + g / 6 removes the skewness from Student's T; the end is m
+    - f^-1(-t(0.975, n - 1)) s / sqrt(n).
     """
     n = len(values)
     off = (values - mean) / std  # scaled first: cubes of small lengths would underflow

@@ -33,7 +33,9 @@ def as_items(found: GroupComparison) -> dict[str, Any]:
 
 
 def group_items(group: Group) -> dict[str, Any]:
-    """Return the items of one group; lengths in `unit`, times in the unit that ends their key."""
+    """Return the items of one group; lengths are in `unit`, times in the unit with which their key
+    ends.
+    """
     names = [robot.name for robot in group.experiment.robots]
     batch, origin = group.batch, group.origin
     return {

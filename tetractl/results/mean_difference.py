@@ -301,14 +301,16 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
 
 def _double_ranks(values: Floats) -> NDArray[np.int64]:
-    """Return twice the rank of each value, ties sharing their mean rank."""
+    """Return twice the rank of each value, an integer; equal values share their mean rank."""
     ordered = np.sort(values)
     below, up_to = (np.searchsorted(ordered, values, side) for side in ("left", "right"))
     return below + up_to + 1
 
 
 def _two_sided(probability: Floats, seen: int) -> float:
-    """Return the two-sided probability of a sum at least as extreme as the observed one."""
+    """Return the two-sided probability of a sum at least as extreme as `seen`; `probability` has
+    that of each sum from 0 on.
+    """
     tails = probability[: seen + 1].sum(), probability[seen:].sum()
     return min(1.0, 2 * float(min(tails)))
 

@@ -60,7 +60,7 @@ has none.
 
 
 def least(key: str, label: str, of: Distances) -> Statistic:
-    """Return the statistic of the least distance over all robots and trials.
+    """Return a statistic: the least distance over all robots and trials.
 
     A trial whose log lacks the distance is left out, and empty in its column.
     """
@@ -108,7 +108,7 @@ def _time_inside(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _lost(trial: ResultSummary) -> dict[str, Any]:
-    """Return how many robots were lost, in a trial that continues without them."""
+    """Return how many robots were lost; empty if the spec ends a trial when a robot is lost."""
     return {} if trial.experiment.on_lost == "stop" else {"lost": sum(trial.result.lost)}
 
 

@@ -43,7 +43,8 @@ class Statistic:
 
 
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
-    """Return the statistic of a number per trial: its mean and 95 % interval over complete trials.
+    """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
+    trial.
 
     A trial without a finite number is left out of the mean, and empty in its column.
     """
@@ -66,7 +67,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
 
 
 def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the statistic of the number of trials for which a condition holds."""
+    """Return a statistic: the number of trials for which the condition `holds` is true."""
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
@@ -76,8 +77,9 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
 
 def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
-    """Return the statistic of the number of trials for which a condition holds, with Wilson's 95 %
-    interval of their share."""
+    """Return a statistic: the number of trials for which the condition `holds` is true, with
+    Wilson's 95 % interval of their fraction.
+    """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))

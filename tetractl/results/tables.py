@@ -166,7 +166,7 @@ def _figures(group: Group) -> list[tuple[str, str]]:
 
 
 def tail_label(values: Distribution) -> str:
-    """Return the label of the row or column of tails."""
+    """Return the label of the row or column that counts errors above the bound of `values.tail`."""
     bound = "error_bound" if values.tail.stated else f"{FAR} medians"
     return f"trials above {bound}, 95 % interval"
 

@@ -93,7 +93,9 @@ def time(time_ns: int) -> bytes:
 
 
 def playback_state(state: PlaybackState, request: bytes = b"") -> bytes:
-    """Return the message of a playback's state; `request` names the request that it answers."""
+    """Return the message of a playback's state; `request` names the request that it answers, if
+    any.
+    """
     status = _STATUS[state.playback]
     fields = _STATE, status, state.time_ns, state.rate, state.sought, len(request)
     return struct.pack("<BBQfBI", *fields) + request

@@ -225,7 +225,7 @@ class FilmFrames:
         return [self._curve, self._arrow, *self._texts]
 
     def at(self, elapsed_s: float) -> Picture:
-        """Return the picture at a time since the first direction sent [s]."""
+        """Return the picture at `elapsed_s` [s] after the first direction sent."""
         when = self.recording.began_ns + round(elapsed_s * SECOND)
         self._show(self.recording.at(when))
         if self._ground.show(when):

@@ -73,7 +73,7 @@ def figure(width_in: float, height_in: float) -> Figure:
 
 
 def headline(drawing: Figure, text: str, alarm: str = "") -> None:
-    """Write a line at the top of a figure, and below it `alarm`.
+    """Write `text` in a line at the top of a figure and, below it, the warning `alarm`.
 
     The figure becomes higher by these lines; its axes keep their size.
     """

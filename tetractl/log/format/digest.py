@@ -61,8 +61,8 @@ class ContentDigest:
         self._hash.update(b"".join(parts))
 
     def _head(self, topic: str) -> bytes:
-        """Return the first bytes to hash for a message of a topic, up to its times; empty if the
-        topic is left out.
+        """Return the bytes to hash for a message of a topic that come before its times; empty if
+        the digest leaves out the topic.
         """
         name = topic.encode()
         return b"4;7:message%d:%b" % (len(name), name) if self._covers(topic) else b""

@@ -93,7 +93,7 @@ def _view(setup: Setup, view: dict[str, Any]) -> dict[str, Any]:
 
 
 def _column(panels: list[str]) -> Any:
-    """Return panels stacked vertically with the same height."""
+    """Return panels of equal height, one below the other."""
     if len(panels) == 1:
         return panels[0]
     return {

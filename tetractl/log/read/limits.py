@@ -65,7 +65,7 @@ def seconds_limit() -> float:
 
 
 def swarm_limit() -> float:
-    """Return the largest size of one round of an optimiser, which cannot be interrupted.
+    """Return the largest size of one round of an optimiser; a round cannot be interrupted.
 
     The size is the number of motions of a robot under one signal, times (1 + number of obstacles);
     each takes a few nanoseconds and the memory of one coordinate.

@@ -190,7 +190,9 @@ class _Scan:
         self._problems.append(f"the file breaks off in the record at byte {offset}")
 
     def _search(self) -> None:
-        """Find further records anywhere in the file, by their typical bytes."""
+        """Find further records anywhere in the file, by bytes that records of their kind
+        contain.
+        """
         for offset, opcode in self._traces():
             if offset >= 0 and offset not in self._found:  # else bytes that look like a record
                 self._verify(offset, opcode)

@@ -130,7 +130,7 @@ class Sink:
         self._mcap.add_metadata(name, dict(items))
 
     def _flushed(self, name: str, items: Mapping[str, str]) -> None:
-        """End the chunk before a metadata record, and add the record to the digests."""
+        """End the chunk, since a metadata record follows, and add that record to the digests."""
         self.flush()
         for digest in self._digests.values():
             digest.metadata(name, items)

@@ -98,7 +98,9 @@ class _Fit:
         self._factors: list[Floats] = []
 
     def misfit(self) -> float:
-        """Return the mean absolute error of the predicted turns, each capped at 0.2 rad."""
+        """Return the mean absolute error of the predicted turns [rad]; an error above 0.2 rad
+        counts as 0.2 rad.
+        """
         r = np.abs(self.turns.missed(self.p))
         return float(np.minimum(r, 0.2)[self.used].mean()) if self.used.any() else np.inf
 

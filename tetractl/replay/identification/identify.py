@@ -194,7 +194,7 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
 
 
 def tables(found: IdentifiedRobots) -> list[Table]:
-    """Return each value with its 95 % interval, a column per robot."""
+    """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
     logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
     since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
     labels = [
@@ -222,7 +222,9 @@ def tables(found: IdentifiedRobots) -> list[Table]:
 
 
 def cell(interval: SampleInterval) -> str:
-    """Return a value and the ends of its interval, rounded to the interval's precision."""
+    """Return a value and the ends of its interval as text, rounded to two significant digits of
+    half the interval's width.
+    """
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
     digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST)

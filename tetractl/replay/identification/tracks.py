@@ -173,7 +173,9 @@ def drives_of(tracks: list[Track]) -> Drives:
 
 
 def _drive(track: Track, begin: float) -> Drives:
-    """Return one track as `Drives`, shifted so that its first command is at time `begin` [s]."""
+    """Return one track as `Drives`, with its times shifted so that the first command is sent at
+    `begin` [s].
+    """
     if not len(track.sent):
         raise UsageError(f"{track.source}: contains no sent direction")
     origin = float(track.sent[0])

@@ -38,7 +38,7 @@ class Turning:
 
     @classmethod
     def of(cls, vector: Floats) -> "Turning":
-        """Return the parameters in a vector as returned by `vector`."""
+        """Return the parameters that a vector from `Turning.vector` holds."""
         count = (len(vector) - 1) // 2
         return cls(float(vector[0]), vector[1 : 1 + count], vector[1 + count :])
 
@@ -90,7 +90,9 @@ class Turns:
         return np.stack(turns, axis=-1)
 
     def chains(self, p: Turning, used: Bools) -> list[Chain]:
-        """Return each robot's chain; `used` (K, N) is False for intervals to leave out."""
+        """Return the `Chain` of each robot's turns; `used` (K, N) is False for intervals to leave
+        out.
+        """
         more, less = self.motion(p, NUDGE)[2], self.motion(p, -NUDGE)[2]
         slopes = 1 + (more - less) / (2 * NUDGE)
         seconds, after = self.drives.seconds, self.drives.after

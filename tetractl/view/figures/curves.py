@@ -226,8 +226,8 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
 def _panels(
     setup: Setup, top_in: float, least_in: float, end_s: float
 ) -> tuple[Figure, Axes, Axes]:
-    """Return a figure with axes for the total error and, below, the robots' errors until `end_s`
-    [s].
+    """Return a figure with axes for the total error and, below, for the robots' errors, both from 0
+    to `end_s` [s].
     """
     each_in = max(least_in, LINE_IN * len(setup.names))
     figure = style.figure(style.PAGE_IN, top_in + each_in)
@@ -257,7 +257,9 @@ def _middle_half(color: str) -> Patch:
 
 
 def _mark_steps(axes: Axes, log: TrialLog) -> None:
-    """Mark the control steps at the lower edge, and the missed deadlines."""
+    """Mark the times of the control steps at the axes' lower edge, and which of them missed the
+    deadline.
+    """
     sent_s = np.array([log.elapsed_s(step.command.sent_ns) for step in log.steps])
     late = np.array([step.deadline_missed for step in log.steps], dtype=bool)
     rug = axes.get_xaxis_transform()

@@ -26,7 +26,7 @@ _BANDS = 4  # largest number of batches whose bands are shaded
 
 
 def band(n: int) -> float:
-    """Return half the height of the band for n values."""
+    """Return half the height of the band for n values, as a fraction of all trials."""
     return math.sqrt(math.log(2 / (1 - CONFIDENCE)) / (2 * n))
 
 

@@ -1,4 +1,6 @@
-"""The controller's estimates of the robots over the time of a trial."""
+"""The figure of the controller's estimates of each robot's values, and of the dead time, over a
+trial.
+"""
 
 import json
 from collections.abc import Sequence

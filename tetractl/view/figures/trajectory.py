@@ -221,7 +221,7 @@ def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _Key:
-    """The legend of the robots: a title and entries in `columns`."""
+    """The legend of the robots: a title, and entries in `columns` columns."""
 
     title: str
     handles: list[Line2D]

@@ -159,7 +159,8 @@ def framed(canvas: Canvas, label: str, glyphs: Glyphs) -> Iterable[list[Segment]
 
 
 def _filling(shape: Shape, view: Projection) -> Floats:
-    """Return points (M, 2) that fill a shape, one per dot, and the points of its outline.
+    """Return the points (M, 2) that draw a filled shape: one per dot inside it, and those of its
+    outline.
 
     A shape smaller than a dot has only outline points.
     """

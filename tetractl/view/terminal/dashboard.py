@@ -256,7 +256,9 @@ class _Rows:
 
 
 def _number(value: float) -> str:
-    """Return a length as text, with three significant digits or rounded to an integer."""
+    """Return a length as text: without decimals from 100 on, with one decimal from 1 on, below 1
+    with three significant digits.
+    """
     if not math.isfinite(value):
         return str(value)
     size = abs(value)

@@ -12,7 +12,9 @@ ANSWERS = {True: "yes", False: "no", None: "cannot"}
 
 
 def robots_table(found: Preflight) -> Table:
-    """Return one row per robot; robots that are not tracked have no offset."""
+    """Return a table with one row per robot: its distance and turn from the start in the spec,
+    unless it is not tracked, its battery, and whether it answers.
+    """
     robots = found.robots
     return Table(
         "Robots",

@@ -71,7 +71,8 @@ class _TrialsBar:
 
 
 class BatchProgress(_TrialsBar):
-    """A `RunObserver` of a batch: a bar with the errors so far, or a line for each trial.
+    """A `RunObserver` of a batch: shows a bar with the errors so far or, without a terminal, a line
+    for each trial.
 
     `unit` is the experiment's length unit.
     """

@@ -65,7 +65,9 @@ def play(
 def dashboard(
     player: Player, glyphs: Glyphs, place: tuple[int, int] = (1, 1), note: str = ""
 ) -> Dashboard:
-    """Return the dashboard at the player's time, for log `place[0]` of `place[1]`."""
+    """Return the dashboard at the player's time; it states that this is log `place[0]` of
+    `place[1]`.
+    """
     recording, now_ns = player.recording, player.now
     setup, log = recording.log.start.setup, recording.log
     sign = glyphs.play if player.state is Playback.PLAYING else glyphs.pause
@@ -159,7 +161,9 @@ def print_lines(
 
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:
-    """Return times [ns] and lines in order; a step precedes events at the same time."""
+    """Return the times [ns] and texts of the lines to print, in order of time; at the same time a
+    step comes before events.
+    """
     steps = [(int(ns), step_line(recording, i)) for i, ns in enumerate(recording.step_ns)]
     lines = map(event_line, recording.events)
     events = list(zip(map(int, recording.event_ns), lines, strict=True))

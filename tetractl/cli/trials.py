@@ -161,9 +161,9 @@ def run_command(
 def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     """Run a trial, write its log to a folder, and return the path of the log.
 
-    In the lab, robots move after the operator's consent or `yes`, and after all checks of a run;
-    the space bar and Esc stop them. Raises TetractlError for a trial that was aborted,
-    KeyboardInterrupt for one that was interrupted.
+    In the lab, robots move only once the operator has agreed, or with `yes`, and once all checks of
+    a run have passed; the space bar and Esc stop them. Raises TetractlError for a trial that was
+    aborted, KeyboardInterrupt for one that was interrupted.
     """
     from rich.console import Console
 

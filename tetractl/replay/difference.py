@@ -122,7 +122,7 @@ def trial_difference(
     """Return the first difference between two trials, None if they agree; solve times are ignored.
 
     If one trial is longer, the commands, frames and steps that both trials have are compared first,
-    then the numbers of them.
+    then how many each trial has.
     """
     counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
     common = tuple(map(min, *counts))

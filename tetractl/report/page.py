@@ -126,7 +126,9 @@ def _header(title: str, groups: Sequence[Group]) -> str:
 
 
 def _cards(group: Group) -> str:
-    """Return the HTML of a group's mean total error and of its trials that entered an obstacle."""
+    """Return the HTML of a group's mean total error and the number of its trials that entered an
+    obstacle.
+    """
     total, show = group.total, lengths(group.total.mean)
     interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
     return (

@@ -62,7 +62,7 @@ has none.
 def least(key: str, label: str, of: Distances) -> Statistic:
     """Return a statistic: the least distance over all robots and trials.
 
-    A trial whose log lacks the distance is left out, and empty in its column.
+    A trial whose log lacks the distance is left out; its cell in the column of trials is empty.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:

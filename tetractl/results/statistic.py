@@ -46,7 +46,8 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
     """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
     trial.
 
-    A trial without a finite number is left out of the mean, and empty in its column.
+    A trial without a finite number is left out of the mean; its cell in the column of trials is
+    empty.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:

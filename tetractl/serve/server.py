@@ -228,7 +228,8 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
-    """Whether a request comes from a program, a desktop viewer or the page of a known viewer.
+    """Whether a request comes from a program (without `origin`), a desktop viewer or the page of a
+    known viewer.
 
     Known viewers are Foxglove, any page served by this machine, and the viewer at address `viewer`.
     """

@@ -1,7 +1,7 @@
 """Encodes the messages that viewers draw, in Foxglove's formats and in metres.
 
-Only this module converts positions from the spec's unit to metres. Non-finite values are not drawn,
-since viewers drop a whole message for one NaN.
+Positions are converted here from the spec's unit to metres. Non-finite values are not drawn, since
+viewers drop a whole message for one NaN.
 """
 
 from typing import Any

@@ -134,7 +134,8 @@ def _texts(record: Any) -> dict[str, str]:
 
 
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
-    """Return the rows in a file by trial; None stands for a row that tetractl did not write.
+    """Return the rows in a file by number of the trial; None stands for a row that tetractl did not
+    write.
 
     Of two lines of a trial, the later is used. Lines that do not name a trial are skipped, as is an
     incomplete last line, left by a killed process. Raises LogError if the file cannot be read.
@@ -158,7 +159,7 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
 
 
 def row_results(path: Path) -> dict[int, ResultSummary | None]:
-    """Return the results in a file of rows by trial, None if a row is damaged.
+    """Return the results in a file of rows by number of the trial, None for a damaged row.
 
     The experiment is that of the spec next to the file. Raises LogError if the file or its spec
     cannot be read, or if a row belongs to another spec.

@@ -119,8 +119,8 @@ class Messages:
     def frames(self, frames: Frames) -> list[Entry]:
         """Return the messages for camera frames: few for a simulation, two per frame for a lab.
 
-        A lab's frames cannot be simulated again, so each is stored twice, with its times, to reveal
-        a change of one copy.
+        A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
+        transforms with the same times, so that a change of one copy shows.
         """
         made = list[Entry]()
         for begin in range(0, len(frames.numbers), self._most):

@@ -97,7 +97,7 @@ class Encoder:
         self._sink.metadata(channels.RESULT, stated, DIGEST)
 
     def _end_chunk(self, trial_ns: int) -> None:
-        """End the chunk if `trial_ns`, the time of the trial, is past its length."""
+        """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
         if trial_ns - self._flushed_ns >= self._chunk_ns:
             self.flush_frames()
             self._sink.flush()

@@ -61,11 +61,12 @@ class ChainNoise:
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The K intervals of one robot: lengths `t` (K,) [s], slopes F (K,), and `used` (K,), whether
-    an interval is used.
+    """The K intervals of one robot: `t` (K,) [s] is the length of each, `slope` (K,) the derivative
+    F of the value predicted for its end with respect to the value at its start, and `used` (K,) is
+    whether it is used.
 
     `linked` (K,) is True for intervals that begin with the last frame of the interval before.
-    `coupling` is G (K,), by default F.
+    `coupling` (K,) is G in the covariance of the residuals of two such intervals, by default F.
     """
 
     t: Floats
@@ -80,8 +81,8 @@ class Chain:
         return noise.measured**2 * (1 + self.slope**2) + noise.walk**2 * walked + 1e-300
 
     def factor(self, noise: ChainNoise) -> Floats:
-        """Return the diagonal and the subdiagonal of L as rows (2, K); for unused intervals 1 and
-        0.
+        """Return the diagonal and subdiagonal of L, the Cholesky factor of the residuals'
+        covariance A, as rows (2, K); for unused intervals 1 and 0.
         """
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))

@@ -80,7 +80,7 @@ def _swarm(axes: Axes, frame: Frame) -> None:
 
 
 def _course(axes: Axes, history: SwarmHistory) -> None:
-    """Draw the path of one particle, and its local best."""
+    """Draw the path of one particle over the iterations, and its own best point at the end."""
     axes.plot(*history.path.T, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
     axes.plot(*history.path.T, "o", ms=1.8, color=style.INK, zorder=3, gid="course")
     axes.plot(*history.path_best, "o", ms=6, color=PURPLE, mec="white", mew=0.6, zorder=4)

@@ -69,7 +69,7 @@ ASCII = Glyphs(
 
 
 def glyphs_for(console: Console) -> Glyphs:
-    """Return Unicode glyphs, or ASCII for a terminal without cursor control, UTF-8 or colour.
+    """Return Unicode glyphs, or ASCII for a terminal that lacks cursor control, UTF-8 or colour.
 
     Without colour the robots' dots look alike: the ASCII view distinguishes them by number.
     """

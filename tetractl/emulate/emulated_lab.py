@@ -1,4 +1,6 @@
-"""The emulated lab: both devices, faults, a record, and a helper who carries robots."""
+"""The emulated lab: camera and actuator, faults, a record of events, and a helper who carries
+robots.
+"""
 
 import json
 from collections.abc import Callable

@@ -80,8 +80,8 @@ def settings(target: Callable[[Any, Any], object], **values: object) -> Begin:
 
 
 def switching(act: Callable[[Any, Any], Callable[[bool], None]], on: bool = True) -> Begin:
-    """Return a function that starts a fault by calling `act(device, fault)(on)`; the fault is ended
-    by calling the same `act(device, fault)` with `not on`.
+    """Return a function that starts a fault: it gets a switch, `act(device, fault)`, and calls it
+    with `on`. The fault ends when the switch is called with `not on`.
     """
 
     def begin(fault: Fault, device: Any) -> Undo:

@@ -68,7 +68,9 @@ class CurrentDriver(SerialDevice):
         return DriverStatus.RUNNING in self.status
 
     def hear(self, data: bytes) -> None:
-        """Read received bytes one by one and reply, as a driver does."""
+        """Take bytes received over the line, one by one, and reply to polls, as a real driver
+        does.
+        """
         if not self.powered:
             return
         for byte in data:
@@ -225,7 +227,7 @@ class EmulatedField(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The true field at the cells, for the record: {"field_mt": [x, y]} [mT]."""
+        """The true field at the cells [mT], to be recorded as {"field_mt": [x, y]}."""
         return {"field_mt": [round(part, 5) for part in self.dish.field_mt]}
 
     def switch(self, on: bool) -> None:

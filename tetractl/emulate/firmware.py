@@ -63,7 +63,7 @@ def source_folder() -> Path:
 
 @cache
 def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
-    """Return the compiled core `name`, compiled into `folder` (default: the cache) if needed.
+    """Load the core `name`; compile it first if `folder` (default: the cache) does not contain it.
 
     TetractlError if there is no compiler, no source, or the source does not compile.
     """
@@ -195,7 +195,7 @@ class DriverCore(_Core):
         self._call("init", self._core, ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
-        """Return the present set points of both currents [uA], after watchdog and slew limit."""
+        """Return the present set points of both currents [uA], as watchdog and slew limit allow."""
         x, y = ctypes.c_int32(), ctypes.c_int32()
         self._call("currents", self._core, now_ms, ctypes.byref(x), ctypes.byref(y))
         return x.value, y.value

@@ -26,12 +26,12 @@ class Timeline:
         self._order = count()
 
     def at(self, when_ns: int, act: Act) -> None:
-        """Schedule an event; an event in the past happens now."""
+        """Schedule `act` for a time [ns]; if that time has passed, for the present time."""
         heapq.heappush(self._events, (max(when_ns, self.now_ns), next(self._order), act))
 
     @property
     def next_ns(self) -> int | None:
-        """The time of the next event [ns]."""
+        """The time of the next event [ns], None without events."""
         return self._events[0][0] if self._events else None
 
     def run_to(self, until_ns: int) -> None:
@@ -81,7 +81,7 @@ class Loop:
         self.timeline.run_to(self.now())
 
     def run(self) -> None:
-        """Run until `end`."""
+        """Run until `end` is called."""
         while not self._ended:
             self.turn()
 

@@ -60,7 +60,9 @@ class SerialDevice(ABC):
 
 
 class PluggedDevice:
-    """A device, described by `what`, on a port that can be unplugged; `wired` reads and answers."""
+    """A device on a port that can be unplugged; `what` is the device's description, and `wired` is
+    the part that receives and answers.
+    """
 
     what: ClassVar[str]
     port: "PseudoPort"
@@ -99,9 +101,10 @@ class PluggedDevice:
 
 
 class PseudoPort:
-    """A serial port that programs open by the name `link`; `fd` is the emulation's end.
+    """A serial port that programs open by the name `link`; `fd` is the file descriptor of the
+    emulation's end.
 
-    A program can open it exclusively, like any port; a second program is then refused.
+    A program can open the port exclusively, like any port; a second program is then refused.
     """
 
     def __init__(self, link: Path) -> None:
@@ -128,7 +131,9 @@ class PseudoPort:
         self._close()
 
     def stall(self, stalled: bool) -> None:
-        """Block writes to the port, as if no device took the bytes, or allow them again."""
+        """If `stalled`, block writes to the port, as if no device took the bytes; otherwise allow
+        them again.
+        """
         if self.fd >= 0:
             termios.tcflow(self._far, termios.TCOOFF if stalled else termios.TCOON)
 

@@ -23,7 +23,8 @@ class Options:
 
     `link` is the name of the serial port, None for the spec's. `record` is a file for the true
     events, None for no file. `replace_after` [s]: robots that have stood still for this time after
-    a run are put back on their starts and switched off and on; None leaves them where they are.
+    a run are switched off, put back on their starts and switched on; None leaves them where they
+    are.
     `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish.
     """
 
@@ -94,7 +95,7 @@ class EmulatedSide(Protocol):
         ...
 
     def close(self) -> Facts:
-        """Release ports and names, and return counts for the record; may be called twice."""
+        """Release ports and names; return counts to be recorded. May be called twice."""
         ...
 
 
@@ -121,7 +122,7 @@ class EmulatedActuator(EmulatedSide, Protocol):
 
     @property
     def truth(self) -> Mapping[str, Any]:
-        """The present true state, for the record of each exposure."""
+        """Facts of the present true state, to be recorded at each exposure."""
         ...
 
     def switch(self, on: bool) -> None:

@@ -277,9 +277,7 @@ class StreamedCamera(ABC):
 
     @abstractmethod
     def _draw(self, exposed_ns: int) -> Grey:
-        """Return the picture of an exposure, drawn by `_scene_at`; called in the camera's
-        thread.
-        """
+        """Return the picture of an exposure, from `_scene_at`; called in the camera's thread."""
 
     def open(self, loop: Loop) -> Facts:
         """Start to serve the stream; return its address."""
@@ -301,7 +299,7 @@ class StreamedCamera(ABC):
         return {"camera": self.camera.url, "url": self.camera.url}
 
     def close(self) -> Facts:
-        """End the stream; return the number of pictures, for the record."""
+        """End the stream; return the number of pictures, to be recorded."""
         if self._opened:
             self.camera.__exit__()
             self._opened = False

@@ -64,7 +64,9 @@ def frame_with_crc(payload: bytes) -> bytes:
 
 
 def checked_payload(frame: bytes) -> bytes:
-    """Return the payload of a frame, without the closing byte 00; WireError for a wrong CRC."""
+    """Return the payload of a frame, given without the closing byte 00; WireError for a wrong
+    CRC.
+    """
     payload = decode(frame)
     if not 2 < len(payload) <= FRAME_MAX:
         raise WireError(f"a frame cannot have {len(payload)} bytes")

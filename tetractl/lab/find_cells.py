@@ -23,8 +23,9 @@ SURE = 0.9  # least probability of the identity of a cell that may be chosen
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
     """Return a function from time [ns] to the direction [rad] of a field that makes cells circle.
 
-    The field turns once in `turn_s` [s], always in the same sense, by unequal quarters: a cell's
-    response identifies its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags behind.
+    The field turns once in `turn_s` [s], always in the same sense, in four steps of unequal angles:
+    a cell's response shows its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags
+    behind.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -46,7 +47,8 @@ def turn_field(
     """Turn the field of an entered rig for the time in `choice`; return the cells in view.
 
     The field continues to turn afterwards. `on_look` is called about every 50 ms. AbortError if no
-    pictures arrive.
+    pictures arrive, if they are searched too slowly to follow the cells, if the actuator fails, or
+    at an emergency stop; KeyboardInterrupt if the operator cancels.
     """
     rig.loop.idle = manoeuvre(choice.turn, seed)
     walled: set[int] = set()
@@ -83,7 +85,7 @@ def free_cells(rig: Rig) -> list[FoundCell]:
 
 
 def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
-    """Return the cells in the newest picture, with the estimates of the camera's filter.
+    """Return the cells in the newest picture whose identity is sure, with the filter's estimates.
 
     Cells whose numbers are in `walled`, or that are near the arena's edge, are marked as not free.
     """

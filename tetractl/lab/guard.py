@@ -342,7 +342,7 @@ class Guard:
         return f"{self.rules.names[i]} is not tracked{why} ({seconds:.2f} s)"
 
     def _check_places(self, poses: Sequence[Pose | None]) -> None:
-        """Abort before a robot leaves the arena or touches another."""
+        """Abort before a robot leaves the arena or touches another; a cell that leaves is lost."""
         rules, limits = self.rules, self.rules.limits
         coming: list[tuple[str, Pose, Pose]] = []
         for i, pose in enumerate(poses):

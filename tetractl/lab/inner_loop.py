@@ -63,7 +63,7 @@ class InnerLoop:
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
     def start(self) -> None:
-        """Start the loop's thread; nothing is sent before the first direction."""
+        """Start the loop's thread; nothing is sent before `steer` or `idle` gives a direction."""
         self._thread.start()
 
     def steer(self, direction: float, ahead: bool = True) -> Transmission:

@@ -1,8 +1,8 @@
-"""A serial port of the lab's devices: opened by one process only, written without waiting.
+"""A serial port of the lab's devices: opened by one process only, written without long waits.
 
 A write raises AbortError if the port accepts no bytes for 20 ms, and at once if the port has
-disappeared; both failures are final. A separate thread reads. If another process has the port open,
-`stop_beside` stops its robots and ends that process.
+disappeared; after either failure the port cannot be used any more. A separate thread reads. If
+another process has the port open, `stop_beside` stops its robots and ends that process.
 """
 
 import os
@@ -44,8 +44,8 @@ Heard = Callable[[bytes, int], None]
 class SerialPort:
     """The port `name` at `baud` bits per second; `device` names what is connected to it.
 
-    `heard` is called in the reader's thread with received bytes and their time [ns on `clock`], and
-    with no bytes when the port has failed; `hint` is the hint of the errors raised.
+    `heard(data, time)` is called in the reader's thread with received bytes and their time [ns on
+    `clock`], and with b"" when the port has failed; `hint` is the hint of the errors raised.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class SerialPort:
         self._port.baudrate = baud
 
     def close(self) -> None:
-        """End the thread and close the port; idempotent, never raises."""
+        """End the reader's thread and close the port; may be called twice, never raises."""
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -164,7 +164,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
 
 
 def require_port(name: str, device: str) -> None:
-    """Raise AbortError if no port has this name; `device` is for the hint."""
+    """Raise AbortError if no port has this name; the error's hint asks about `device`."""
     if not Path(name).exists():
         raise _missing(name, device)
 
@@ -174,7 +174,9 @@ def _missing(name: str, device: str) -> AbortError:
 
 
 def holder(port: str) -> int | None:
-    """Return the id of the process that has locked a port; None without one or not on Linux."""
+    """Return the id of the process that has locked a port; None if there is none, and on systems
+    other than Linux.
+    """
     with suppress(OSError):
         at = Path(port).stat()
         device = f"{os.major(at.st_dev):02x}:{os.minor(at.st_dev):02x}:{at.st_ino}"
@@ -193,10 +195,11 @@ def command_line(pid: int) -> list[str]:
 
 
 def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None]) -> None:
-    """Stop the robots of the run that has a port open, then end that run, if needed by SIGKILL.
-    `stops` sends stops on the port and returns a summary; it is repeated until the port is free,
-    since a hanging run may still drive robots. `say` prints a line. AbortError if the process
-    cannot be ended: it is unknown, another user's, or not tetractl.
+    """Stop the robots of the run that has a port open, and end that run, if needed by SIGKILL.
+
+    `stops` sends stops on the port and returns a summary; it is called until the port is free,
+    since a hanging run may still drive robots. `say` prints a line. AbortError if the process that
+    has the port open cannot be ended: it is unknown, another user's, or not tetractl.
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
@@ -243,7 +246,7 @@ def _left(
     stops: Callable[[], str] = lambda: "",
     say: Callable[[str], None] = lambda line: None,
 ) -> AbortError:
-    """Send stops, and return the error for a program that keeps the port open."""
+    """Send stops once more; return the error for a program that keeps the port open."""
     with suppress(AbortError):
         say(stops())
     return AbortError(f"{name} still has the port: it {why}", f"end it yourself; {SWITCH_OFF}")

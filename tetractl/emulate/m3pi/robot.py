@@ -56,7 +56,7 @@ class Motor(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MotorCount:
-    """A motor and its count in -127..127."""
+    """A motor and its count, from -127 to 127."""
 
     motor: Motor
     count: int

@@ -225,7 +225,7 @@ class EmulatedM3pi(PluggedDevice):
 
     @property
     def truth(self) -> dict[str, Any]:
-        """The speeds of all wheels, for the record: {"wheels": [[left, right], ...]} [mm/s]."""
+        """The speeds of all wheels [mm/s], to be recorded as {"wheels": [[left, right], ...]}."""
         return {"wheels": [[round(r.left, 2), round(r.right, 2)] for r in self.robots]}
 
     def switch(self, on: bool) -> None:

@@ -82,7 +82,7 @@ class Motive:
 
     @property
     def command_port(self) -> int:
-        """The UDP port for commands; once it is open, its real number."""
+        """The number of the UDP port for commands; once the port is open, its real number."""
         return self.streaming.command_port if self.command is None else _port(self.command)
 
     @property

@@ -261,7 +261,7 @@ class EmulatedOptitrack:
         }
 
     def close(self) -> Facts:
-        """Close the UDP ports; return counts for the record."""
+        """Close the UDP ports; return counts to be recorded."""
         self.motive.close()
         counts = self.motive.counts
         return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}

@@ -149,7 +149,9 @@ class Driver:
         self._port.open()
 
     def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
-        """Send a polling command; return the time of sending [ns]. AbortError if that fails."""
+        """Send a command that polls; return the time of sending [ns]. AbortError if sending
+        fails.
+        """
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
             command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
@@ -177,7 +179,7 @@ class Driver:
         return None
 
     def close(self) -> None:
-        """Close the port; idempotent, never raises."""
+        """Close the port; may be called twice, never raises."""
         self._port.close()
 
     def _answered(self, sequence: int) -> bool:

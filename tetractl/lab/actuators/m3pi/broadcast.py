@@ -38,8 +38,8 @@ class Status(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class BroadcastCommand:
-    """One frame for all robots: robot i drives with the counts `wheels[i]`, or stops without an
-    entry.
+    """One frame for all robots: robot i drives with the counts `wheels[i]`, or stops if `wheels`
+    has no entry for it.
     """
 
     sequence: int

@@ -138,7 +138,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the largest wheel count sent to a robot: the lower of its and its program's
+        """Return the largest wheel count sent to a robot: the lower of its and the protocol's
         limit.
         """
         return min(robot.limit, self.protocol.limit)

@@ -56,7 +56,8 @@ class Tracker:
     def see(self, picture: Grey) -> Seen:
         """Return the tags and poses found in a grey picture (height, width).
 
-        If a tag's number is seen twice, its robot is not tracked, or it is not used as a floor tag.
+        If a number is seen on two tags, both are ignored: the robot with this tag is not tracked,
+        or the floor tag is not used.
         """
         sightings = self._detector.find(picture)
         counts = Counter(each.tag for each in sightings)

@@ -148,8 +148,8 @@ def _sampled(picture: NDArray[np.uint8], at: Floats) -> Floats:
 
 
 def _lines(points: Floats, weight: Floats) -> Floats:
-    """Fit lines a x + b y + c = 0, a^2 + b^2 = 1, to points (..., S, 2); return a, b, c (...,
-    3).
+    """Fit lines to points (..., S, 2) with weights (..., S); return a, b, c (..., 3) of
+    a x + b y + c = 0 with a^2 + b^2 = 1.
     """
     share = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
     middle = (share * points).sum(axis=-2)

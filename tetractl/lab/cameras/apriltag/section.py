@@ -96,7 +96,7 @@ class AprilTagSection(PictureSection):
         return tuple(by_name[name] for name in names)
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield the robots that differ from the spec's."""
+        """Yield the place and text of each problem with the robots or their tags."""
         yield from mismatches(self.robots, setup.names, ("tag",))
 
     def bounds(self) -> dict[str, str]:

@@ -85,7 +85,7 @@ class CellCamera(PictureCamera[SeenDish]):
         return tuple(self._identities or ())
 
     def replace(self, robot: int, number: int) -> None:
-        """Track the cell with a number as the robot with an index from now on."""
+        """From now on, track the cell with this number as the robot with the index `robot`."""
         assert self._identities is not None, "only a robot that was seen can be replaced"
         self._identities[robot] = number
         self.divided.discard(robot)

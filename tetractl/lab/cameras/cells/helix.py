@@ -12,8 +12,8 @@ State of one cell, in um, s and rad:
     turn      turning rate that the field does not explain [rad/s]
     flow      velocity of the medium, x and y
 
-The filter measures the body's middle, which is at (x, y) plus c to the left of the heading, and the
-body's axis mod pi, heading - atan(rate s / speed): the projection of Crenshaw's helix into the
+The measurements are the body's middle, which is at (x, y) plus c to the left of the heading, and
+the body's axis mod pi, heading - atan(rate s / speed): the projection of Crenshaw's helix into the
 picture.
 """
 
@@ -66,8 +66,8 @@ class HelixFilter:
     for free rows.
 
     `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
-    the growth of the standard deviations of the first nine states per sqrt(s). Where a cell is
-    `near_wall`, the wall may turn it, so its turning does not change its a and bias.
+    the growth of the standard deviations of the first nine states per sqrt(s). `near_wall` says
+    where a wall may turn cells: turning there does not change the estimates of a and bias.
     """
 
     known: bool = True

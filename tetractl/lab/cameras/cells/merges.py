@@ -101,7 +101,9 @@ class Merges:
                 self._bank.drop(row)
 
     def answer(self, cells: Sequence[FollowedCell], seconds: float) -> None:
-        """Apply the likeliest answer to each question; close the questions that are decided."""
+        """Give the cells their identities by the likeliest answer to each question; close the
+        questions that are decided.
+        """
         for question in {id(c.question): c.question for c in cells if c.question}.values():
             order, _ = question.best()
             for cell in cells:

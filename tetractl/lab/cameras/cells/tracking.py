@@ -273,7 +273,7 @@ class CellTracker:
         self._next += 1
 
     def _beside(self, speck: Speck) -> FollowedCell | None:
-        """Return the cell next to which a speck was first seen."""
+        """Return the cell next to which a speck was first seen, None if there was none."""
         return next((cell for cell in self._cells if cell.track == speck.beside), None)
 
     def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:

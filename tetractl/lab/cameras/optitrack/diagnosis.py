@@ -144,8 +144,8 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
 
-    `names` are the names of the stream's robots. A line states whether the server has the body, the
-    most similar name or id if it has not, and all its bodies.
+    `names` are the names of the stream's robots. A line states whether the server has the body (if
+    not, the most similar name or id) and which bodies the server has.
     """
     if stream.model is None or not (missing := stream.missing()):
         return []

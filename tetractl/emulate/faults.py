@@ -153,13 +153,15 @@ class Injector:
                 self.timeline.at(start, lambda fault=fault: self._begin(fault))
 
     def exposed(self, exposure: int) -> None:
-        """Record that the exposure with a number is about to be taken."""
+        """Record that the exposure with this number is about to be taken."""
         for pending in self._pending:
             if pending.exposure is None:
                 pending.exposure = exposure
 
     def sent(self, exposure: int) -> None:
-        """Record that the frame of the exposure with a number was sent, or withheld by a fault."""
+        """Record that the frame of the exposure with this number was sent, or withheld by a
+        fault.
+        """
         for pending in list(self._pending):
             first = pending.exposure
             at_sending = pending.fault.visible is Visible.SENT

@@ -75,7 +75,7 @@ class Dish:
         self.cells.heading[:] = random.uniform(-np.pi, np.pi, count)
 
     def divide(self, row: int) -> None:
-        """Let the cell with an index divide; the daughter becomes the last cell."""
+        """Let the cell with this index divide; the daughter becomes the last cell."""
         self.cells = self.cells.divide(row, self._random)
 
     @property

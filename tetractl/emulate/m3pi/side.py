@@ -243,7 +243,7 @@ class EmulatedM3pi(PluggedDevice):
         self.radio.poll_answers()
 
     def robot(self, name: str) -> EmulatedRobot:
-        """Return the robot with a name."""
+        """Return the robot with this name."""
         return next(robot for robot in self.robots if robot.name == name)
 
 

@@ -272,11 +272,11 @@ class EmulatedOptitrack:
             body.tracked = not hidden
 
     def tracked_body(self, name: str) -> TrackedBody:
-        """Return the rigid body of the robot with a name."""
+        """Return the rigid body of the robot with this name."""
         return self.tracked[self.place_of(name)]
 
     def place_of(self, name: str) -> int:
-        """Return the index of the robot with a name."""
+        """Return the index of the robot with this name."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
 

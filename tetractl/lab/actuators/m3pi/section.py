@@ -129,11 +129,11 @@ class M3piSection(XbeeSection, ActuatorSection):
         }
 
     def robot(self, name: str) -> M3piRobot:
-        """Return the entry of the robot with a name."""
+        """Return the entry of the robot with this name."""
         return next(robot for robot in self.robots if robot.name == name)
 
     def index(self, name: str) -> int:
-        """Return the number in broadcasts of the robot with a name."""
+        """Return the number in broadcasts of the robot with this name."""
         robot = self.robot(name)
         return self.robots.index(robot) if robot.index is None else robot.index
 

@@ -73,7 +73,10 @@ class Link:
             self.questions = hardware.check_module(self, self.radio)
 
     def send(self, data: bytes, address: int = BROADCAST_16) -> int:
-        """Send data to the module with an address, or to all; return when it was written [ns]."""
+        """Send data to the module with this address, or to all; return the time of writing [ns].
+
+        In transparent mode `address` is ignored.
+        """
         if not self._api:
             return self._port.write(data)
         acknowledged = address != BROADCAST_16

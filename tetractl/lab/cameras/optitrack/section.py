@@ -94,5 +94,5 @@ class OptitrackSection(CameraSection):
         return self.robot(name).heading_offset
 
     def robot(self, name: str) -> TrackedRobot:
-        """Return the entry of the robot with a name."""
+        """Return the entry of the robot with this name."""
         return next(robot for robot in self.robots if robot.name == name)

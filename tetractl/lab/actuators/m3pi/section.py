@@ -120,12 +120,12 @@ class M3piSection(XbeeSection, ActuatorSection):
         require_port(self.port, "the radio")
 
     def bounds(self) -> dict[str, str]:
-        """Return the radio's port and rate and the lowest limit of wheel counts as {name: text},
+        """Return the radio's port and rate and the highest limit of wheel counts as {name: text},
         for display.
         """
         return {
             "radio": f"{self.port}, {self.rate:g} commands per second",
-            "wheel counts": f"at most {min(map(self.limit, self.robots))} of 127",
+            "wheel counts": f"at most {max(map(self.limit, self.robots))} of 127",
         }
 
     def robot(self, name: str) -> M3piRobot:

@@ -50,7 +50,7 @@ class Cursor:
     def skip(self, size: int) -> None:
         """Skip `size` bytes."""
         if not 0 <= size <= self.left:
-            raise WireError(f"{size} bytes expected, {self.left} left")
+            raise WireError(f"{size} bytes expected, only {self.left} remain")
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:
@@ -71,14 +71,19 @@ class Cursor:
         """
         count = self.i32()
         if not 0 <= count * smallest <= self.left:
-            raise WireError(f"{count} elements cannot be in {self.left} bytes")
+            raise WireError(
+                f"{count} elements of {smallest} bytes or more; only {self.left} bytes remain"
+            )
         return count
 
     def size(self, count: int, smallest: int) -> int:
         """Read the size [bytes] of a section with `count` elements of at least `smallest` bytes."""
         size = self.i32()
         if not 0 <= count * smallest <= size <= self.left:
-            raise WireError(f"{count} elements in {size} bytes, {self.left} left")
+            raise WireError(
+                f"{count} elements of {smallest} bytes or more in a section of {size} bytes; "
+                f"{self.left} bytes remain in the packet"
+            )
         return size
 
     def name(self) -> str:

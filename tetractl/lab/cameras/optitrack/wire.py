@@ -92,14 +92,14 @@ def datagram(kind: MessageKind, payload: bytes) -> bytes:
 def response_int(response: Response) -> int:
     """Read a response that is one i32, such as the response to `UpAxis`."""
     if len(response.payload) != 4:
-        raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
+        raise WireError(f"the server's reply has {len(response.payload)} bytes; a number has 4")
     return int.from_bytes(response.payload, "little", signed=True)
 
 
 def response_float(response: Response) -> float:
     """Read a response that is one f32, such as the response to `FrameRate`."""
     if len(response.payload) != 4:
-        raise WireError(f"a number has 4 bytes, not {len(response.payload)}")
+        raise WireError(f"the server's reply has {len(response.payload)} bytes; a number has 4")
     return struct.unpack("<f", response.payload)[0]
 
 

@@ -266,10 +266,10 @@ def _check_packed(
     inside = np.array([packed.gap(px, py, rows) <= 0 for px, py, _, _ in cases])
     yield _true(f"{what}packed gap: at most 0 inside", (inside == (gap <= 0)) | ~clear, "differs")
     between = np.array([packed.gap_between(*case, rows) <= 0 for case in cases])
-    yield _true(f"{what}packed gap_between: as cross", between == met, "differs")
+    yield _true(f"{what}packed gap_between: at most 0 where cross", between == met, "differs")
     deep = gap < -NEAR * size
     depth = np.array([packed.depth(px, py, rows) for px, py, _, _ in cases])
-    yield _near(f"{what}packed depth: distance to the edge", depth[deep], -gap[deep], size)
+    yield _near(f"{what}packed depth: -distance of points inside", depth[deep], -gap[deep], size)
     out = np.array([packed.outward(px, py, rows) for px, py, _, _ in cases])
     yield _near(f"{what}packed outward: a unit vector", np.hypot(*out.T)[deep], 1.0, 1.0)
 

@@ -96,8 +96,8 @@ def _way_points(trial: ResultSummary) -> dict[str, Any]:
 
 
 def _time_inside(trial: ResultSummary) -> dict[str, Any]:
-    """Return the fraction of the hold that each robot spent within `hold.radius` of its target;
-    None if the hold was not completed.
+    """Return the fraction of the hold's time that each robot was within `hold.radius` of its
+    target; None if the hold was not completed.
     """
     if trial.experiment.hold is None:
         return {}
@@ -134,7 +134,9 @@ def mean_of_each(
 
 WAY_POINTS = mean_of_each(_way_points, "mean distance at a way-point, all robots", digits)
 LOST = mean_of_each(_lost, "mean number of robots", "{:.3g}".format)
-TIME_INSIDE = mean_of_each(_time_inside, "mean share of the hold inside", "{:.3f}".format)
+TIME_INSIDE = mean_of_each(
+    _time_inside, "mean share of the hold's time within the radius", "{:.3f}".format
+)
 
 PERCENTILES = {"p50": 50, "p99": 99, "max": 100}
 

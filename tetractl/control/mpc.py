@@ -391,8 +391,8 @@ class MpcSection(MpcFields):
         return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile by calling the functions: search for one signal, predict its path, and identify
-        the robots from a few frames."""
+        """Call the planner's functions once so that they are compiled: search for one signal,
+        predict the robots' paths under it, and if `estimate` identify them from a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)

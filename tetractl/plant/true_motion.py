@@ -61,7 +61,7 @@ class TrueMotion:
         self._stopping_ns = np.full(len(setup.names), NEVER)  # times of the watchdogs [ns]
         self._time = 0
         self._disturbed_ns = -1  # time up to which the disturbances have acted
-        self._ticks = 0  # number of true samples taken so far
+        self._ticks = 0  # number of samples of the true path taken so far
         self._path: list[tuple[Floats, Floats]] = []  # x, y of samples not yet checked
 
     @property
@@ -183,7 +183,7 @@ class TrueMotion:
 
     @property
     def _next_tick_ns(self) -> int:
-        """Return the time of the next true sample [ns]."""
+        """The time at which the true path is sampled next [ns]."""
         return round(self._ticks * SECOND / self._truth_rate)
 
     def check(self) -> None:

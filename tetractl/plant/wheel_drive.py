@@ -1,9 +1,9 @@
 """Simulates two-wheeled robots whose wheels follow received commands, (21)-(23).
 
 Wheels follow commands with a first-order lag. Between two transmissions, wheel speeds, path length
-and heading are known in closed form. The position is the sum of the chords between true samples,
-each computed as the chord of an arc: exact for settled wheels; otherwise the error falls with the
-square of the time between samples.
+and heading are known in closed form. The position is the sum of the chords between the successive
+times at which it is computed, each taken as the chord of an arc: exact for settled wheels;
+otherwise the error falls with the square of the time between them.
 
 The host computes wheel speeds by (24)-(25) at the headings of the newest frame received, rounds
 them to wheel counts, and sends them at the radio's rate or once per control step.
@@ -233,7 +233,8 @@ class WheelDrive:
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        The heading's random walk is applied at the times of true samples, where `ticks` (M,) is 1.
+        The heading's random walk is applied at the times at which the true path is sampled, where
+        `ticks` (M,) is 1.
         """
         p = self.poses
         ways = self._follow(seconds[:, None, None])

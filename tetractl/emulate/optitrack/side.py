@@ -66,7 +66,8 @@ class OptitrackSettings(Model):
     knows_up_axis: bool = True
     """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
-    """The robots whose bodies differ from the spec."""
+    """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
+    streamed."""
 
 
 def _trouble(device: Any, fault: Any) -> Trouble:

@@ -165,7 +165,8 @@ class CellTracker:
     def _readings(
         self, shared: dict[int, list[int]], expected: Floats, places: Floats
     ) -> list[_Reading]:
-        """Return the blobs' measurements of their cells; update the cells' usual sizes."""
+        """Return the measurement of each cell, taken from its blob; update the cells' usual
+        sizes."""
         found = []
         least = POSITION_UM + POSITION_PX * self.um_px
         for j, owners in shared.items():

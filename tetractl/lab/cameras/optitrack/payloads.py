@@ -91,7 +91,7 @@ class Cursor:
         start = self.at
         stop = self.data.find(b"\0", start, min(self.end, start + NAME_MAX + 1))
         if stop < 0:
-            raise WireError("a name without its closing NUL")
+            raise WireError(f"a name of more than {NAME_MAX} bytes, or without its closing NUL")
         self.at = stop + 1
         return self.data[start:stop].decode("utf-8", "replace")
 
@@ -108,7 +108,7 @@ def packed_name(name: str) -> bytes:
     """Pack a NUL-terminated name."""
     raw = name.encode("utf-8", "replace")
     if len(raw) > NAME_MAX or b"\0" in raw:
-        raise WireError(f"not a valid name: {name[:40]!r}")
+        raise WireError(f"a name has at most {NAME_MAX} bytes and no NUL, unlike {name[:40]!r}")
     return raw + b"\0"
 
 

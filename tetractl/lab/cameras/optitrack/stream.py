@@ -335,12 +335,12 @@ class Stream:
             self._mistimed = 0
             return min(received_ns, sampled_ns)
         self._mistimed += 1
-        when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} they came"
+        when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
         if self._mistimed < MISTIMED:
-            raise WireError(f"a frame exposed {when}")
+            raise WireError(f"a frame was exposed {when}")
         self._fault = self._fault or (
-            f"by the camera server's clock, frames were exposed {when}: it was set, or runs at a "
-            "wrong rate"
+            f"by the camera server's clock, frames were exposed {when}: the clock was set, or runs "
+            "at a wrong rate"
         )
         return received_ns
 

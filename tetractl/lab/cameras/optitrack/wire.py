@@ -85,7 +85,7 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
 def datagram(kind: MessageKind, payload: bytes) -> bytes:
     """Pack a payload into a datagram of a kind; WireError if it is too long."""
     if len(payload) + HEADER > DATAGRAM_MAX:
-        raise WireError(f"{len(payload)} bytes do not fit in a datagram")
+        raise WireError(f"a payload of {len(payload)} bytes does not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload
 
 
@@ -108,7 +108,10 @@ def _server_info(payload: bytes) -> ServerInfo:
     if natnet[0] < 3:
         return ServerInfo(name, app, natnet)
     if len(payload) < SERVER_INFO:
-        raise WireError(f"SERVERINFO {natnet[0]}.{natnet[1]} of {len(payload)} bytes")
+        raise WireError(
+            f"SERVERINFO of protocol {natnet[0]}.{natnet[1]} has {len(payload)} bytes, "
+            f"not {SERVER_INFO} or more"
+        )
     clock = int.from_bytes(payload[SENDER : SENDER + 8], "little")
     port = int.from_bytes(payload[SENDER + 8 : SENDER + 10], "little")
     multicast = payload[SENDER + 10] != 0
@@ -123,7 +126,7 @@ def sender(name: str, app: Quad, natnet: Quad) -> bytes:
 def read_sender(payload: bytes) -> tuple[str, Quad, Quad]:
     """Read the sender's name and versions, with which CONNECT and SERVERINFO begin."""
     if len(payload) < SENDER:
-        raise WireError(f"{len(payload)} bytes are too few for name and versions")
+        raise WireError(f"the sender's name and versions have {SENDER} bytes, not {len(payload)}")
     return read_text(payload[:256]), quad(payload, 256), quad(payload, 260)
 
 
@@ -144,5 +147,5 @@ def read_text(payload: bytes) -> str:
 def u64(payload: bytes, at: int, size: int) -> int:
     """Read an unsigned 64-bit integer at an offset of a payload, which must have `size` bytes."""
     if len(payload) != size:
-        raise WireError(f"{size} bytes expected, not {len(payload)}")
+        raise WireError(f"a payload of {size} bytes expected, not of {len(payload)}")
     return int.from_bytes(payload[at : at + 8], "little")

@@ -105,7 +105,9 @@ def test_a_clock_that_jumps_forward_is_a_fault_within_a_tenth_of_a_second(jump_s
     noticed = server.until(after_s + 2)
     assert noticed - after_s < 0.1
     assert "frames were exposed" in server.stream.newest.fault
-    assert "after they came: it was set, or runs at a wrong rate" in server.stream.newest.fault
+    assert (
+        "after reception: the clock was set, or runs at a wrong rate" in server.stream.newest.fault
+    )
     assert server.stream.counts.bad == 4  # dropped before the fault is certain
 
 
@@ -137,7 +139,7 @@ def test_frames_of_another_clock_than_the_echoes_are_named():
     ahead = server.clock
     server.clock = lambda at: ahead(at) if at != server.now else 0
     assert server.until(2) < 0.5
-    assert "s before they came: it was set" in server.stream.newest.fault
+    assert "s before reception: the clock was set" in server.stream.newest.fault
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -66,11 +66,12 @@ def run_trial(
     folder: str | Path | None = None,
     observers: Sequence[Observer] = (),
 ) -> TrialLog:
-    """Simulate one trial and return it; with a `folder` its log stays there as trial-000.mcap.
+    """Simulate one trial and return it; its log is kept only if a `folder` is given.
 
-    `trial` counts from 0; the spec's seed and `trial` determine every random draw. `observers`
-    watch the trial. Raises UsageError for a spec whose plant is the lab and for a log that exists
-    already, KeyboardInterrupt after Ctrl-C has ended the trial.
+    `trial` counts from 0; the log of trial 0 is trial-000.mcap. The spec's seed and `trial`
+    determine every random draw. `observers` watch the trial. Raises UsageError for a spec whose
+    plant is the lab and for a log that exists already, KeyboardInterrupt after Ctrl-C has ended the
+    trial.
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run import task
@@ -127,7 +128,8 @@ def read_log(path: str | Path) -> TrialLog:
 
 
 def read_batch(*paths: str | Path) -> "Batch":
-    """Read the results of trials, about a millisecond per log; paths are logs, folders or patterns.
+    """Read the results of trials, in about a millisecond per log; paths are logs, folders or
+    patterns.
 
     The batch has `trials`, earlier `attempts` at them, and `damaged` logs. Trials of a study that
     have no log are read from its rows. Raises UsageError for a path without a trial.
@@ -156,8 +158,8 @@ class TrialArrays:
     step_time_s: Floats  # (K,) when each command was sent
     direction: Floats  # (K,) the common direction u, NaN while the field is off
     cost: Floats  # (K,) J of the chosen sequence, (7)
-    length: NDArray[np.int64]  # (K,) signals in the chosen sequence
-    evaluations: NDArray[np.int64]  # (K,) cost evaluations
+    length: NDArray[np.int64]  # (K,) number of signals in the chosen sequence
+    evaluations: NDArray[np.int64]  # (K,) number of sequences whose cost was evaluated
     solve_ms: Floats  # (K,) wall time
 
 
@@ -188,8 +190,8 @@ def to_arrays(trial: TrialLog) -> TrialArrays:
 def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
     """Return a trial with one row for each frame and robot, or a batch with one row for each trial.
 
-    These are the tables `poses` and `trials` of `tetractl export`. A trial's frame has the plant,
-    such as "emulated lab", in `attrs["origin"]`; a batch's frame has it in the column `origin`.
+    These are the tables `poses` and `trials` of `tetractl export`. A trial's DataFrame names the
+    plant, such as "emulated lab", in `attrs["origin"]`; a batch's names it in the column `origin`.
     Earlier attempts at a trial have `attempt` True. Raises UsageError if pandas is not installed.
     """
     try:
@@ -238,7 +240,8 @@ def plot(
     """Draw a matplotlib figure; if a .png, .svg or .pdf file is named, write it there.
 
     `kind` names a figure of `tetractl plot`; "trajectory", "errors", "arms", "ecdf" and "scatter"
-    show several trials. Statistics and comparisons have one figure each, every trial a dot.
+    show several trials. Statistics and comparisons have one figure each, in which every
+    trial is a dot.
     """
     from tetractl.results.contrast import GroupComparison
     from tetractl.results.describe import Group
@@ -268,8 +271,8 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check a spec and compile its kernels; yield the interrupt that Ctrl-C sets inside the
-    block."""
+    """Check a spec and compile its kernels; yield an `Interrupt`, which counts the signals to stop,
+    such as Ctrl-C, inside the block. KeyboardInterrupt after the block if there were any."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check

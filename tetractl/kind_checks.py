@@ -31,7 +31,7 @@ COUNT = 200  # number of random cases per check
 NEAR = 1e-6  # relative error up to which two results agree
 STEP = 1e-6  # step of a central difference [rad]
 SLOPE = 1e-4  # relative error up to which a derivative agrees with a central difference
-STARTED_S = 5.0  # time that a camera may take to deliver a frame
+STARTED_S = 5.0  # time in which an opened camera must deliver two frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +78,7 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     named = kind.model_fields["type"].annotation
     options = getattr(named, "__args__", ())
     if len(options) != 1:
-        raise UsageError(f"{code}: its field `type` must be the Literal of one name")
+        raise UsageError(f"{code}: its field `type` must be a Literal with one name")
     try:
         return kind.model_validate({"type": options[0], **fields})
     except ValidationError as error:
@@ -105,7 +105,8 @@ def _guarded(check: Callable[[], Findings]) -> Findings:
 
 
 def _near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> Finding:
-    """Compare two results to `share` of `scale`; the error names the case that differs most."""
+    """Check that two results differ by at most `share` times `scale`; the error names the case
+    that differs most."""
     ours, theirs, scale = np.broadcast_arrays(
         *(np.asarray(v, float) for v in (ours, theirs, scale))
     )
@@ -138,7 +139,7 @@ def check_motion(motion: Motion) -> Findings:
     yield _true("step: finite", np.isfinite(moved), "a pose is not finite")
     yield _same("step: repeats exactly", moved, motion.step(*case, t))
     gone = np.hypot(moved[0] - x, moved[1] - y)
-    yield _true("step: at most v t", gone <= v * t * (1 + NEAR), "a robot moves further")
+    yield _true("step: moves at most v t", gone <= v * t * (1 + NEAR), "a robot moves further")
     still = motion.step(*case, 0.0)
     yield _near("step: no motion for t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
@@ -184,8 +185,8 @@ def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
     ends = np.array(found, dtype=float).T
     yield _near("advance: same x as step", ends[0], moved[0], v * t)
     yield _near("advance: same y as step", ends[1], moved[1], v * t)
-    yield _near("advance: cos(heading) as step", ends[2], np.cos(moved[2]), 1.0)
-    yield _near("advance: sin(heading) as step", ends[3], np.sin(moved[2]), 1.0)
+    yield _near("advance: same cos(heading) as step", ends[2], np.cos(moved[2]), 1.0)
+    yield _near("advance: same sin(heading) as step", ends[3], np.sin(moved[2]), 1.0)
 
 
 def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: float) -> Findings:
@@ -197,7 +198,7 @@ def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: 
     turn = np.remainder(found[2] - change + math.pi, math.tau) - math.pi
     yield _near("differentiate: same dx as step", found[0], moved[0] - x, v * t)
     yield _near("differentiate: same dy as step", found[1], moved[1] - y, v * t)
-    yield _near("differentiate: dheading as step", turn, 0.0, 1.0)
+    yield _near("differentiate: same dheading as step", turn, 0.0, 1.0)
 
     def slope(by_heading: float, by_u: float) -> Any:
         ends = [
@@ -228,7 +229,7 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
     rolled = np.roll(corners, -1, axis=0)
     area = 0.5 * float(np.sum(corners[:, 0] * rolled[:, 1] - rolled[:, 0] * corners[:, 1]))
     yield _true("outline: anticlockwise", area > 0, "encloses no area, or runs clockwise")
-    yield _near("outline: on the edge", shape.distance(*corners.T), 0.0, size)
+    yield _near("outline: corners at distance 0", shape.distance(*corners.T), 0.0, size)
     for margin in (0.0, size / 10):
         grown = shape.grown(margin)
         what = "grown: " if margin else ""
@@ -239,14 +240,18 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
         )
         met = grown.cross(x, y, x1, y1)
         ends = inside | grown.contain(x1, y1)
-        yield _true(f"{what}cross: segments that end inside", met | ~ends, "one is not met")
+        yield _true(f"{what}cross: segments with an end inside", met | ~ends, "one is not met")
         along = np.linspace(0, 1, 50)[:, None]
         seen = grown.distance(x + along * (x1 - x), y + along * (y1 - y)).min(axis=0)
         yield _true(
-            f"{what}cross: segments through it", met | (seen > -NEAR * size), "one is not met"
+            f"{what}cross: segments through the shape",
+            met | (seen > -NEAR * size),
+            "one is not met",
         )
         length = np.hypot(x1 - x, y1 - y)
-        yield _true(f"{what}cross: segments past it", ~met | (seen < length / 50), "one is met")
+        yield _true(
+            f"{what}cross: segments that miss the shape", ~met | (seen < length / 50), "one is met"
+        )
         yield from _check_packed(what, grown, size, (x, y, x1, y1), gap, met, clear)
     margin = size / 10
     gap, nearer = (one.distance(x, y) for one in (shape, shape.grown(margin)))
@@ -305,7 +310,9 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
             yield _true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
             if optimizer.evaluations_max is not None:
                 fits = found.evaluations <= optimizer.evaluations_max
-                yield _true(f"{what}evaluations: allowed", fits, str(found.evaluations))
+                yield _true(
+                    f"{what}evaluations: at most evaluations_max", fits, str(found.evaluations)
+                )
             budget = optimizer.evaluations_min + 5
             spent = optimizer.search(problem, length, warm, SEED, Limits(budget)).evaluations
             yield _true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
@@ -322,7 +329,9 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
     yield _members("camera", camera, Camera)
     try:
         with camera:
-            yield Finding("newest: a frame once opened", "" if camera.newest else "there is none")
+            yield Finding(
+                "newest: a frame, once the camera is open", "" if camera.newest else "there is none"
+            )
             until = clock.now() + STARTED_S * 1e9
             found = camera.frames()
             while len(found) < 5 and clock.now() < until:
@@ -335,14 +344,18 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
                 return
             numbers, times = [one.number for one in found], [one.sampled_ns for one in found]
             yield Finding(
-                "frames: in order", "" if numbers == sorted(set(numbers)) else str(numbers)
+                "frames: numbers rise", "" if numbers == sorted(set(numbers)) else str(numbers)
             )
             yield Finding("frames: times rise", "" if times == sorted(times) else str(times))
             late = [one for one in found if not one.sampled_ns <= one.received_ns <= now]
-            yield Finding("frames: received after exposure", "not all" if late else "")
+            yield Finding(
+                "frames: received after their exposure",
+                f"{len(late)} of {len(found)} were not" if late else "",
+            )
             count = {len(one.poses) for one in found}
             robots = len(setup.names)
-            yield Finding("frames: a pose per robot", "" if count == {robots} else f"{count}")
+            wrong = "" if count == {robots} else f"numbers of poses: {sorted(count)}"
+            yield Finding("frames: one pose per robot", wrong)
     except AbortError as error:
         yield Finding(f"not opened, so its frames are not checked ({error})")
 

@@ -54,7 +54,7 @@ def no_frames(
     return AbortError(
         f"{server}, but no frames come ({timeout_s:g} s)",
         f"does Motive stream in {section.transport}? multicast frames come from "
-        f"{section.group}:{section.data_port} by the card of lab.camera.interface",
+        f"{section.group}:{section.data_port} through the network card of lab.camera.interface",
     )
 
 
@@ -142,7 +142,7 @@ def _body(number: int, name: str | None, streamed: bool) -> str:
 
 
 def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
-    """Return a line for each robot whose rigid body is not in the frames, [] before MODELDEF.
+    """Return a line for each robot whose rigid body is not in the newest frame; [] before MODELDEF.
 
     `names` are the names of the stream's robots. A line states whether the server has the body (if
     not, the most similar name or id) and which bodies the server has.

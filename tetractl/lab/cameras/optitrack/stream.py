@@ -41,7 +41,8 @@ DRIFT_MAX = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Echo:
-    """One echo: host time halfway [ns], the server's clock at that time [ns], round trip [ns]."""
+    """One echo: the host's time halfway between request and answer [ns], the server's clock at
+    that time [ns], and the round trip [ns]."""
 
     host_ns: int
     server_ns: int
@@ -95,8 +96,8 @@ class ClockSync:
         return self._at.round_trip_ns // 2 + round(drifted) + self._resolution_ns
 
     def _contradiction(self, new: Echo) -> str:
-        """Return by how much the clock went wrong between an earlier echo and this one, as text; ""
-        if it did not.
+        """Return, as text, by how much the server's clock gained or lost time on the host's between
+        an earlier echo and this one; "" if that is within the tolerance.
         """
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
@@ -106,7 +107,7 @@ class ClockSync:
                 return (
                     f"the camera server's clock {'gained' if gained > 0 else 'lost'} "
                     f"{abs(gained) / 1e6:.1f} ms on this computer's within {span / SECOND:.2f} s: "
-                    "it was set, or runs at a wrong rate"
+                    "the server's clock was set, or runs at a wrong rate"
                 )
         return ""
 
@@ -144,13 +145,13 @@ ECHOES = 64  # number of unanswered time requests to which an answer can be matc
 
 @dataclass(slots=True)
 class StreamCounts:
-    """How many datagrams so far were frames, missed, dropped or not readable."""
+    """Numbers so far: of frames received and missed, and of datagrams dropped or not readable."""
 
     frames: int = 0
     missed: int = 0  # numbers skipped between frames
     overtaken: int = 0  # frames that arrived after a newer one, or twice
     bad: int = 0  # datagrams that are not NatNet messages
-    early: int = 0  # frames and models before the version was known
+    early: int = 0  # frames and models dropped because the version was not known yet
     unasked: int = 0  # answers without an open request
     unread_frames: int = 0  # bad datagrams that were frames
     unread_models: int = 0  # bad datagrams that were models

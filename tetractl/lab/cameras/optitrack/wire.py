@@ -68,7 +68,7 @@ def pack(message: Message) -> bytes:
 
 
 def split(datagram: bytes) -> tuple[MessageKind, bytes]:
-    """Return a datagram's kind and payload; WireError unless its header is right."""
+    """Return a datagram's kind and payload; WireError if its header is wrong."""
     if len(datagram) < HEADER:
         raise WireError(f"a datagram of {len(datagram)} bytes is too short")
     code = int.from_bytes(datagram[:2], "little")

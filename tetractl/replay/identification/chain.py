@@ -82,7 +82,7 @@ class Chain:
 
     def factor(self, noise: ChainNoise) -> Floats:
         """Return the diagonal and subdiagonal of L, the Cholesky factor of the residuals'
-        covariance A, as rows (2, K). An unused interval has 1 on the diagonal and 0 beside it.
+        covariance A, as rows (2, K). An unused interval has 1 on the diagonal and 0 below it.
         """
         both = self.linked & self.used & np.append(False, self.used[:-1])
         banded = np.zeros((2, self.t.size))

@@ -12,6 +12,7 @@ from tetractl.lab.actuators.m3pi.broadcast import Flag
 from tetractl.log.read.reader import read_trial
 
 LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")
+LONGER = ("controller.steps_max=400", *LONG[1:])  # than another program takes to start
 
 
 @pytest.fixture
@@ -154,7 +155,7 @@ def test_a_run_that_nobody_can_read_stops_its_robots(lab, tmp_path, closed, word
 def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
     """Regression: it stopped nothing while a run, good or suspended, had the port."""
     emulator, settings = lab()
-    sets = flags((*settings, *LONG))
+    sets = flags((*settings, *LONGER))
     command = [TETRACTL, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets]
     with (tmp_path / "said").open("w") as said:
         run = subprocess.Popen(

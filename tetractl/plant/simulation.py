@@ -235,15 +235,7 @@ class SimPlant:
 
     def steer(self, direction: float | None) -> Command:
         """After the planning time, send u [rad] to every robot, or switch the field off."""
-        answered = self.observe()
-        now = self._plan()
-        if self._drive.host is None:
-            command = self._send_direction(direction, now, answered, direction is None)
-        else:
-            self._drive.host.direct(direction)
-            command = self._transmit(now)
-        self._motion.advance(now)
-        return command
+        return self._direct(direction, ahead=True)
 
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
@@ -292,15 +284,7 @@ class SimPlant:
 
     def turn(self, facing: float) -> Command:
         """After the planning time, turn standing robots on the spot towards a direction [rad]."""
-        answered = self.observe()
-        now = self._plan()
-        if self._drive.host is None:
-            command = self._send_direction(None, now, answered, facing=facing)
-        else:
-            self._drive.host.direct(facing, ahead=False)
-            command = self._transmit(now)
-        self._motion.advance(now)
-        return command
+        return self._direct(facing, ahead=False)
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and a frame shows them standing, and check the true path."""
@@ -362,25 +346,31 @@ class SimPlant:
         """Draw at random which robots receive a command, (N,)."""
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
+    def _direct(self, u: float | None, ahead: bool) -> Command:
+        """After the planning time, send a direction [rad], in which robots drive if `ahead` and to
+        which they turn on the spot otherwise; None switches the field off.
+        """
+        answered = self.observe()
+        now = self._plan()
+        if self._drive.host is None:
+            command = self._send_direction(u, ahead, now, answered)
+        else:
+            self._drive.host.direct(u, ahead)
+            command = self._transmit(now)
+        self._motion.advance(now)
+        return command
+
     def _send_direction(
-        self,
-        direction: float | None,
-        now: int,
-        answered: Observation,
-        off: bool = False,
-        facing: float | None = None,
+        self, u: float | None, ahead: bool, now: int, answered: Observation
     ) -> Command:
-        headings = answered.poses.heading
-        due = self._due_ns(answered, now)
-        heard = self._heard()
+        headings, setup = answered.poses.heading, self.setup
+        due, heard, off = self._due_ns(answered, now), self._heard(), u is None
+        direction, facing = (u, None) if ahead else (None, u)
         command = DelayedCommand(now, due, direction, heard, None, headings, None, off, facing)
         reached = self._motion.dispatch(command).reached
         left = right = None
-        setup = self.setup
         if setup.wheel_radius is not None:
-            u = direction if facing is None else facing
-            speed = setup.speed * (facing is None)
-            towards = headings if u is None else u
+            towards, speed = headings if u is None else u, setup.speed * ahead
             left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
         return Command(direction, now, tuple(reached.tolist()), left, right, off, facing)
 

@@ -54,16 +54,22 @@ class RawLog:
     @cached_property
     def attachments(self) -> dict[str, Attachment]:
         """The attachments by name; of two with the same name, the first."""
-        found = [one for one in self.records if isinstance(one, Attachment)]
-        return {one.name: one for one in found} | {one.name: one for one in reversed(found)}
+        found: dict[str, Attachment] = {}
+        for record in self.records:
+            if isinstance(record, Attachment):
+                found.setdefault(record.name, record)
+        return found
 
     @cached_property
     def metadata(self) -> dict[str, dict[str, str]]:
         """The items of each metadata record by its name, as written; of two with the same name, the
         first.
         """
-        found = [one for one in self.records if isinstance(one, Metadata)]
-        return {one.name: one.metadata for one in reversed(found)}
+        found: dict[str, dict[str, str]] = {}
+        for record in self.records:
+            if isinstance(record, Metadata):
+                found.setdefault(record.name, record.metadata)
+        return found
 
     @cached_property
     def run(self) -> RunRecord:

@@ -143,8 +143,8 @@ def read_batch(*paths: str | Path) -> "Batch":
 class TrialArrays:
     """A trial of M camera frames, K control steps and N robots.
 
-    Lengths are in `unit`, angles in radians, times from the first direction sent. The last axis of
-    poses is x, y, heading. `truth` is NaN if the true poses are not known, as in a lab.
+    Lengths are in `unit`, angles in radians; times count from the first direction sent. The last
+    axis of poses is x, y, heading. `truth` is NaN if the true poses are not known, as in a lab.
     """
 
     unit: str
@@ -271,8 +271,8 @@ def verify(path: str | Path) -> "Verification":
 
 @contextmanager
 def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
-    """Check a spec and compile its kernels; yield an `Interrupt`, which counts the signals to stop,
-    such as Ctrl-C, inside the block. KeyboardInterrupt after the block if there were any."""
+    """Check a spec, compile its kernels, and yield an `Interrupt` that counts signals such as
+    Ctrl-C during the `with` block; after the block, KeyboardInterrupt if there were any."""
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.trial_limits import check

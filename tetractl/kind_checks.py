@@ -139,18 +139,18 @@ def check_motion(motion: Motion) -> Findings:
     yield _true("step: finite", np.isfinite(moved), "a pose is not finite")
     yield _same("step: repeats exactly", moved, motion.step(*case, t))
     gone = np.hypot(moved[0] - x, moved[1] - y)
-    yield _true("step: moves at most v t", gone <= v * t * (1 + NEAR), "a robot moves further")
+    yield _true("step: moves by <= v t", gone <= v * t * (1 + NEAR), "a robot moves further")
     still = motion.step(*case, 0.0)
-    yield _near("step: no motion for t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
+    yield _near("step: x, y kept if t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
     angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
-    yield _near("step: rotates with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
+    yield _near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
     if motion.turn is not None:
         yield _same("turn: same headings as step", [motion.turn(heading, u, a, t)], moved[2:])
     if motion.strides is not None:
         parts = motion.strides(heading, u, a, v, t)
         added = (_add(x, parts[0]), _add(y, parts[1]), heading + parts[2])
-        yield _same("strides: add up to step", added, moved)
+        yield _same("strides: add up to the result of step", added, moved)
     held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
     whole = np.full(COUNT, t)
     driven = motion.hold(x, y, heading, held, a, v, whole)
@@ -158,7 +158,7 @@ def check_motion(motion: Motion) -> Findings:
         yield _near(f"hold: same {name} as step", one, other, v * t)
     resting = Held(u, 0 * u, heading, np.zeros(COUNT))
     stood = motion.hold(x, y, heading, resting, a, 0 * v, whole)
-    yield _near("hold: a stopped robot stays", np.hypot(stood[0] - x, stood[1] - y), 0, v)
+    yield _near("hold: does not move a stopped robot", np.hypot(stood[0] - x, stood[1] - y), 0, v)
     compiled = motion.lanes(a, t)
     yield from _check_advance(compiled, case, moved, t)
     yield from _check_derivatives(motion, compiled, case, moved, t)
@@ -236,22 +236,20 @@ def check_shape(shape: ShapeSection, setup: Setup) -> Findings:
         inside, gap = grown.contain(x, y), grown.distance(x, y)
         clear = np.abs(gap) > NEAR * size  # closer to the edge, rounding decides
         yield _true(
-            f"{what}contain: where distance <= 0", (inside == (gap <= 0)) | ~clear, "differs"
+            f"{what}contain: true where distance <= 0", (inside == (gap <= 0)) | ~clear, "differs"
         )
         met = grown.cross(x, y, x1, y1)
         ends = inside | grown.contain(x1, y1)
-        yield _true(f"{what}cross: segments with an end inside", met | ~ends, "one is not met")
+        yield _true(f"{what}cross: true for segments with an end inside", met | ~ends, "false")
         along = np.linspace(0, 1, 50)[:, None]
         seen = grown.distance(x + along * (x1 - x), y + along * (y1 - y)).min(axis=0)
         yield _true(
-            f"{what}cross: segments through the shape",
+            f"{what}cross: true for segments through the shape",
             met | (seen > -NEAR * size),
-            "one is not met",
+            "false",
         )
         length = np.hypot(x1 - x, y1 - y)
-        yield _true(
-            f"{what}cross: segments that miss the shape", ~met | (seen < length / 50), "one is met"
-        )
+        yield _true(f"{what}cross: false for segments outside", ~met | (seen < length / 50), "true")
         yield from _check_packed(what, grown, size, (x, y, x1, y1), gap, met, clear)
     margin = size / 10
     gap, nearer = (one.distance(x, y) for one in (shape, shape.grown(margin)))
@@ -265,18 +263,18 @@ def _check_packed(
     packed, row = shape.packed, tuple(map(float, shape.row()))
     rows = np.asarray(row) if packed.size is None else row
     if packed.size not in (None, len(row)):
-        yield Finding(f"{what}packed: size", f"is {packed.size}, and row has {len(row)} numbers")
+        yield Finding(f"{what}packed: size", f"is {packed.size}, but row has {len(row)} numbers")
         return
     cases = [tuple(map(float, case)) for case in zip(*points, strict=True)]
     inside = np.array([packed.gap(px, py, rows) <= 0 for px, py, _, _ in cases])
-    yield _true(f"{what}packed gap: at most 0 inside", (inside == (gap <= 0)) | ~clear, "differs")
+    yield _true(f"{what}packed.gap: at most 0 inside", (inside == (gap <= 0)) | ~clear, "differs")
     between = np.array([packed.gap_between(*case, rows) <= 0 for case in cases])
-    yield _true(f"{what}packed gap_between: at most 0 where cross", between == met, "differs")
+    yield _true(f"{what}packed.gap_between: <= 0 where cross is true", between == met, "differs")
     deep = gap < -NEAR * size
     depth = np.array([packed.depth(px, py, rows) for px, py, _, _ in cases])
-    yield _near(f"{what}packed depth: -distance of points inside", depth[deep], -gap[deep], size)
+    yield _near(f"{what}packed.depth: equals -distance inside", depth[deep], -gap[deep], size)
     out = np.array([packed.outward(px, py, rows) for px, py, _, _ in cases])
-    yield _near(f"{what}packed outward: a unit vector", np.hypot(*out.T)[deep], 1.0, 1.0)
+    yield _near(f"{what}packed.outward: a unit vector", np.hypot(*out.T)[deep], 1.0, 1.0)
 
 
 def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
@@ -304,8 +302,8 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
             pair = [(one.signals, one.history, one.evaluations) for one in (found, again)]
             yield _same(f"{what}same search for the same key", *pair)
             cost = float(compiled_costs(problem, 1)(found.signals[:, None])[0])
-            yield _near(f"{what}cost: J of the signals", found.cost, cost, max(abs(cost), 1e-9))
-            yield _near(f"{what}history: ends at the cost", found.history[-1], found.cost, 1 + cost)
+            yield _near(f"{what}cost: is J of the signals", found.cost, cost, max(abs(cost), 1e-9))
+            yield _near(f"{what}history: last is the cost", found.history[-1], found.cost, 1 + cost)
             yield _true(f"{what}history: never rises", np.diff(found.history) <= 0, "it rises")
             yield _true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
             if optimizer.evaluations_max is not None:
@@ -330,7 +328,7 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
     try:
         with camera:
             yield Finding(
-                "newest: a frame, once the camera is open", "" if camera.newest else "there is none"
+                "newest: a frame after opening", "" if camera.newest else "there is no frame"
             )
             until = clock.now() + STARTED_S * 1e9
             found = camera.frames()
@@ -350,7 +348,7 @@ def check_camera(section: CameraSection, setup: Setup) -> Findings:
             late = [one for one in found if not one.sampled_ns <= one.received_ns <= now]
             yield Finding(
                 "frames: received after their exposure",
-                f"{len(late)} of {len(found)} were not" if late else "",
+                f"wrong for {len(late)} of {len(found)} frames" if late else "",
             )
             count = {len(one.poses) for one in found}
             robots = len(setup.names)
@@ -370,11 +368,11 @@ def check_actuator(section: ActuatorSection, setup: Setup) -> Findings:
     for name in ("individual", "halts"):
         value = getattr(actuator, name)
         yield Finding(f"{name}: true or false", "" if isinstance(value, bool) else repr(value))
-    yield Finding("failure: None before it is opened", actuator.failure or "")
+    yield Finding("failure: None before the device is opened", actuator.failure or "")
     contradictions = [
         f"{'.'.join(map(str, loc))} {text}" for loc, text in section.contradictions(setup)
     ]
-    yield Finding("section: agrees with the robots", "; ".join(contradictions))
+    yield Finding("section: fits the spec's robots", "; ".join(contradictions))
 
 
 def _members(what: str, device: Any, protocol: type) -> Finding:

@@ -101,7 +101,7 @@ def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, note
     assert result.lost == lost
     assert result.outcome.complete == (on_lost != "stop")
     if on_lost == "stop":
-        assert result.reason == "cell 1 has divided, or was one blob with a cell not known before"
+        assert result.reason == "cell 1 has divided, or has parted from an unknown cell"
         return
     text = " ".join(note.text for note in log.notes)
     assert "cell 1 has divided" in text

@@ -88,7 +88,7 @@ def northward(x, y, heading, u, a, v, t):
     ("motion", "what"),
     [
         (replace(EXACT, step=drifting), "step: repeats exactly"),
-        (replace(EXACT, step=northward), "step: rotates with heading and u"),
+        (replace(EXACT, step=northward), "step: turns with heading and u"),
         (replace(EXACT, hold=lambda x, y, h, held, a, v, t: (x, y, h)), "hold: same x as step"),
         (replace(EXACT, turn=lambda h, u, a, t: h), "turn: same headings as step"),
         (
@@ -155,10 +155,10 @@ class Crooked(Circle):
 @pytest.mark.parametrize(
     ("kind", "what"),
     [
-        (Careless, "grown: contain: where distance <= 0"),
+        (Careless, "grown: contain: true where distance <= 0"),
         (Clockwise, "outline: anticlockwise"),
-        (Unlike, "packed gap: at most 0 inside"),
-        (Crooked, "packed outward: a unit vector"),
+        (Unlike, "packed.gap: at most 0 inside"),
+        (Crooked, "packed.outward: a unit vector"),
     ],
 )
 def test_what_is_wrong_with_a_shape_is_found(kind, what):
@@ -188,7 +188,7 @@ class Other(Mppi):
         ("key", "12 signals: same search for the same key"),
         ("warm", "12 signals, warm start: not changed"),
         ("budget", "12 signals: evaluations: in budget"),
-        ("cost", "12 signals: cost: J of the signals"),
+        ("cost", "12 signals: cost: is J of the signals"),
     ],
 )
 def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
@@ -257,4 +257,4 @@ def test_the_command_says_what_was_checked(tmp_path):
     )
     done = tetractl(tmp_path, "kinds", "--check", "mine:MINE")
     assert done.returncode == 1
-    assert "WRONG  step: rotates with heading and u" in done.stdout
+    assert "WRONG  step: turns with heading and u" in done.stdout

@@ -21,7 +21,7 @@ OF_PLANS = (
 )
 """Keys of the JSON object whose values are None if no plan was found."""
 NO_PLAN = "no plan found"
-SAYS = "predicted by a linearised closed loop along good plans; nothing was run"
+SAYS = "errors predicted by a linearised closed loop; no trial was run"
 
 
 def tables(found: Analysis) -> list[Table]:
@@ -44,14 +44,14 @@ def tables(found: Analysis) -> list[Table]:
     if setup.hold is not None and setup.wheel_radius is None:
         least = setup.speed / setup.a.min()
         circles = ", ".join(f"{name} {r:.3g}" for name, r in zip(names, least, strict=True))
-        facts.append((f"smallest circles of all together, v / least a [{unit}]", circles))
+        facts.append((f"radii of the smallest circles, v / least a [{unit}]", circles))
     title = f"{setup.name}: {robots}, {SAYS}"
     if here is None:
         return [Table.of_texts(title, ("figure", "value"), facts), *_maps(found)]
     shares = zip(names, here.weakest, strict=True)
     facts += [
         (
-            f"singular values of the ends by the {here.signals} signals [{unit}/rad]",
+            f"singular values of d(ends)/d({here.signals} signals) [{unit}/rad]",
             " ".join(f"{value:.3g}" for value in here.singular),
         ),
         ("hardest to correct", ", ".join(f"{name} {100 * share:.0f} %" for name, share in shares)),
@@ -71,7 +71,7 @@ def tables(found: Analysis) -> list[Table]:
             ),
         ),
         Table(
-            f"Along the plan of the median error, {here.signals} signals, with 95 % ellipses",
+            f"Plan with the median error ({here.signals} signals), with 95 % ellipses",
             (
                 Column("robot", names),
                 Column("mean error", here.robot_errors, unit, fixed(3)),
@@ -85,7 +85,7 @@ def tables(found: Analysis) -> list[Table]:
 
 
 def _maps(found: Analysis) -> list[Table]:
-    """Return tables of the predicted error by least difference of a, and by number of robots."""
+    """Return tables of the predicted error for other turning rates a, and for fewer robots."""
     if not found.by_gap:
         return []
     unit = found.setup.unit
@@ -94,14 +94,14 @@ def _maps(found: Analysis) -> list[Table]:
     error = "mean total error"
     return [
         Table(
-            "With other values of a, the same ratio between neighbours",
+            "With other turning rates a, in equal ratios",
             (
                 Column("smallest relative difference", gaps, "", _percent),
                 Column(error, [_error(one) for one in by_gap], unit),
             ),
         ),
         Table(
-            "The first robots of the spec alone",
+            "With only the first robots of the spec",
             (
                 Column("robots", counts),
                 Column(error, [_error(one) for one in by_count], unit),
@@ -186,7 +186,7 @@ def _noise(found: Analysis) -> str:
     ]
     words = ", ".join(text for value, text in known if value) or "none"
     if found.left_out:
-        words += f" (not {', '.join(found.left_out)}, which the plant has too)"
+        words += f" (without {', '.join(found.left_out)}, which the plant also has)"
     return words
 
 
@@ -201,9 +201,9 @@ def advice(found: Analysis) -> str:
     """Return the advice on the spec, in one line."""
     unit, here = found.setup.unit, found.steering
     if here is None and found.change is None:
-        return f"advice: {NO_PLAN}; raise controller.horizon_max, or give targets that need less"
+        return f"advice: {NO_PLAN}; raise controller.horizon_max, or choose nearer targets"
     if found.alike is None:
-        return "advice: none is needed; one robot is alone"
+        return "advice: none is needed for a single robot"
     low, high = found.alike
     change = found.change
     if change:
@@ -215,7 +215,7 @@ def advice(found: Analysis) -> str:
         )
     if found.looked:
         return (
-            f"advice: {low} and {high} are alike, but no other a of one of them lowers the "
-            f"predicted error by {100 * (1 - WORTH):.0f} %"
+            f"advice: {low} and {high} are alike, but changing a of either lowers the predicted "
+            f"error by less than {100 * (1 - WORTH):.0f} %"
         )
     return f"advice: none; every two robots differ in a by {100 * TOO_ALIKE:.0f} % or more"

@@ -18,11 +18,11 @@ GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 TOO_ALIKE = 0.2
 """If the smallest relative difference of a is below this value, other values of a are tried."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Relative differences that are tried between the two robots whose a differ least."""
+"""Relative differences tried between the a of the two robots whose a differ least."""
 WORTH = 0.8
 """An advised change must reduce the predicted error to at most this fraction of its value."""
 AS_GOOD = 1.1
-"""The smallest change whose error is at most this factor times the least error is advised."""
+"""Of the changes with at most this factor times the least error, the smallest is advised."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,13 +42,12 @@ class Analysis:
     `plans` plans were searched; `steering` is the analysis of those that reach the targets, None if
     there is none. An error is NaN if no plan was found. `left_out` lists disturbances of the plant
     that are not in the predictions. A plan reaches the targets if its cost is at most `tolerance`
-    [length unit], from the optimiser or the accepted error. `alike` are the two robots whose a
-    differ least, `gap` is this difference relative to the smaller a; for one robot `alike` is None
-    and `gap` inf. `by_gap` pairs relative differences of a with errors: the robots keep the order
-    and the geometric mean of their a, and each a is larger than the next lower a by this
-    difference. `by_count` pairs a number n with the error of the spec's first n robots. `change` is
-    the advised change if two robots are too alike and another a reduces the error; `looked` is
-    whether changes were tried.
+    [length unit]. `alike` are the two robots whose a differ least, `gap` is this difference
+    relative to the smaller a; for one robot `alike` is None and `gap` inf. `by_gap` pairs relative
+    differences of a with errors: the robots keep the order and the geometric mean of their a, and
+    each a is larger than the next lower a by this difference. `by_count` pairs a number n with the
+    error of the spec's first n robots. `change` is the advised change if two robots are too alike
+    and another a reduces the error; `looked` is whether changes were tried.
     """
 
     setup: Setup
@@ -149,7 +148,7 @@ def best_change(changes: list[Change], error: float) -> Change | None:
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield (index, new a) for one of the two robots `alike`, if all robots then differ more."""
+    """Yield (index, new a): changes of one of the robots `alike` that raise the smallest gap."""
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

@@ -37,13 +37,13 @@ def ranked(
 ) -> list[RankedChoice]:
     """Return the best choices of cells for an experiment that chooses its robots, best first.
 
-    Errors are predicted as by `tetractl analyze`, from the cells' poses. The COMPARED choices that
-    are best by `worth` are compared along a few plans, and the best of them along more, up to
-    `plans` (successive halving), with the same random numbers. Only cells with a magnet count; []
-    if there are too few.
+    Errors are predicted as by `tetractl analyze`, from the cells' poses: first along a few plans
+    for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
+    them (successive halving), with the same random numbers. Only cells with a magnet count; [] if
+    there are too few.
     """
     choice = experiment.chosen
-    assert choice is not None, "the spec has robots: {choose: N}"
+    assert choice is not None, "the spec must have robots: {choose: N}"
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     every = sorted(combinations(able, choice.choose), key=lambda some: worth(some, experiment))
     found = [RankedChoice(some, math.inf) for some in every[: -COMPARED - 1 : -1]]

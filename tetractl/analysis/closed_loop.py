@@ -6,7 +6,7 @@ are normal variables with a joint covariance. Signal by signal, from the first t
 1. the controller measures the deviation, with noise propagated to the end, and corrects it by the
    remaining signals: for a deviation of covariance P, measured with noise M, the correction is the
    fraction C = R (R + P + M)^-1. R is the covariance of the final positions if every remaining
-   signal varies with the deviation TURN, and the stop comes one signal earlier or later;
+   signal varies with the standard deviation TURN, and the stop comes a signal earlier or later;
 2. the robots move: errors of a and speed act, and the heading makes its random walk.
 
 A controller that identifies a and speed plans with its estimates, which improve with every
@@ -229,9 +229,9 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     """Return the robots' mean distances to their targets (N,), for plans that end at the distances
     `miss` (N,) from the targets.
 
-    The mean length of a normal vector with deviations s1 >= s2 is sqrt(2/pi) s1 E(1 - s2^2/s1^2),
-    with the complete elliptic integral E. The result is the root of the sum of this
-    length's square and the square of `miss`.
+    The mean length m of a normal vector with standard deviations s1 >= s2 is
+    sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete elliptic integral E; the result is
+    sqrt(m^2 + miss^2).
     """
     count = len(miss)
     each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]

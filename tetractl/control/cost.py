@@ -30,7 +30,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.model.motion.motion import Motion
 
 STRAY = 0.3
-"""Increase of h per length R of a robot's distance beyond the radius R; being outside costs 1."""
+"""Slope of h(d) beyond d = 1, where d is a robot's distance to its target in units of R."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.registries import MOTIONS
 
 Held = tuple[int, int, Floats]
-"""The begin and end [ns] of an interval, and the direction u (N,) [rad] that each robot follows in
+"""The start and end [ns] of an interval, and the direction u (N,) [rad] that each robot follows in
 it, NaN for a robot that stands still."""
 
 
@@ -71,7 +71,7 @@ class Predictor:
 
 
 def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
-    """Return the poses of robots that leave `poses` and follow the directions `held`, by the
+    """Return the poses of robots that start at `poses` and follow the directions `held`, by the
     problem's motion, bias and flow."""
     x, y, heading = poses.x, poses.y, poses.heading
     for since, until, u in held:
@@ -83,7 +83,7 @@ def advance(problem: Problem, poses: Poses, held: list[Held]) -> Poses:
 def driven(
     problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
 ) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and heading (..., N) of robots that leave `start` and drive for `seconds`.
+    """Return x, y and heading (..., N) of robots that start at `start` and drive for `seconds`.
 
     `seconds` [s] is a number or an array (..., 1). Robots follow `direction` (N,) [rad], NaN for a
     robot that stands still.

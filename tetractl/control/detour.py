@@ -1,13 +1,12 @@
 """Chooses between a detour and a stop if the plan no longer ends at the targets.
 
-Algorithm 2 shortens its sequence from step to step. The few signals left near the end cannot
-correct a late disturbance: three robots have six coordinates. If no sequence of length H - 1, H or
-H + 1, with H the length of the present plan, ends within the accepted total error, longer sequences
-are searched from scratch; these lead the robots away from their targets and back. The trial ends if
-stopping at the best moment of the coming control period is as good as any plan. If a standing robot
-is about to enter an obstacle, and the search found neither a collision-free plan nor a way out of
-the corner, all robots turn on the spot until there is a way out. The trial ends if the robots have
-no way out in any direction.
+Algorithm 2 shortens its sequence from step to step. The few signals left near its end cannot
+correct the 2N coordinates of N robots. If no sequence of length H - 1, H or H + 1, with H the
+length of the present plan, ends within the accepted total error, longer sequences are searched from
+scratch; these lead the robots away from their targets and back. The trial ends if stopping at the
+best moment of the coming control period is as good as any plan. If a standing robot is about to
+enter an obstacle, and the search found neither a collision-free plan nor a way out, all robots turn
+on the spot until there is a way out; if no direction gives one, the trial ends.
 """
 
 from collections.abc import Iterator
@@ -109,9 +108,8 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
 
 
 def _roomiest(problem: Problem, margins: Margins, apart: float) -> tuple[Floats, float, float]:
-    """Return the signals for `way_out`, the least clearance on their path [length unit], -inf if
-    the path is not safe, and that clearance plus FINAL_ROOM times the clearance at its end.
-    """
+    """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
+    for an unsafe path; and that clearance plus FINAL_ROOM times the clearance at the path's end."""
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
     signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))
     path = predict(problem, signals)

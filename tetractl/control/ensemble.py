@@ -52,9 +52,8 @@ class EnsembleSection(ControllerSection):
     fall.
     """
     turns: float = Field(default=3.0, gt=0, le=1000, allow_inf_nan=False)
-    """Number of turns of the field without switching off after which the trial ends, at the next
-    step in which the sum of distances would not fall.
-    """
+    """The trial ends if the field has made this number of turns without being switched off, and
+    the next step would not reduce the sum of distances."""
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for robots at their starts."""

@@ -207,7 +207,7 @@ class FilterBank:
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
         for i in robots:
-            assert self._last is not None, "only a robot of an earlier frame can be another one"
+            assert self._last is not None, "a robot can be replaced only after a frame"
             first = self._first_bank(self._bank.tau)
             for column, fresh in zip(self._bank[:6], first[:6], strict=True):
                 column[:, i] = fresh[:, i]

@@ -102,8 +102,8 @@ class MpcFields(ControllerSection):
     """Number of control periods for which a plan holds each signal. The plan's time grid is `hold`
     times coarser than the control's, and a signal can still be changed at each control step."""
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
-    """Prediction: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a period;
-    `exact` is the closed form of (1)-(3) under a held direction."""
+    """Predicted motion: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a
+    period; `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
     """Whether a, speed and heading bias of each robot, and their common dead time, are identified
     while they drive, starting from the spec's values.
@@ -111,12 +111,12 @@ class MpcFields(ControllerSection):
     prior: PriorSection = PriorSection()
     """The prior uncertainty of the identified values."""
     accept_error: NonNegative = 0.0
-    """Total error to accept [length unit]. If no length H - 1, H, H + 1 ends within this error,
-    longer sequences are searched, and the trial ends if stopping leaves at most this error and is
-    as good as any plan. A smaller value makes trials longer. Each detour near the end of a plan
-    raises the accepted error by a tenth; after half of the steps it grows up to fourfold; when too
-    few steps for a detour are left, any error is accepted. With 0, as in Algorithm 2, a trial ends
-    only at the end of its sequence."""
+    """Total error to accept [length unit]. If no sequence about as long as the present plan ends
+    within this error, longer ones (detours) are searched, and the trial ends if stopping leaves at
+    most this error and is as good as any plan. A smaller value makes trials longer. Each detour
+    near the end of a plan raises the accepted error by a tenth; after half of the steps it grows up
+    to fourfold; when too few steps for a detour are left, any error is accepted. With 0, as in
+    Algorithm 2, a trial ends only at the end of its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""

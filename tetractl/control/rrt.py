@@ -44,14 +44,13 @@ class RrtSection(ControllerSection):
     edge: Positive = 8.0
     """Length of an edge of the tree [v/a of the robot]."""
     reach: Positive = 2.5
-    """Distance from which a corner of the path counts as passed [v/a of the robot]; if it is less
-    than the robot drives in a control period, that length is used."""
+    """Distance from which a corner of the path counts as passed [v/a of the robot]; at least the
+    distance driven in a control period."""
     goal_bias: Fraction = 0.1
-    """Share of the draws that are the target instead of a random point."""
+    """Fraction of the draws that give the target instead of a random point."""
     draws_max: int = Field(default=5000, ge=1, le=100_000)
-    """Largest number of draws for one tree. If they give no path, the robot drives straight to its
-    target.
-    """
+    """Largest number of points drawn to grow one tree. If the tree does not reach the target, the
+    robot drives straight to it."""
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 

@@ -14,7 +14,7 @@ from tetractl.core.setup import Shape
 
 
 class Outcome(StrEnum):
-    """How a trial ended; the first four are decided by the controller."""
+    """How a trial ended."""
 
     ARRIVED = "arrived"  # every robot is within the arrival tolerance of its target
     SEQUENCE_COMPLETED = "sequence completed"  # the whole sequence was applied: normal completion
@@ -36,7 +36,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class End:
-    """The decision to end a trial by a stop that is sent `delay_ns` later."""
+    """The decision to end a trial by a stop that is sent `delay_ns` after the decision."""
 
     outcome: Outcome
     delay_ns: int

@@ -23,7 +23,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
     AbortError if there are too few cells, or a wanted cell is missing.
     """
     choice = experiment.chosen
-    assert choice is not None, "the spec has robots: {choose: N}"
+    assert choice is not None, "the spec must have robots: {choose: N}"
     able = [cell for cell in cells if cell.magnetised]
     if len(able) < choice.choose:
         raise AbortError(
@@ -41,7 +41,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
     """Return the experiment with the given cells as robots, which start at the cells' poses and are
     assigned targets."""
     choice = experiment.chosen
-    assert choice is not None, "the spec has robots: {choose: N}"
+    assert choice is not None, "the spec must have robots: {choose: N}"
     places = np.array([(cell.pose.x, cell.pose.y) for cell in cells])
     goals = choice.goals
     robots = [
@@ -70,7 +70,7 @@ def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
 
 
 def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
-    assert experiment.chosen is not None, "the spec has robots: {choose: N}"
+    assert experiment.chosen is not None, "the spec must have robots: {choose: N}"
     found = experiment.chosen.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
     vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
@@ -86,7 +86,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return (away from walls, difference of a, least a) of cells; the greatest tuple is best."""
+    """Return (clear of walls, difference of a, least a) of cells; the greatest tuple is best."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])

@@ -31,7 +31,7 @@ class Square(Model):
 
     type: Literal["square"]
     side: Positive = 2.0
-    """Time spent on each side [s]; several times 1/a, so that the square closes."""
+    """Time spent on each side [s]; it should be several times 1/a, so that the square closes."""
     laps: int = Field(default=1, ge=1, le=100)
     """Number of whole squares to drive; in the lab, at least this number."""
 
@@ -64,7 +64,7 @@ class OptimizerSection(Model):
 
     @property
     def good_enough(self) -> float | None:
-        """Cost J up to which all sequences count as equally good, None for no such limit."""
+        """Cost J that is low enough to end a search, None if a lower cost is always better."""
         return None
 
     @abstractmethod

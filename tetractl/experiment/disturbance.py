@@ -76,7 +76,7 @@ class Disturbance:
         return 0.0
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
-        """Return a command, which may be a repeated stop, as the robots will receive it.
+        """Return a command or a repeated stop as the robots will receive it.
 
         Commands do not overtake each other: a command that would arrive before an earlier one acts
         together with it.

@@ -35,7 +35,7 @@ class Units(Model):
     """Units of the numbers in the spec. Angles are radians and times seconds."""
 
     length: Literal["um", "mm", "cm", "m"] = "mm"
-    """Unit of every position, distance, speed and cost."""
+    """Length unit of every position, distance, speed and cost."""
 
 
 Obstacle = Annotated[ShapeSection, KindSection(SHAPES)]
@@ -236,7 +236,7 @@ class Experiment(Model):
         if self.on_lost == "replace" and (self.chosen is None or self.obstacles):
             raise inconsistent(
                 "on_lost",
-                "replace needs 'robots: {choose: N}', to choose another cell, and no obstacles",
+                "replace is allowed only with 'robots: {choose: N}' and without obstacles",
             )
         return self
 

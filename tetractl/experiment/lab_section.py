@@ -251,7 +251,7 @@ def mismatches(
     `unique` are further fields in which two robots must differ unless the value is None.
     """
     for missing in sorted(set(names) - {robot.name for robot in robots}):
-        yield ("robots",), f"has no {missing}; every robot of the spec must be here"
+        yield ("robots",), f"has no {missing}; list every robot of the spec"
     taken: dict[tuple[str, object], int] = {}
     for i, robot in enumerate(robots):
         if robot.name not in names:
@@ -259,4 +259,4 @@ def mismatches(
         for key in ("name", *unique):
             value = getattr(robot, key)
             if value is not None and (first := taken.setdefault((key, value), i)) != i:
-                yield ("robots", i, key), f"is that of {robots[first].name}; must differ"
+                yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"

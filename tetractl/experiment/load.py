@@ -227,7 +227,7 @@ def _experiment(
     named = document.data.get("identified")
     if isinstance(named, str) and folder is None:
         place = document.place(("identified",))
-        message = "can only be named in a spec that is a file"
+        message = "can be named only in a spec file"
         document.problems.append(place.problem(("identified",), message, place.text))
     elif isinstance(named, str) and folder is not None:
         path = folder / named

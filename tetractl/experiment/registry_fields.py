@@ -64,7 +64,7 @@ class KindSection:
 
     def _section(self, value: Any) -> Any:
         if not isinstance(value, dict):
-            raise PydanticCustomError("model_type", "must be a mapping of keys")
+            raise PydanticCustomError("model_type", "must be a mapping of keys to values")
         name = value.get("type", self.default)
         known = {kind.name: str(kind) for kind in self.registry.kinds()}
         if name is None:

@@ -94,7 +94,7 @@ class Drivetrain:
 
 @dataclass(frozen=True, slots=True)
 class Residue:
-    """The rounding error of each wheel, carried over as a multiple of its gain in [-0.5, 0.5]."""
+    """Each wheel's rounding error, carried to the next command: -0.5 to 0.5 times the gain."""
 
     left: float = 0.0
     right: float = 0.0

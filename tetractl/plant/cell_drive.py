@@ -23,7 +23,7 @@ class CultureSection(Model):
     dipole: NonNegative = DIPOLE_SD_RAD
     """Standard deviation of the dipole's angle from a cell's axis [rad]."""
     drift: NonNegative = DRIFT_UM_S
-    """Flow of the medium, in a direction drawn once per trial [um/s]."""
+    """Speed of the medium's flow [um/s]; its direction is drawn once per trial."""
     walls: bool = True
     """Whether the arena's edges are walls, along which cells slide."""
 

@@ -114,7 +114,7 @@ class LabPlant:
         self._raise_abort()
         self._observed_ns = self.clock.now()
         self._take_frames()
-        assert self._newest is not None, "open() waits for the first frame"
+        assert self._newest is not None, "there is no frame: call open() first"
         return self._newest
 
     def steer(self, direction: float | None) -> Command:
@@ -240,7 +240,7 @@ class LabPlant:
         """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
         for i in getattr(self.rig.camera, "divided", ()):
-            guard.lose(i, f"{names[i]} has divided, or was one blob with a cell not known before")
+            guard.lose(i, f"{names[i]} has divided, or has parted from an unknown cell")
         for i, why in self._identities.unknown.items():
             guard.lose(i, why)
         if loss is None or not loss.replaced:

@@ -67,10 +67,9 @@ class SimSection(PlantSection):
     heading_noise: NonNegative = 0.0
     """Random walk of the true heading of robots that move [rad/sqrt(s)]."""
     dead_time: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Time from the exposure of the frame used for a command or stop until the robots act on the
-    command [s], as in `controller.dead_time`; a command that is sent later acts at once. Delays of
-    `drive` and `disturbances` are added.
-    """
+    """Time from the exposure of the frame used for a command or stop until the robots act on it
+    [s], as in `controller.dead_time`; a command sent after this time acts at once. Delays of
+    `drive` and `disturbances` are added."""
     lost_commands: Fraction = 0.0
     """Probability that a robot does not receive a command; it continues with the previous one."""
     a_error: Fraction = 0.0
@@ -97,11 +96,11 @@ class SimSection(PlantSection):
         poses = setup.period_s * max(self.truth_rate, self.camera_rate) * len(setup.names)
         if poses > POSES_MAX:
             message = f"gives {poses:.3g} poses in a control period of {setup.period_s:g} s"
-            yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed, lower the rate"
+            yield ("truth_rate",), f"{message}; at most {POSES_MAX:g} are allowed; lower the rate"
         if self.drive is not None and self.cells is not None:
             yield ("cells",), "have no wheels; leave out 'drive' or 'cells'"
         if self.drive is not None and setup.wheel_radius is None:
-            yield ("drive",), "needs 'wheels: {radius: ..}' of the experiment"
+            yield ("drive",), "needs the experiment's field 'wheels: {radius: ..}'"
         rate = 1 / setup.period_s if self.drive is None else self.drive.rate or 1 / setup.period_s
         if rate * setup.watchdog_s <= 1:
             message = f"at {rate:g} Hz robots with a watchdog of {setup.watchdog_s:g} s would stop"
@@ -230,7 +229,7 @@ class SimPlant:
         """Return the newest camera frame that the host has received."""
         self._motion.advance(self.clock.now())
         newest = self._camera.newest
-        assert newest is not None, "open() waits for the first frame"
+        assert newest is not None, "there is no frame: call open() first"
         return newest
 
     def steer(self, direction: float | None) -> Command:
@@ -347,8 +346,8 @@ class SimPlant:
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
     def _direct(self, u: float | None, ahead: bool) -> Command:
-        """After the planning time, send a direction [rad], in which robots drive if `ahead` and to
-        which they turn on the spot otherwise; None switches the field off.
+        """After the planning time, send a direction [rad]: robots drive in it if `ahead`, otherwise
+        turn on the spot towards it; None switches the field off.
         """
         answered = self.observe()
         now = self._plan()
@@ -377,8 +376,8 @@ class SimPlant:
     def _transmit(self, now: int) -> Command:
         """Send the wheel speeds for the held direction, from `WheelHost.speeds`."""
         host, seen = self._drive.host, self._camera.newest
-        assert host is not None, "only robots with wheels are sent repeated transmissions"
-        assert seen is not None, "open() waits for the first frame"
+        assert host is not None, "repeated transmissions need wheels"
+        assert seen is not None, "there is no frame: call open() first"
         sent, made = host.speeds(now, seen)
         due = self._due_ns(seen, now)
         u, facing = (host.direction, None) if host.ahead else (None, host.direction)

@@ -45,10 +45,9 @@ class WheelDriveSection(Model):
     otherwise it repeats the wheel speeds of the control step.
     """
     lead: NonNegative | None = None
-    """Time beyond the frame's age over which the host predicts the headings [s]; with `wheels.lag`,
-    it predicts the headings at which the robots would then come to rest. By default it uses the
-    measured headings.
-    """
+    """The host computes wheel speeds for the headings predicted this time after sending them [s];
+    with `wheels.lag`, for the headings in which robots stopped at that time come to rest. By
+    default it uses the measured headings."""
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""
@@ -80,7 +79,7 @@ class WheelHost:
     def __init__(
         self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
     ) -> None:
-        assert setup.wheel_radius is not None, "the spec is checked for wheels"
+        assert setup.wheel_radius is not None, "the wheels need a radius"
         count = setup.a.size
         self.repeats_ns = NEVER
         self.direction: float | None = 0.0
@@ -198,7 +197,7 @@ class WheelDrive:
         erring: np.random.Generator,
     ) -> None:
         count = a.size
-        assert setup.wheel_radius is not None, "the spec is checked for wheels"
+        assert setup.wheel_radius is not None, "the wheels need a radius"
         self.poses = starts
         self.host = WheelHost(section, setup, erring)
         self.rest_s = section.lag * -np.log(REST) + 1 / truth_rate
@@ -260,7 +259,7 @@ class WheelDrive:
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the wheels of the robots that received it."""
-        assert command.wheels is not None, "every command holds wheel speeds"
+        assert command.wheels is not None, "the command must have wheel speeds"
         self._targets = np.where(command.reached, command.wheels, self._targets)
 
     def _follow(self, t: Floats) -> Floats:

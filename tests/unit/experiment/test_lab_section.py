@@ -85,8 +85,14 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         (["lab.camera.robots.red.name=rod"], "lab.camera.robots: has no red"),
         (["lab.camera.robots.red.name=rod"], "robots.2.name: rod: is not a robot of the spec"),
         (["lab.actuator.robots.red.name=rod"], "lab.actuator.robots: has no red"),
-        (["lab.camera.robots.2.body=green"], "robots.2.body: green: is that of green; must differ"),
-        (["lab.actuator.robots.2.index=0"], "robots.2.index: 0: is that of green; must differ"),
+        (
+            ["lab.camera.robots.2.body=green"],
+            "robots.2.body: green: is also that of green; they must differ",
+        ),
+        (
+            ["lab.actuator.robots.2.index=0"],
+            "robots.2.index: 0: is also that of green; they must differ",
+        ),
         (["lab.camera.version=4"], "lab.camera.version: 4: must be major.minor, such as 4.1"),
         (["lab.camera.version=2.10"], "camera.version: 2.10: must be at least 2.5; if 2.10 is"),
         (["lab.camera.version='4.1'"], "camera.version: '4.1': can only be requested in unicast"),

@@ -124,7 +124,7 @@ name: two -> name: one
 type: relative, window: 5 -> type: 3
   stop.type: 3: must be one of paper, relative
 {type: relative, window: 5} -> paper
-  stop: paper: must be a mapping of keys
+  stop: paper: must be a mapping of keys to values
 """  # what is replaced in GOOD, and the line that says so
 
 
@@ -168,7 +168,7 @@ controler: {}
 
 def test_a_list_of_bad_entries_is_not_called_too_short():
     found = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: [3]\n")
-    assert found == ["s.yaml:3:10: robots.0: 3: must be a mapping of keys"]
+    assert found == ["s.yaml:3:10: robots.0: 3: must be a mapping of keys to values"]
     (empty,) = problems("name: x\narena: {left: 0, bottom: 0, width: 9, height: 9}\nrobots: []\n")
     assert empty == "s.yaml:3:9: robots: []: must have at least 1 entries"
 

@@ -57,8 +57,7 @@ class CrossEntropy(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: those of one iteration, and one of a
-        warm start."""
+        """Least number of cost evaluations of a search: one iteration and a warm start."""
         return self.particles + 1
 
     @property

@@ -45,7 +45,7 @@ class Mppi(OptimizerSection):
     noise_warm: Positive = 0.3
     """Initial standard deviation s of the knots around a warm start [rad]."""
     cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
-    """Factor by which s falls from iteration to iteration."""
+    """Factor by which s is multiplied after each iteration."""
     temperature: Positive = 0.02
     """Temperature lambda as a share of the costs' standard deviation."""
     tolerance: Positive = 1.0

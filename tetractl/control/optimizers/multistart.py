@@ -2,8 +2,8 @@
 
 A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
 cost (8) is smooth, its gradient costs about as much as a rollout, and there are far fewer misses
-(two coordinates per robot) than signals: from about every third smooth random sequence,
-Levenberg-Marquardt (`tetractl.control.kernels.levenberg`) reaches the targets in a few dozen steps.
+(two coordinates per robot) than signals: Levenberg-Marquardt (`tetractl.control.kernels.levenberg`)
+reaches the targets from about every third smooth random sequence, in a few dozen steps.
 Global decisions, such as the side on which to pass an obstacle, are made by random starts and
 selection: each round draws many smooth sequences, evaluates them in one vectorised rollout and
 polishes only the best.
@@ -68,9 +68,8 @@ class Multistart(OptimizerSection):
     only if polishing the start fails.
     """
     grows: bool = True
-    """Whether `knots`, `patience` and `polish_steps` hold for up to three robots, and are
-    multiplied by (N / 3)^2 for N robots.
-    """
+    """Whether `knots`, `patience` and `polish_steps` are multiplied by (N / 3)^2 if there are more
+    than three robots."""
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
@@ -81,8 +80,7 @@ class Multistart(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: those of one round, and one of a
-        warm start."""
+        """Least number of cost evaluations of a search: one round and a warm start."""
         return self.particles + 1
 
     @property

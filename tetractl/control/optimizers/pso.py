@@ -46,8 +46,7 @@ class PsoFields(OptimizerSection):
 
     @property
     def evaluations_min(self) -> int:
-        """Least number of cost evaluations of a search: one for each particle, and one for
-        a warm start."""
+        """Least number of cost evaluations of a search: all particles and a warm start."""
         return self.particles + 1
 
     @property

@@ -15,8 +15,8 @@ WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
 WORDS = 16
-"""Least width in characters, if there is no terminal, of a column of words that has a text of at
-least this width."""
+"""Least width of a column of words without a terminal, in characters; less if its texts are
+shorter."""
 
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text

@@ -23,9 +23,9 @@ KINDS = {
     "string_type": "must be text",
     "string_unicode": "must be valid Unicode text",
     "tuple_type": "must be a list",
-    "model_type": "must be a mapping of keys",
-    "model_attributes_type": "must be a mapping of keys",
-    "dict_type": "must be a mapping of keys",
+    "model_type": "must be a mapping of keys to values",
+    "model_attributes_type": "must be a mapping of keys to values",
+    "dict_type": "must be a mapping of keys to values",
     "missing": "is missing",
     "extra_forbidden": "unknown key",
 }
@@ -133,7 +133,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return the message of `words`; for a wrong choice or pattern, one made from the schema."""
+    """Return a plain message: for a wrong choice or pattern from the schema, else by `words`."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":

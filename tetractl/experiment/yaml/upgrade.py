@@ -64,7 +64,7 @@ def _rename(document: Document, old: str, new: str) -> None:
         return
     _notice(document, loc, f"{old} is now called {new}")
     if name in holder:
-        message = f"is now called {new}, which is given too; keep that one"
+        message = f"is now called {new}, which is also given; remove the old key"
         document.problems.append(document.key(loc).problem(loc, message))
         del holder[key]
         return

@@ -65,7 +65,7 @@ def test_check_says_ready_and_moves_nothing(lab, tmp_path):
             "hardware: 0x7F44",
             "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run",
         ),
-        ("explicit: true", "frames of type 0x91, which are not read: set AO in it to 0 or 2"),
+        ("explicit: true", "frames of type 0x91, which are not read: set its AO to 0 or 2"),
     ],
 )
 def test_check_says_what_is_odd_of_the_radio(lab, tmp_path, actuator, says):

@@ -1,6 +1,4 @@
-"""The emulated lab: camera and actuator, faults, a record of events, and a helper who carries
-robots.
-"""
+"""The emulated lab: camera, actuator, faults, a record of events, and a helper who moves robots."""
 
 import json
 from collections.abc import Callable
@@ -198,7 +196,7 @@ class EmulatedLab:
         self._report("placed", {})
 
     def _put_on_starts(self) -> None:
-        """Put every robot on its start, which the script gives or, if not, the spec.
+        """Put every robot on the start that the script or, by default, the spec gives.
 
         If trials choose their cells, no cell is moved.
         """

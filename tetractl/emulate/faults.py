@@ -115,7 +115,7 @@ STUCK_PORT = fault(
     "stuck_port", "The actuator's port takes no bytes.", switching(lambda d, f: d.port.stall)
 )
 MARK = fault(
-    "mark", "No fault, but a named time that is reported.", lambda f, d: lambda: None, name=Name
+    "mark", "Not a fault: only reports a named time.", lambda f, d: lambda: None, name=Name
 )
 
 

@@ -118,7 +118,7 @@ class CurrentDriver(SerialDevice):
 
 
 class FieldSettings(Model):
-    """Differences of driver and cells from the spec.
+    """Properties of the driver and the cells that differ from the spec.
 
     `cells` and `strangers` are used if a trial chooses its cells.
     """
@@ -140,7 +140,7 @@ def _driver_of(device: Any, fault: Any) -> CurrentDriver:
 def _row(fault: Any, device: Any) -> int:
     names = [body.name for body in device.bodies]
     if fault.cell not in names:
-        raise UsageError(f"there is no {fault.cell} in the dish", f"there are {', '.join(names)}")
+        raise UsageError(f"no cell is named {fault.cell}", f"the cells are {', '.join(names)}")
     return names.index(fault.cell)
 
 
@@ -197,7 +197,7 @@ class EmulatedField(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, FieldSection), "the registry selects the class by the type"
+        assert isinstance(section, FieldSection), "the section's type selects this class"
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = PseudoPort(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(

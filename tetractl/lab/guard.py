@@ -228,7 +228,7 @@ class Guard:
         text = f"no new camera frame for {silent_ns / SECOND:.2f} s"
         if not self._outdated_in_a_row:
             return text
-        return f"{text}: {self._outdated_in_a_row} outdated ones came, the last {self._behind()}"
+        return f"{text}: {self._outdated_in_a_row} outdated frames came, the last {self._behind()}"
 
     def tick(self, now_ns: int, damaged: int = 0, failure: str | None = None) -> Ruling:
         """Decide which robots may move now.

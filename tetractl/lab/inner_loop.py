@@ -175,7 +175,7 @@ class InnerLoop:
             self._turn(self.idle(now), ruling, now)
 
     def _turn(self, direction: float, ruling: Ruling, now: int) -> None:
-        """Send a direction before robots are steered; a stop in its place if frames are missing."""
+        """Send a direction to all robots before a run; send a stop if frames are missing."""
         if now < self._next_ns:
             return
         self._next_ns = now + self._actuator.period_ns

@@ -83,7 +83,7 @@ class PoseFilter:
         return True
 
     def _jumps(self, pose: Pose, at_ns: int) -> bool:
-        """Return whether the robot cannot have driven here from its poses in the window."""
+        """Return whether the robot cannot have reached `pose` from earlier poses in the window."""
         if self.pose is None:
             return False
         return any(

@@ -93,7 +93,7 @@ class Rig:
         return [i for i in range(len(self.setup.names)) if i not in self.guard.lost]
 
     def not_tracked(self, i: int) -> str:
-        """Return the text that robot i is not tracked, with the reason if known."""
+        """Return a line that says that robot i is not tracked and, if known, why."""
         why = self.guard.refused[i]
         return f"{self.setup.names[i]} is not tracked" + (f": {why}" if why else "")
 

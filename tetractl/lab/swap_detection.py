@@ -217,8 +217,8 @@ SURE = 0.9
 class IdentityWatch:
     """Watches whether it is known which cell is which of the robots `names`.
 
-    If that has been unknown of a robot for `patience_s` [s], `unknown` maps the robot's index to
-    the reason why the run must end.
+    If the identity of a robot has been unknown for `patience_s` [s], `unknown` maps the robot's
+    index to the reason why the run must end.
     """
 
     def __init__(self, names: Sequence[str], patience_s: float) -> None:

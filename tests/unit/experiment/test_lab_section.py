@@ -114,7 +114,7 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         ),
         (
             ["lab.actuator.robots.0.limit=9", "lab.actuator.robots.0.left.dead_zone=9"],
-            "must be below its limit, 9",
+            "must be below the limit of 9",
         ),
     ],
 )

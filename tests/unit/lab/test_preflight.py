@@ -37,7 +37,7 @@ def test_a_camera_whose_frames_are_all_dropped_is_a_problem_with_a_reason():
     assert not found.ready
     (problem,) = found.problems
     assert problem.startswith("no new camera frame for 0.")
-    assert "outdated ones came" in problem
+    assert "outdated frames came" in problem
 
 
 def test_a_silent_camera_is_a_problem():

@@ -1,7 +1,7 @@
 """The emulated camera of type `apriltag`: its settings, its faults, and its pictures of the robots.
 
-The arena is drawn with optics, floor, tags, blur and noise. No picture is real. The emulated camera
-is a pinhole with known optics, so that results from its pictures can be compared with the truth.
+Every picture is synthetic. The emulated camera is a pinhole with known optics, so that results from
+its pictures can be compared with the truth.
 """
 
 import math
@@ -30,8 +30,8 @@ class Optics:
 
     `up` is the direction on the floor that is up in the picture [rad]. `distortion` contains
     OpenCV's k1, k2, p1, p2 and, optionally, k3. `blur_px` is the standard deviation of the lens's
-    Gaussian blur, `exposure_s` the time during which motion smears, `gain` multiplies the light,
-    and `noise` is the standard deviation of each pixel in grey levels at gain 1.
+    Gaussian blur, `exposure_s` the exposure time, `gain` multiplies the light, and `noise` is the
+    standard deviation of each pixel in grey levels at gain 1.
     """
 
     width: int
@@ -78,7 +78,7 @@ class Optics:
             size = np.array([width, height])
             if (np.ptp(pixels, axis=0) < 0.96 * size).all():
                 return replace(made, position=at).centred(corners)
-        raise ValueError("the floor tags fit in no picture")
+        raise ValueError("no distance of the camera shows all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
         """Return the camera turned so that points (M, 3) [m] lie in the middle of the picture."""
@@ -186,9 +186,7 @@ class Renderer:
         return self.optics.project(np.column_stack([flat, np.full(4, height_mm * MM)]))
 
     def _background(self) -> Shades:
-        """Return the picture of the floor and its tags; it is drawn again if other tags are
-        hidden.
-        """
+        """Return the picture of the floor and its tags; draw it again if `hidden` has changed."""
         hidden = frozenset(self.hidden)
         if self._empty is None or self._empty[0] != hidden:
             light = np.linspace(0.92, 1.06, self.optics.width)  # brighter on one side
@@ -225,9 +223,7 @@ class Renderer:
         part += ink[..., 0]
 
     def _texture(self, number: int) -> Shades:
-        """Return the grey levels of the card of a tag's number and its coverage, 1 everywhere, as
-        an array (side, side, 2).
-        """
+        """Return the grey level and the coverage, which is 1, of a tag's card: (side, side, 2)."""
         if number not in self._textures:
             modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
             grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
@@ -249,9 +245,7 @@ class Renderer:
         return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
 
     def _grain(self, height: int, width: int) -> Shades:
-        """Return standard normal noise (height, width), cut at random from a larger field of
-        noise.
-        """
+        """Return standard normal noise (height, width), a random part of a larger array."""
         if self._noise is None:
             draw = np.random.default_rng(self.seed).standard_normal
             self._noise = draw((height + SPARE, width + SPARE), np.float32)
@@ -299,7 +293,7 @@ class EmulatedAprilTag(StreamedCamera):
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, AprilTagSection), "the registry selects the class by the type"
+        assert isinstance(section, AprilTagSection), "the section's type selects this class"
         self._bodies, self._section = bodies, section
         metres = stage.setup.metres
         optics = replace(

@@ -107,8 +107,8 @@ class Dish:
 
 
 class CellBody:
-    """The true state of one cell of a dish: x, y [mm], and as heading [rad] the direction of its
-    helix's axis.
+    """The true state of one cell of a dish: x, y [mm], and heading, the direction of its helix's
+    axis [rad].
 
     A cell never stands still; it counts as standing while the driver makes no field.
     """
@@ -144,8 +144,8 @@ class CellBody:
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return cells with the a and the speeds of a setup, and with the random walk `walk` of the
-    heading [rad/sqrt(s)]; other properties are drawn at random.
+    """Return one cell per robot of a setup, with the robot's a and speed, and with the random walk
+    `walk` of the heading [rad/sqrt(s)]; other properties are drawn at random.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6

@@ -1,8 +1,8 @@
 """Draws synthetic pictures of a dish: bodies, specks, a bubble, light, blur and noise.
 
-Nothing here is a real picture. In a picture with the scale `um_px`, the pixel in column c and row r
-shows the point x = (c + 1/2) um_px, y = (height - 1/2 - r) um_px [um], measured from the picture's
-lower left corner: y points up.
+In a picture with the scale `um_px`, the pixel in column c and row r shows the point x = (c + 1/2)
+um_px, y = (height - 1/2 - r) um_px [um], measured from the picture's lower left corner: y points
+up.
 """
 
 import math

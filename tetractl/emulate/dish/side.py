@@ -79,7 +79,7 @@ class EmulatedMicroscope(StreamedCamera):
         *STREAM_FAULTS,
         fault(
             "light",
-            "The lamp's light falls to a fraction, and flickers by a fraction at 100 Hz.",
+            "The light is multiplied by a factor, and flickers by a fraction of itself at 100 Hz.",
             _changes(
                 light=lambda f, look: look.light * f.share,
                 contrast=lambda f, look: look.contrast * f.share,
@@ -115,10 +115,10 @@ class EmulatedMicroscope(StreamedCamera):
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, CellsSection), "the registry selects the class by the type"
+        assert isinstance(section, CellsSection), "the section's type selects this class"
         if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
             raise SpecError(
-                "the emulated microscope shows only cells, and only along the spec's axes",
+                "the emulated microscope shows only cells, and cannot be rotated",
                 "use lab.actuator.type field and lab.camera.rotation 0",
             )
         self._dish = bodies[0].dish  # type: ignore[attr-defined]

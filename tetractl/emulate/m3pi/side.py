@@ -94,9 +94,9 @@ class TrueRobot(Model):
     name: Name
     """Name of a robot of the spec."""
     left: WheelSection | None = None
-    """The robot's true left wheel."""
+    """Gain, dead zone and direction of the left wheel; the spec's by default."""
     right: WheelSection | None = None
-    """The robot's true right wheel."""
+    """Gain, dead zone and direction of the right wheel; the spec's by default."""
     swap: bool | None = None
     """Whether the left wheel is connected to the right motor's output."""
     radius_mm: Positive | None = None
@@ -108,7 +108,7 @@ class TrueRobot(Model):
 
 
 class M3piSettings(Model):
-    """Differences of radio and robots from the spec."""
+    """Properties of the radio and the robots that differ from the spec."""
 
     firmware: Literal["802.15.4", "zigbee"] = "802.15.4"
     """The firmware of the radio's module."""
@@ -193,7 +193,7 @@ class EmulatedM3pi(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, M3piSection), "the registry selects the class by the type"
+        assert isinstance(section, M3piSection), "the section's type selects this class"
         truths = {truth.name: truth for truth in settings.robots}
         self.robots = [
             _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
@@ -250,7 +250,7 @@ class EmulatedM3pi(PluggedDevice):
 def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
     radius = truth.radius_mm or robot.radius_mm
     if radius is None:
-        assert stage.setup.wheel_radius is not None, "the spec's check requires one of the two"
+        assert stage.setup.wheel_radius is not None, "the spec has one of the two radii"
         radius = stage.setup.wheel_radius * stage.mm
     fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
     given = {name: value for name, value in fields.items() if value is not None}

@@ -82,7 +82,7 @@ class Motive:
 
     @property
     def command_port(self) -> int:
-        """The number of the UDP port for commands; once the port is open, its real number."""
+        """The UDP port for commands; after `open`, the port really opened."""
         return self.streaming.command_port if self.command is None else _port(self.command)
 
     @property

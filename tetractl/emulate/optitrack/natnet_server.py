@@ -78,7 +78,7 @@ class Streaming:
 
 @dataclass(slots=True)
 class Trouble:
-    """What faults have set: the server is silent (no answers, no frames), sends no frames, repeats
+    """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
     the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
     the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
     frames whose exposure times are `outdated_s` [s] too early.
@@ -134,7 +134,7 @@ class ServerClock:
     since_ns: int = 0
 
     def ticks(self, when_ns: int) -> int:
-        """Return what the server's clock shows [ticks] at a time of the host's clock [ns]."""
+        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
         return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
@@ -215,7 +215,7 @@ class MotiveServer:
 
     def _can_change(self, asked: tuple[int, int]) -> bool:
         """Return whether a unicast client may choose a version; servers before 4.0 do not allow
-        any.
+        that.
         """
         version = Version(*asked)
         if self.streaming.keeps_version:

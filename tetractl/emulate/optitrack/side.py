@@ -37,7 +37,7 @@ class TrueBody(Model):
 
 
 class OptitrackSettings(Model):
-    """Differences of the cameras from the spec."""
+    """Properties of the cameras that differ from the spec."""
 
     version: VersionText = "4.1"
     """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
@@ -232,7 +232,7 @@ class EmulatedOptitrack:
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
-        assert isinstance(section, OptitrackSection), "the registry selects the class by the type"
+        assert isinstance(section, OptitrackSection), "the section's type selects this class"
         self.swapped: set[int] = set()
         hidden = {robot.name for robot in settings.robots if not robot.streamed}
         self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
@@ -301,9 +301,7 @@ def _tracked(
 
 
 def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
-    """Return the cameras' axes; up is y, Motive's default, unless settings or else the spec say
-    z.
-    """
+    """Return the cameras' axes; the settings or else the spec give the vertical axis, else y."""
     up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
     x, y = section.origin
     return View(up, (x * stage.mm, y * stage.mm), section.rotation)

@@ -130,7 +130,7 @@ class FieldActuator:
         return [RobotStatus(answers=None)] * len(self._a)
 
     def check(self) -> Health:
-        """Switch the field off; return what the driver's version, limits and state show."""
+        """Switch the field off; return problems, warnings and facts of the driver."""
         try:
             reply = self.driver.ask()
         except AbortError as error:
@@ -138,11 +138,11 @@ class FieldActuator:
         return inspect(reply, self.section)
 
     def _room(self, passed_ns: int) -> float:
-        """Return by how much a current may change [A] in a time [ns]."""
+        """Return the greatest change of a current [A] within a time [ns]."""
         return self.section.slew_max_a_s * passed_ns / SECOND
 
     def _now(self, now_ns: int) -> Pair:
-        """Return the driver's present set points [A], as requested or on their way to 0."""
+        """Return the driver's set points [A] at a time [ns]; without commands they fall to 0."""
         return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
 
     def _transmission(
@@ -192,13 +192,13 @@ def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
 def _limits(reply: FieldReply, section: FieldSection) -> list[str]:
     found: list[str] = []
     if reply.current_max_ma < round(1000 * section.current_max_a):
-        allowed = f"{reply.current_max_ma / 1000:g} A, the spec {section.current_max_a:g} A"
+        allowed = f"{reply.current_max_ma / 1000:g} A, not the spec's {section.current_max_a:g} A"
         found.append(f"the current driver allows {allowed}: lower current_max_a")
     if reply.slew_ma_s < round(1000 * section.slew_max_a_s):
-        allowed = f"{reply.slew_ma_s / 1000:g} A/s, the spec {section.slew_max_a_s:g} A/s"
+        allowed = f"{reply.slew_ma_s / 1000:g} A/s, not the spec's {section.slew_max_a_s:g} A/s"
         found.append(f"the current driver allows {allowed}: lower slew_max_a_s")
     if reply.watchdog_ms != round(1000 * section.watchdog):
-        has = f"{reply.watchdog_ms / 1000:g} s, the spec's {section.watchdog:g} s"
+        has = f"{reply.watchdog_ms / 1000:g} s, not the spec's {section.watchdog:g} s"
         found.append(f"the current driver's watchdog is {has}")
     return found
 
@@ -221,13 +221,13 @@ def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
     reach = section.coils.least_reach(section.current_max_a)
     if reach < section.strength_mt:
         found.append(
-            f"only {reach:.3g} of {section.strength_mt:g} mT can be reached in every direction; in "
-            "some, cells turn more slowly"
+            f"only {reach:.3g} of {section.strength_mt:g} mT can be reached in every direction: in "
+            "some directions, cells turn more slowly"
         )
     if reply.current_max_ma > round(1000 * section.current_max_a):
         found.append(
-            f"the current driver itself allows {reply.current_max_ma / 1000:g} A: only this "
-            f"program keeps to {section.current_max_a:g} A"
+            f"the current driver allows {reply.current_max_ma / 1000:g} A: only this "
+            f"program limits the current to {section.current_max_a:g} A"
         )
     if section.supply_min_v and not reply.supply_mv:
         found.append("the current driver does not report its supply voltage")

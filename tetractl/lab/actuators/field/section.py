@@ -110,8 +110,7 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field strength at which the cells' `a` holds [mT]; weaker where the current limit is reached.
-    """
+    """Field strength at which the cells' `a` holds [mT]; the current limit may weaken the field."""
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
@@ -133,7 +132,7 @@ class FieldSection(ActuatorSection):
                 raise inconsistent("current_max_a", message)
         if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
             least = FRAMES_PER_WATCHDOG / self.rate
-            raise inconsistent("watchdog", f"at {self.rate:g} Hz it must be {least:.3g} s or more")
+            raise inconsistent("watchdog", f"must be {least:.3g} s or more at {self.rate:g} Hz")
         return self
 
     def require_port(self) -> None:

@@ -129,10 +129,10 @@ class M3piActuator:
         """Return the wheel counts by equations (24)-(25) of the paper, for a direction [rad] and
         the predicted headings. If not `ahead`, the counts turn the robots on the spot.
 
-        Headings are predicted from `exposed_ns`, when the poses held, to when the command reaches
-        the wheels, at most 0.1 s. If the wheels lag, the heading in which a robot would come to
-        rest after the commands already sent is used; otherwise the exact step of equation (3).
-        Robots without a pose get counts of 0.
+        Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
+        command reaches the wheels, over at most 0.1 s: by equation (3) or, if the wheels lag, as
+        the heading in which a robot would come to rest after the commands already sent. Robots
+        without a pose get counts of 0.
         """
         arrives = self._clock.now() + RADIO_NS
         since = max(exposed_ns, arrives - AHEAD_MAX_NS)

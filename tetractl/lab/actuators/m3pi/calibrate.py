@@ -62,7 +62,7 @@ class Channel:
     dead_zone: int
 
     def count(self, turning: float) -> int:
-        """Return the count at which the robot turns at a rate [rad/s]; neither has a sign."""
+        """Return the absolute count at which the robot turns at an absolute rate [rad/s]."""
         return round(turning / self.k) + self.dead_zone
 
 
@@ -218,7 +218,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "give heading_offset roughly in the spec, or redefine the rigid body in the "
+                "set heading_offset in the spec roughly, or redefine the rigid body in the "
                 "camera software",
             )
         wheels = [
@@ -251,7 +251,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
                 f"{self.limit} counts",
-                "is its battery charged, is the motor connected? or raise --limit",
+                "is its battery charged and the motor connected? If so, raise --limit",
             )
         counts, rates = np.array(points).T
         slope, start = np.polyfit(counts, rates, 1)

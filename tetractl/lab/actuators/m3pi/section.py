@@ -111,7 +111,7 @@ class M3piSection(XbeeSection, ActuatorSection):
             limit = self.limit(robot)
             for side, wheel in (("left", robot.left), ("right", robot.right)):
                 if wheel.dead_zone >= limit:
-                    yield ("robots", i, side, "dead_zone"), f"must be below its limit, {limit}"
+                    yield ("robots", i, side, "dead_zone"), f"must be below the limit of {limit}"
 
     def require_port(self) -> None:
         """Raise AbortError if the radio's port does not exist."""
@@ -138,8 +138,8 @@ class M3piSection(XbeeSection, ActuatorSection):
         return self.robots.index(robot) if robot.index is None else robot.index
 
     def limit(self, robot: M3piRobot) -> int:
-        """Return the largest wheel count sent to a robot: the lower of its and the protocol's
-        limit.
+        """Return the largest wheel count sent to a robot: the lower of the robot's and the
+        protocol's limits.
         """
         return min(robot.limit, self.protocol.limit)
 

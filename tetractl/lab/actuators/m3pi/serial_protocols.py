@@ -132,7 +132,7 @@ class SlaveProtocol:
         return None
 
     def _each(self, messages: Sequence[bytes]) -> int:
-        """Send to every robot, also after a failure; the first failure is raised at the end."""
+        """Send each robot its message, even after a failure; raise the first failure at the end."""
         failure: Exception | None = None
         sent = self._clock.now()
         for address, message in zip(self._addresses, messages, strict=True):

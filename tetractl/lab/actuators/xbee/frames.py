@@ -157,7 +157,7 @@ def parse_content(content: bytes) -> XbeeFrame | Other:
         return Other(content[0], content[1:])
     size = 1 + kind.LAYOUT.size
     if len(content) < size or (len(content) > size and not kind.HAS_DATA):
-        raise WireError(f"a {kind.__name__} of {len(content)} bytes")
+        raise WireError(f"a {kind.__name__} frame cannot have {len(content)} bytes")
     fields = kind.LAYOUT.unpack_from(content, 1)
     return kind(*fields, content[size:]) if kind.HAS_DATA else kind(*fields)
 

@@ -27,7 +27,7 @@ from tetractl.lab.serial_port import SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 KEPT = 1024
-HINT = "the robots stop by their watchdog; plug it in and start again"
+HINT = "the robots stop by their watchdog; plug the module in and start again"
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +110,7 @@ class Link:
             return ()
         return (
             f"{self.radio.port}: the module reports received data in frames of type 0x91, which "
-            "are not read: set AO in it to 0 or 2",
+            "are not read: set its AO to 0 or 2",
         )
 
     def fetch(self) -> list[Received]:

@@ -137,8 +137,8 @@ def _floor_findings(
     if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
         yield (
             not plane.worst_mm <= MISFIT_MM,
-            f"the floor tags lie up to {plane.worst_mm:.1f} mm off where lab.camera.floor puts "
-            "them: measure at, size_mm and heading again",
+            f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
+            "lab.camera.floor: measure at, size_mm and heading again",
         )
     if estimated and plane.doubt_mm > DOUBTFUL_MM:
         yield (

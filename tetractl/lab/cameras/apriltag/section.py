@@ -83,7 +83,7 @@ class AprilTagSection(PictureSection):
         for name in _twice([robot.name for robot in self.robots]):
             raise inconsistent("robots", f"{name} is listed twice")
         for tag in _twice([str(each.tag) for each in (*self.robots, *self.floor)]):
-            raise inconsistent("floor", f"tag {tag} is used twice among robots and floor")
+            raise inconsistent("floor", f"tag {tag} is used twice: numbers must differ")
         if _flat([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not lie on one line")
         return self

@@ -68,8 +68,8 @@ class LostCells:
         size: Floats,
         now: float,
     ) -> float:
-        """Return the density [1/um^2] at a position of a lost cell that returns with a length and
-        width [um].
+        """Return the probability density [1/um^2] that a lost cell reappears at the position
+        `place`, with the length and width `size` [um].
         """
         off = place - self.bank.mean[cell.row, :2]
         spread = self.bank.covariance[cell.row, :2, :2] + PLACE_UM**2 * np.eye(2)

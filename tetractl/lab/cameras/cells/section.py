@@ -59,7 +59,7 @@ class CellsSection(PictureSection):
         um_px, rotation = um / long, -math.atan2(up, across)
         off = math.sqrt(2) * PLACED_PX / long
         lines = (
-            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if each point is right to {PLACED_PX:g} px",
+            f"{um_px:.4f} um/px +- {off * um_px:.4f}, if points are accurate to {PLACED_PX:g} px",
             f"rotation {rotation:.4f} rad +- {off:.4f}",
         )
         return Measured({"um_px": um_px, "rotation": rotation}, lines=lines)

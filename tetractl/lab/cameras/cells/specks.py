@@ -94,7 +94,7 @@ class Specks:
 
     @property
     def next_to(self) -> set[int | None]:
-        """Tracks of the cells near which new specks appeared that cannot be classified yet."""
+        """Tracks of the cells near which the newest specks appeared."""
         return {speck.beside for speck in self.all if len(speck.path) <= NEAR_BORN}
 
     @property

@@ -37,7 +37,7 @@ def no_frames(
     if (other := senders.most(frames=True)) is not None and not stream.counts.unread_frames:
         sender, count = other
         fits = _reads_as(senders.refused_frame, stream)
-        came = f"{count} frames came from {sender} in {timeout_s:g} s, which read as {fits}"
+        came = f"{count} frames came from {sender} in {timeout_s:g} s, which fit {fits}"
         if sender.host != section.server:
             return AbortError(
                 f"{server}, but its frames come from another address: {came}",
@@ -61,7 +61,7 @@ def no_frames(
 def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: float) -> AbortError:
     assert stream.info is not None and stream.version is not None, "it answers"
     own, fits = stream.info.version, _reads_as(stream.unread_frame, stream)
-    came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which read as {fits}"
+    came = f"{stream.counts.unread_frames} frames came in {timeout_s:g} s, which fit {fits}"
     if stream.version != own:
         return AbortError(
             f"{server}, but not in protocol {stream.version}, which lab.camera.version requests: "

@@ -169,9 +169,13 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would():
 @pytest.mark.parametrize(
     ("limits", "changes", "says"),
     [
-        (DriverLimits(1500, 100_000), {}, "allows 1.5 A, the spec 2 A: lower current_max_a"),
-        (DriverLimits(2000, 50_000), {}, "allows 50 A/s, the spec 100 A/s: lower slew_max_a_s"),
-        (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, the spec's 0.25 s"),
+        (DriverLimits(1500, 100_000), {}, "allows 1.5 A, not the spec's 2 A: lower current_max_a"),
+        (
+            DriverLimits(2000, 50_000),
+            {},
+            "allows 50 A/s, not the spec's 100 A/s: lower slew_max_a_s",
+        ),
+        (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, not the spec's 0.25 s"),
         (LIMITS, {"supply_min_v": 20.0}, "supply is at 12.00 V"),
         (LIMITS, {"temperature_max_c": 20.0}, "the coils are at 25 °C"),
     ],
@@ -189,7 +193,7 @@ def test_weak_coils_and_a_strong_driver_are_warned_of():
     assert health.problems == ()
     weak, strong = health.warnings
     assert "only 3.97 of 5 mT can be reached in every direction" in weak
-    assert "the current driver itself allows 3 A" in strong
+    assert "the current driver allows 3 A" in strong
 
 
 @needs_compiler

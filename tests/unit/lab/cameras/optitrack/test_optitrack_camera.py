@@ -138,12 +138,12 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
         # regression: it said that no frames come, while 120 a second did
         (
             "version: 4.2, keeps_version: true",
-            r"not in protocol 3\.1, which lab.camera.version requests: .* read as protocol 4\.2$",
+            r"not in protocol 3\.1, which lab.camera.version requests: .* which fit protocol 4\.2$",
             "leave lab.camera.version out: the server uses its own, 4.2",
         ),
         (
             "frames_from: 127.0.0.2",
-            r"from another address: \d+ frames came from 127\.0\.0\.2:.* in 0.3 s, which read as",
+            r"from another address: \d+ frames came from 127\.0\.0\.2:.* in 0.3 s, which fit",
             "set lab.camera.server to 127.0.0.2, or in Motive the local interface to 127.0.0.1",
         ),
         (
@@ -168,7 +168,7 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
             camera.__enter__()
-    assert str(e.value).endswith("which read as protocol 3.0")
+    assert str(e.value).endswith("which fit protocol 3.0")
     assert "set lab.camera.version" in e.value.hint
 
 

@@ -294,7 +294,7 @@ def report(path: Path) -> None:
     print(
         f"\nThe polynomial of the mean explains {100 * explained:.0f} % of the variance of single "
     )
-    print("trials that it was not fitted to; the rest is chance, and curvature.\n")
+    print("trials that it was not fitted to; the rest is chance, or of higher degree.\n")
     terms = BASIS.of(worlds)
     noise = chance(terms, errors, fit.mean)
     samples = []
@@ -318,7 +318,7 @@ def report(path: Path) -> None:
     if len(accepted) < 50:
         print("Too few to tell a posterior.")
         return
-    print(f"Their means lie in {interval(predicted[:, 0], 0)} mm.\n")
+    print(f"The means of these realisations lie in {interval(predicted[:, 0], 0)} mm.\n")
     print(
         "| cause | range | posterior mean | posterior 95 % | narrowed by |\n|---|---|--:|--:|--:|"
     )
@@ -337,7 +337,7 @@ def report(path: Path) -> None:
     pairs = np.corrcoef(accepted.T) - np.eye(len(CAUSES))
     order = np.argsort(-np.abs(np.triu(pairs)), axis=None)[:5]
     print(
-        "\nWhat cannot be distinguished (strongest correlations among the accepted realisations): ",
+        "\nCauses hard to distinguish (strongest correlations among the accepted realisations): ",
         end="",
     )
     told = [(divmod(int(k), len(CAUSES)), pairs.flat[k]) for k in order]

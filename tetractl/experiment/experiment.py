@@ -201,7 +201,7 @@ class Experiment(Model):
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None
-    """Another kind of robot to scale the error to."""
+    """Another kind of robot, to which the error is scaled."""
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:

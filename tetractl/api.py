@@ -40,7 +40,7 @@ Strings = NDArray[np.str_]
 
 
 def load_spec(path: str | Path, *sets: str) -> LoadedSpec:
-    """Read and check a spec file; `sets` replace values of it, such as "trials.count=5".
+    """Read and check a spec file; `sets`, such as "trials.count=5", replace its values.
 
     Raises SpecError with one line per problem.
     """
@@ -96,7 +96,7 @@ def run_batch(
     resume: bool = False,
     on_result: Callable[[int, Result], object] = lambda trial, result: None,
 ) -> "Batch":
-    """Simulate all trials of a spec, `jobs` at a time, and return what is in the folder afterwards.
+    """Simulate all trials of a spec, `jobs` at a time, and return the results in the folder.
 
     The logs are trial-000.mcap and so on. `resume` runs only the trials that the folder lacks;
     without it, a folder that holds logs is refused. `on_result` is called with each trial's number
@@ -237,7 +237,7 @@ def plot(
     *,
     file: str | Path | None = None,
 ) -> "Figure":
-    """Draw a matplotlib figure; if a .png, .svg or .pdf file is named, write it there.
+    """Draw a matplotlib figure, and write it to `file` (.png, .svg or .pdf) if given.
 
     `kind` names a figure of `tetractl plot`; "trajectory", "errors", "arms", "ecdf" and "scatter"
     show several trials. Statistics and comparisons have one figure each, in which every

@@ -14,11 +14,11 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-"""Relative differences of each robot's a to the next lower a for which an error is predicted."""
+"""An error is predicted for robots whose a differ from the next lower a by these fractions."""
 TOO_ALIKE = 0.2
 """If the smallest relative difference of a is below this value, other values of a are tried."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Relative differences tried between the a of the two robots whose a differ least."""
+"""Relative differences of a tried for the two robots that are most alike."""
 WORTH = 0.8
 """An advised change must reduce the predicted error to at most this fraction of its value."""
 AS_GOOD = 1.1
@@ -27,7 +27,7 @@ AS_GOOD = 1.1
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A proposed a [rad/s] of one robot, and the mean total error predicted with it."""
+    """A proposed turning rate a [rad/s] of a robot, and the mean total error predicted with it."""
 
     robot: str
     old: float
@@ -39,15 +39,15 @@ class Change:
 class Analysis:
     """The analysis of an experiment's N robots; errors are predicted mean total errors.
 
-    `plans` plans were searched; `steering` is the analysis of those that reach the targets, None if
-    there is none. An error is NaN if no plan was found. `left_out` lists disturbances of the plant
-    that are not in the predictions. A plan reaches the targets if its cost is at most `tolerance`
-    [length unit]. `alike` are the two robots whose a differ least, `gap` is this difference
-    relative to the smaller a; for one robot `alike` is None and `gap` inf. `by_gap` pairs relative
-    differences of a with errors: the robots keep the order and the geometric mean of their a, and
-    each a is larger than the next lower a by this difference. `by_count` pairs a number n with the
-    error of the spec's first n robots. `change` is the advised change if two robots are too alike
-    and another a reduces the error; `looked` is whether changes were tried.
+    `plans` is the number of plans searched, `steering` the analysis of those that reach the
+    targets, with a cost of at most `tolerance` [length unit], None if none does. An error is NaN if
+    no plan was found. `left_out` lists disturbances of the plant that are not in the predictions.
+    `alike` are the two robots whose a differ least, `gap` is this difference relative to the
+    smaller a; for one robot `alike` is None and `gap` inf. `by_gap` pairs relative differences of a
+    with errors: the robots keep the order and the geometric mean of their a, and each a is larger
+    than the next lower a by this difference. `by_count` pairs a number n with the error of the
+    spec's first n robots. `change` is the advised change if two robots are too alike and another a
+    reduces the error; `looked` is whether changes were tried.
     """
 
     setup: Setup

@@ -62,7 +62,7 @@ class Linear:
 
 
 def linearise(problem: Problem, signals: Floats) -> Linear:
-    """Linearise the path under a sequence (L,)."""
+    """Linearise the robots' paths under a sequence of signals (L,) [rad]."""
     count, length = len(problem.a), len(signals)
     path = predict(problem, signals)
     heading = path[:-1, :, 2]

@@ -55,8 +55,8 @@ def longer(count: int, most: int) -> Iterator[int]:
 
 
 def growth(problem: Problem, count: int) -> float:
-    """Return the factor by which a detour raises the accepted error: above 1 only if few signals,
-    `count`, are left of the plan that the detour replaces."""
+    """Return the factor by which a detour raises the accepted error: 1 unless few signals are left
+    (`count`) of the plan that the detour replaces."""
     nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
     return 1 + ACCEPT_GROWTH if nearly_done else 1.0
 
@@ -84,7 +84,7 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
 
 def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
     """Return signals (OUT_SIGNALS,) that lead standing robots away from obstacles and walls, with
-    at least the distance `apart` between two robots; None if no such sequence was found.
+    at least the distance `apart` between two robots; None if none was found.
 
     Sequences whose direction changes at a constant rate are tried; targets are ignored.
     """

@@ -6,8 +6,8 @@ When their headings are such that the control Lyapunov function
     V = sum_i || s_i - tar_i ||
 
 would fall without a field, the field is switched off, and the robots drive straight until V would
-rise. The paper gives no parameters for this algorithm, an earlier one by its authors; the defaults
-here are tetractl's choice. Obstacles are ignored.
+rise. The paper gives no parameters for this earlier algorithm of its authors; the defaults are
+tetractl's choice. Obstacles are ignored.
 """
 
 import time
@@ -36,9 +36,8 @@ from tetractl.model.obstacles import Obstacles
 
 class EnsembleSection(ControllerSection):
     """Feedback Ensemble Control: the field rotates until the sum of distances to the targets would
-    fall without it; then it is off as long as the sum falls. It does not avoid obstacles, and works
-    in simulations only.
-    """
+    fall without a field; then it is off as long as the sum falls. The controller ignores obstacles
+    and works in simulations only."""
 
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
@@ -71,7 +70,7 @@ class EnsembleSection(ControllerSection):
 
 
 class Ensemble:
-    """The controller of one trial. It draws no random numbers; `key` only gives the keys logged."""
+    """The controller of one trial. It draws no random numbers; `key` is only used for the log."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key

@@ -49,7 +49,7 @@ class CircleSearch(OptimizerSection):
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
     ) -> Search:
         """Search sequences of `length` signals; the previous plan `warm` is extended to that
-        length by repeating the last change from signal to signal."""
+        length by repeating its last change of direction."""
         progress, times = Progress(length, limits), problem.period * np.arange(length)
         rates = RATES * float(problem.a.min())
         known = (PHASES[:, None, None] + rates[:, None] * times).reshape(-1, length)

@@ -23,9 +23,7 @@ SPREAD = 1.3  # ratio of successive lengths tried at step 0
 FINE = 0.05  # precision of the shortest good length, as a fraction of it
 SIGNALS = 6  # least number of signals per robot in a plan for several robots
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
-"""Number of lengths searched thoroughly at step 0 if no other length is good enough, and the ratio
-of each length to the one before.
-"""
+"""Number of lengths searched thoroughly if step 0 found no good plan, and their growth factor."""
 SEARCH_S = 0.005
 """Part of a control period reserved for each search of a longer sequence [s]: twice the duration of
 such a search, to leave time for the rest of the step.
@@ -50,8 +48,8 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Select candidates if the limit of evaluations allows only `searches` searches of the smallest
-    size: evenly spread lengths at step 0, later the lengths nearest to the present plan's."""
+    """Return the candidates to search if evaluations suffice for `searches` smallest searches:
+    evenly spread lengths at step 0, later the lengths nearest to the present plan's."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))
         return found[::-stride][::-1]
@@ -143,8 +141,8 @@ class Searcher:
     def search_all(self, wanted: list[Candidate], good_enough: float | None, count: int) -> None:
         """Search the candidates until the limits are reached.
 
-        With `good_enough`, lengths nearest to `count` are searched first, as `choose` prefers them,
-        until one is good enough: the others could not be chosen.
+        With `good_enough`, the lengths nearest to `count`, which `choose` prefers, are searched
+        first, and the search ends with the first length that is good enough.
         """
         if good_enough is not None:
             wanted = sorted(wanted, key=lambda one: abs(one[0] - count))

@@ -61,7 +61,7 @@ UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
-"""Outcomes of a leg, the part of a trial up to a way-point, after which the next leg begins."""
+"""Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
 
 class Mpc:

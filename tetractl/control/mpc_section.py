@@ -42,10 +42,10 @@ class Collision(Model):
     is about to enter one, or if no plan within `accept_error` keeps clear. When they stand, a new
     plan is searched. If they cannot drive ahead safely, they turn on the spot first; the trial ends
     if no turn helps. With an `accept_error`, robots also pause at the end, and drive on if their
-    total error at rest is larger. For robots that can stand still."""
+    total error at rest is larger. Only for robots that can stand still."""
     silence: NonNegative = 0.0
-    """Time for which robots may receive no command and keep their direction [s]. Plans are
-    preferred in which robots keep clear even if that happens after any one of the signals.
+    """Time for which robots may receive no command and keep their direction [s]. The planner
+    prefers plans in which robots keep clear even if this happens after any one of the signals.
     """
 
 
@@ -145,7 +145,7 @@ class MpcFields(ControllerSection):
     def _a_limit_pays_for_a_search(self) -> Self:
         least = self.optimizer.evaluations_min
         if self.evaluations_max is not None and self.evaluations_max < least:
-            message = f"must be at least {least}, as one search by this optimiser needs that many"
+            message = f"must be at least {least}, the evaluations that one search needs"
             raise inconsistent("evaluations_max", message)
         return self
 
@@ -162,8 +162,8 @@ class MpcFields(ControllerSection):
         return found
 
     def signals_within(self, steps: int) -> int:
-        """Return the largest number of signals of a plan when `steps` control steps are left.
-        Without `accept_error`, as in Algorithm 2, a plan may need more steps than that."""
+        """Return the largest number of signals of a plan if `steps` control steps are left.
+        Without `accept_error`, as in Algorithm 2, the steps left do not limit a plan."""
         return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:

@@ -120,9 +120,9 @@ class Rrt:
     def _towards(self, problem: Problem, key: int) -> float:
         """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
 
-        No path can begin inside an obstacle grown by the margin; a robot there keeps its path. A
-        robot that is too near to its target to turn towards it would circle the target for
-        ever; such a robot drives straight on until it is far enough away.
+        No path can begin inside an obstacle grown by the margin, so a robot inside keeps its path.
+        A robot too near to its target to turn towards it would circle it for ever; it drives
+        straight on until it is far enough away.
         """
         here, region = problem.poses.xy[0], problem.obstacles
         while len(self._path) > 1 and np.hypot(*(self._path[0] - here)) <= self._reach:

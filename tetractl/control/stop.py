@@ -18,7 +18,7 @@ class PaperStop(Model):
 
 
 class RelativeStop(Model):
-    """Stop when the best cost has fallen by less than `decrease` of itself over `window`
+    """Stop when the best cost has fallen by less than the fraction `decrease` over `window`
     iterations."""
 
     type: Literal["relative"]

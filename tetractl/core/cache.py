@@ -1,8 +1,8 @@
 """The cache folder for compiled code, to which only its user can write, and names for its files.
 
 The files in the folder are executed: numba's files are pickles, and the firmware's cores are shared
-libraries. A folder that another user can write to, or whose parents another user can exchange,
-is therefore never read.
+libraries. A folder that another user can write to, or whose parents another user can replace, is
+therefore never read.
 """
 
 import atexit

@@ -172,9 +172,8 @@ class Plan:
     facing: float | None = None
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
-        """Return this plan, made for the robots in the mask `left` (N,), with a path of all N
-        robots, in which the others stay at their poses in `seen`.
-        """
+        """Return the plan, made for the robots whose `left` (N,) is true, with a path of all N
+        robots: those that are lost stay at their poses in `seen`."""
         if left.all():
             return self
         path = np.repeat(seen.array()[None], len(self.path), axis=0)

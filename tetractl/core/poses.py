@@ -99,7 +99,7 @@ class Observation:
 
 
 INSIDE = 0.95
-"""The fraction of a normal distribution that lies in the ellipse of `ellipse`."""
+"""The fraction of a normal distribution that lies in the ellipse that `ellipse` returns."""
 DEVIATIONS = math.sqrt(-2 * math.log(1 - INSIDE))
 """Distance from the ellipse's centre to its edge, in standard deviations."""
 

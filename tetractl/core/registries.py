@@ -1,4 +1,4 @@
-"""All registries of kinds. A new kind needs a file and a line here, or an entry point."""
+"""All registries of kinds. A new kind needs a file, and a line in this module or an entry point."""
 
 from tetractl.core.registry import Registry
 

@@ -69,8 +69,9 @@ class HoldTask:
 
 
 class TourMeasure:
-    """Measures how accurately N robots passed their way-points and held at their targets, which are
-    the first M and the last of the `legs` (M + 1, N, 2).
+    """Measures how accurately N robots passed their way-points and held at their targets.
+
+    `legs` (M + 1, N, 2) are the M way-points of each robot and then its target [length unit].
 
     For each control step, call `step` with its leg and observation, then `add` with its frames;
     frames after `until_ns` are ignored. True poses are used if known. `loss` is the rule by which

@@ -88,7 +88,7 @@ class Wheels(Model):
     """Distance r from a wheel to the robot's centre [length unit]."""
     watchdog: Positive | None = None
     """Time after which a robot that receives nothing stops by itself [s], 0.25 for the m3pi
-    firmware; by default a robot never does. The next command it receives moves it again.
+    firmware; by default a robot never stops by itself. Its next command moves it again.
     """
     lag: NonNegative = 0.0
     """Time constant with which the wheels follow a command [s]. If it is not 0, the host computes

@@ -91,7 +91,7 @@ class CellDrive:
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        `ticks` (M,), 1 at times at which the true path is sampled, has no effect here.
+        `ticks` (M,), 1 at times at which the true path is sampled, is not used.
         """
         found, now = [], 0.0
         for until in seconds.tolist():

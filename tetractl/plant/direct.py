@@ -46,7 +46,7 @@ class DirectDrive:
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
         """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        `ticks` (M,), 1 at times at which the true path is sampled, has no effect here.
+        `ticks` (M,), 1 at times at which the true path is sampled, is not used.
         """
         p, held = self.poses, self._held
         t = seconds[:, None] * self.moving

@@ -11,7 +11,7 @@ distribution towards them:
     m <- (1 - alpha) m + alpha mean(elite),     s <- (1 - alpha) s + alpha std(elite)
 
 From m = 0 and s = spread the distribution contracts around a minimum of J. The result is the best
-of all samples; a warm start is evaluated first, so that the result is never worse than it.
+of all samples, and never worse than the warm start, which is evaluated first.
 """
 
 from typing import Literal

@@ -225,7 +225,7 @@ class _PolishedProgress(Progress):
             del pool[POOL:]
 
     def _polish_some(self, starts: Floats) -> int:
-        """Polish sequences without checking the deadline; return how many the limits allowed."""
+        """Polish sequences within the limit of evaluations; return how many were polished."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
         found = self.polished
         done = self.kernels.polish_each(

@@ -49,7 +49,7 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     """Check "module:attribute": a Motion, or the section of a shape, optimiser or lab device.
 
     `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
-    UsageError if the object cannot be imported or is not such a kind.
+    UsageError if the object cannot be imported or is something else.
     """
     module, _, attribute = code.partition(":")
     try:

@@ -155,7 +155,7 @@ class Noise:
 
     @classmethod
     def of(cls, plant: PlantSection) -> "Noise":
-        """Return the noise of a plant; zero if its section has no such fields, as that of a lab.
+        """Return the noise of a simulated plant; 0 for a lab, whose section states no noise.
 
         An error uniform in [-e, e] has the standard deviation e / sqrt(3).
         """

@@ -23,7 +23,7 @@ class Planned:
     """A plan of the robots at their starts, and the problem that it solves.
 
     `reaches` is whether the plan's cost is at most the tolerance. `shortest` is the least number of
-    signals of a sequence found with such a cost, None if none was found.
+    signals of the sequences found that reach the targets, None if none does.
     """
 
     plan: Plan

@@ -107,7 +107,7 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
 def evaluate(problem: Problem, signals: Floats) -> Costs:
     """Evaluate (7)-(9) for B sequences, shape (B, L).
 
-    Raises ControlError if a cost is not finite, because such costs cannot be compared.
+    Raises ControlError if a cost is not finite, because only finite costs can be compared.
     """
     return costs_along(problem, predict(problem, signals))
 

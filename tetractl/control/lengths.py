@@ -15,9 +15,8 @@ from tetractl.core.protocols import Optimizer
 from tetractl.experiment.controller import OptimizerSection
 
 WORTHWHILE = 4
-"""If evaluations are limited, each length of step 0 may use this many times the least number of
-evaluations that a search needs.
-"""
+"""Evaluations for each length of step 0 if they are limited, as a multiple of the least number that
+a search needs."""
 GROWTH = 1.2  # ratio of successive lengths tried for a detour
 SPREAD = 1.3  # ratio of successive lengths tried at step 0
 FINE = 0.05  # precision of the shortest good length, as a fraction of it
@@ -25,9 +24,8 @@ SIGNALS = 6  # least number of signals per robot in a plan for several robots
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
 """Number of lengths searched thoroughly if step 0 found no good plan, and their growth factor."""
 SEARCH_S = 0.005
-"""Part of a control period reserved for each search of a longer sequence [s]: twice the duration of
-such a search, to leave time for the rest of the step.
-"""
+"""Part of a control period reserved for each search of a longer sequence [s]: twice the time that a
+search takes, to leave time for the rest of the step."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the sequence u_gb^0 from which its search starts, None at step 0."""
 
@@ -61,9 +59,9 @@ def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> li
 def choose(searches: Sequence[Search], good_enough: float | None, count: int) -> int:
     """Return the index of the search with the least cost, lines 5 and 23 of Algorithm 2.
 
-    All costs up to `good_enough` count as equal. Of searches with such costs, the one whose length
-    is nearest to the present plan's, `count` (H), is chosen; at step 0, where `count` is 0, that
-    is the shortest.
+    All costs up to `good_enough` count as equal: of the searches with these costs, the one whose
+    length is nearest to `count`, the present plan's (H), is chosen; at step 0, where `count` is 0,
+    the shortest one.
     """
     if good_enough is not None:
         good = [i for i, search in enumerate(searches) if search.cost <= good_enough]

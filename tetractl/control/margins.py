@@ -123,8 +123,8 @@ class Margins:
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: `wanted`, or less if two robots are nearer to each other
-        now, or two targets are.
+        """Return the separation to keep: `wanted`, or the present distance of two robots or of two
+        targets if that is less.
         """
         if not self._one.size or wanted <= 0:
             return 0.0

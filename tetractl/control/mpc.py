@@ -244,15 +244,15 @@ class Mpc:
         return replace(found, estimate=self.estimator.estimate, pauses=True, facing=facing)
 
     def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
-        """Return a plan of given signals (L,), made because the searches `before` were not safe."""
+        """Return a plan of given signals (L,); the searches `before` have found no safe plan."""
         searches = [*before, given_search(problem, signals)]
         plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
         self.warm, self.blocked, self.k = signals, True, self.k + 1
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem; adaptive margins grow its obstacles and separation by the robots'
-        greatest deviation, given the estimate `known`, None for a motion known exactly."""
+        """Return the problem with its margins: adaptive ones grow obstacles and separation by the
+        greatest deviation of a robot, given the estimate `known`, None for an exact motion."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem
@@ -392,7 +392,7 @@ class MpcSection(MpcFields):
 
     def warm_up(self, setup: Setup) -> None:
         """Call the planner's functions once so that they are compiled: search for one signal,
-        predict the robots' paths under it, and if `estimate` identify them from a few frames."""
+        predict the robots' paths under it and, if `estimate`, identify robots from a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)

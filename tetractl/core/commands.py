@@ -43,7 +43,7 @@ class Command:
 
     @property
     def stops(self) -> bool:
-        """Whether the robots stand under the command, though they may turn on the spot."""
+        """Whether the command lets no robot drive; robots may turn on the spot."""
         return self.direction is None and not self.field_off
 
     @property

@@ -67,8 +67,8 @@ class Registry:
     def load(self, name: str) -> Any:
         """Import and return the object with this name.
 
-        Raises KeyError if there is no such kind, and PluginError if another package offers the
-        kind but its object cannot be imported or is not derived from `base`.
+        Raises KeyError for an unknown name, and PluginError if another package offers the kind but
+        its object cannot be imported or is not derived from `base`.
         """
         if name in self.builtin:
             return imported(self.builtin[name])

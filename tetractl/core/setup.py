@@ -73,7 +73,7 @@ class Shape(Protocol):
 
     def outline(self) -> Floats:
         """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape,
-        without its growth.
+        without its margin.
         """
         ...
 

@@ -22,7 +22,7 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Length = Annotated[float, Field(ge=0, le=1e9, allow_inf_nan=False)]
-"""A length of at most 1e9 in a published result, so that its square is finite."""
+"""A length in a published result, bounded so that squares do not overflow."""
 Fraction = Annotated[float, Field(ge=0, lt=1, allow_inf_nan=False)]
 Point = tuple[Finite, Finite]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9 ._-]*$")]

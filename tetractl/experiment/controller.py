@@ -50,7 +50,7 @@ class OptimizerSection(Model):
     @property
     @abstractmethod
     def iterations_max(self) -> int:
-        """Largest number of iterations of a search, or of each start of a search from several."""
+        """Largest number of iterations of a search; of each start if there are several."""
 
     @property
     @abstractmethod

@@ -55,13 +55,13 @@ class DeviceSection(Model):
     """The class of the device, as "module:class": imported only when the device is built."""
     type: Any  # the section's name, a Literal in each subclass
     settles: ClassVar[bool] = False
-    """Whether trials that choose their robots can use the device, by its method `settle`."""
+    """Whether the device has the method `settle`, which trials that choose their robots need."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the location (in this section) and text of each contradiction in the section or
         with the experiment.
 
-        A section with `robots` checks them by `mismatches`.
+        If the section has `robots`, `mismatches` checks them.
         """
         yield from ()
 
@@ -148,9 +148,8 @@ class LabLimits(Model):
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
     untracked_stop: Positive = 0.05
-    """A robot is stopped if it was not tracked for this time [s]; it is steered on if the actuator
-    cannot hold a single robot still.
-    """
+    """A robot is stopped if it was not tracked for this time [s], unless the actuator cannot hold a
+    single robot still."""
     untracked_abort: Positive = 0.3
     """The run aborts if a robot was not tracked for this time [s]."""
     identity: Positive = 3.0

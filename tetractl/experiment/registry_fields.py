@@ -79,7 +79,7 @@ class KindSection:
 
 
 class KindName:
-    """Annotation of a text field: one of the names in a registry; no kind is imported."""
+    """Annotation of a text field whose value is a name in a registry; no kind is imported."""
 
     def __init__(self, registry: Registry) -> None:
         self.registry = registry

@@ -50,7 +50,7 @@ class PathCheck:
         self.apart = np.minimum(self.apart, separations(x, y))
 
     def verdict(self, final: Poses, not_at_rest: str = "") -> Verdict:
-        """Return the verdict on the path so far, which ended in `final`."""
+        """Return the verdict on the path so far, with the final poses `final`."""
         return Verdict(
             final,
             tuple(bool(entered) for entered in self.entered),

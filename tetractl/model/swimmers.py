@@ -203,7 +203,7 @@ class Bodies:
 def bodies(cells: Swimmers) -> Bodies:
     """Return the bodies at their positions on the helices.
 
-    With a helix of frequency f and radius r and the speed v, a tilt is at most atan(2 pi f r / v).
+    At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """
     across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
     turning = 2 * math.pi * cells.helix_hz

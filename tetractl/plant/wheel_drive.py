@@ -45,9 +45,9 @@ class WheelDriveSection(Model):
     otherwise it repeats the wheel speeds of the control step.
     """
     lead: NonNegative | None = None
-    """The host computes wheel speeds for the headings predicted this time after sending them [s];
-    with `wheels.lag`, for the headings in which robots stopped at that time come to rest. By
-    default it uses the measured headings."""
+    """The host predicts the headings this time after sending a command [s], and computes its wheel
+    speeds for them; with `wheels.lag`, it predicts the headings in which robots stopped at that
+    time come to rest. By default it uses the measured headings."""
     count: Positive | None = None
     """Wheel speed of one count [length unit/s]: speeds are rounded to whole counts, and the
     rounding error is carried to the next transmission. Not rounded by default."""

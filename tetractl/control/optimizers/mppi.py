@@ -11,7 +11,7 @@ by the mean of the perturbations under the weights of a Boltzmann distribution o
     u  <- u + sum_p w_p e_p
 
 The temperature lambda is `temperature`, which has no unit, times the standard deviation of the
-iteration's costs; s falls by the factor `cooling` from iteration to iteration. The nominal sequence
+iteration's costs; s is multiplied by `cooling` after each iteration. The nominal sequence
 is the first sample of each iteration, with e_1 = 0; the result is the best of all samples.
 """
 

@@ -117,9 +117,7 @@ class Multistart(OptimizerSection):
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
-        """Return the number of rounds: 1 if the targets are out of reach even along straight
-        lines.
-        """
+        """Return `rounds`, but 1 if the targets are out of reach even along straight lines."""
         gaps = problem.poses.distances(problem.targets)
         beyond = float(np.maximum(gaps - problem.speed * problem.seconds(length), 0.0).sum())
         return 1 if beyond > self.tolerance else self.rounds
@@ -175,8 +173,8 @@ class _PolishedProgress(Progress):
         """Draw smooth random sequences, within the bounds of (12).
 
         Each is linear between `knots` directions drawn uniformly within pi of the mean bearing of
-        the targets; with a warm start, every second sequence is the warm start plus such a curve
-        with values within half a radian of 0.
+        the targets; with a warm start, every second sequence is the warm start plus a curve of this
+        kind with values within half a radian of 0.
         """
         warm = np.empty(0) if self.warm is None else self.warm
         self.kernels.scatter(

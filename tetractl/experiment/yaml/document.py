@@ -85,7 +85,7 @@ def frozen(value: Any) -> Any:
 
 
 def read_text(path: Path) -> str:
-    """Read a spec file; InvalidSpecError if the file itself is missing or cannot be read."""
+    """Read a spec file; InvalidSpecError if it is missing or cannot be read."""
 
     def refusal(message: str, line: int | None = None, column: int | None = None) -> Exception:
         return InvalidSpecError([SpecProblem(printable(str(path)), message, line, column)])

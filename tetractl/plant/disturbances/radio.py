@@ -54,7 +54,7 @@ class Radio(Disturbance):
 
 
 class SilentRadioSection(SpellsSection):
-    """Intervals in which robots receive no command and continue with the last one."""
+    """Intervals in which robots receive no command and keep following the last one."""
 
     type: Literal["silent-radio"]
 

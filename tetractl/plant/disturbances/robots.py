@@ -111,7 +111,7 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Draws the errors at each requested time; their statistics do not depend on the frame rate."""
+    """Draws the errors of a and speed at each time; their statistics do not depend on the rate."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._size = np.array([[section.a], [section.speed]])

@@ -318,7 +318,7 @@ def report(path: Path) -> None:
     if len(accepted) < 50:
         print("Too few to tell a posterior.")
         return
-    print(f"The means of these realisations lie in {interval(predicted[:, 0], 0)} mm.\n")
+    print(f"Mean error of the accepted realisations: {interval(predicted[:, 0], 0)} mm (95 %).\n")
     print(
         "| cause | range | posterior mean | posterior 95 % | narrowed by |\n|---|---|--:|--:|--:|"
     )
@@ -333,7 +333,8 @@ def report(path: Path) -> None:
     for name, some in (("ranges", draw(rng, 10_000)), ("accepted realisations", accepted)):
         spans = np.array([[CAUSES[i].low, CAUSES[i].high - CAUSES[i].low] for i in delays])
         total = (spans[:, 0] + spans[:, 1] * (some[:, delays] + 1) / 2).sum(axis=1)
-        print(f"\nSum of all delays in the {name}: {total.mean():.3f} s, {interval(total, 3)}.")
+        mean, most = f"{total.mean():.3f} s", interval(total, 3)
+        print(f"\nSum of all delays in the {name}: mean {mean}, 95 % of them {most} s.")
     pairs = np.corrcoef(accepted.T) - np.eye(len(CAUSES))
     order = np.argsort(-np.abs(np.triu(pairs)), axis=None)[:5]
     print(

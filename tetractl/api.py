@@ -280,7 +280,7 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
     experiment = spec.experiment
     if experiment.plant.type == "lab":
         raise UsageError(
-            "the spec's plant is the lab, which only the command drives", "use `tetractl run`"
+            "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
         )
     check(experiment)
     warm_up(experiment, logging.getLogger("tetractl").info)

@@ -141,7 +141,7 @@ def check_motion(motion: Motion) -> Findings:
     gone = np.hypot(moved[0] - x, moved[1] - y)
     yield _true("step: moves by <= v t", gone <= v * t * (1 + NEAR), "a robot moves further")
     still = motion.step(*case, 0.0)
-    yield _near("step: x, y kept if t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
+    yield _near("step: keeps x, y if t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
     angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
     yield _near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
@@ -302,8 +302,8 @@ def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
             pair = [(one.signals, one.history, one.evaluations) for one in (found, again)]
             yield _same(f"{what}same search for the same key", *pair)
             cost = float(compiled_costs(problem, 1)(found.signals[:, None])[0])
-            yield _near(f"{what}cost: is J of the signals", found.cost, cost, max(abs(cost), 1e-9))
-            yield _near(f"{what}history: last is the cost", found.history[-1], found.cost, 1 + cost)
+            yield _near(f"{what}cost: equals J of signals", found.cost, cost, max(abs(cost), 1e-9))
+            yield _near(f"{what}history: ends with cost", found.history[-1], found.cost, 1 + cost)
             yield _true(f"{what}history: never rises", np.diff(found.history) <= 0, "it rises")
             yield _true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
             if optimizer.evaluations_max is not None:

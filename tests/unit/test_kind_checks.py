@@ -188,7 +188,7 @@ class Other(Mppi):
         ("key", "12 signals: same search for the same key"),
         ("warm", "12 signals, warm start: not changed"),
         ("budget", "12 signals: evaluations: in budget"),
-        ("cost", "12 signals: cost: is J of the signals"),
+        ("cost", "12 signals: cost: equals J of signals"),
     ],
 )
 def test_what_is_wrong_with_an_optimiser_is_found(fault, what):

@@ -170,7 +170,7 @@ class Noise:
 
     @property
     def any(self) -> bool:
-        """Whether any deviation is above 0."""
+        """Whether any standard deviation is above 0."""
         return any((self.a, self.speed, self.walk, self.position, self.heading))
 
 

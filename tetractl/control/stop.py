@@ -23,7 +23,7 @@ class RelativeStop(Model):
 
     type: Literal["relative"]
     window: int = Field(default=10, ge=1, le=10_000)
-    """Number of iterations of the window."""
+    """Length of the window, in iterations."""
     decrease: float = Field(default=0.01, ge=0, lt=1, allow_inf_nan=False)
     """Least relative decrease of J over the window that keeps the search going."""
 

@@ -198,7 +198,7 @@ class LabLimits(Model):
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
         if self.height_mm[0] >= self.height_mm[1]:
-            raise inconsistent("height_mm", "must be the lowest and the highest, in this order")
+            raise inconsistent("height_mm", "must be two heights, the lower one first")
         return self
 
 

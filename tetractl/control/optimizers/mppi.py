@@ -39,7 +39,7 @@ class Mppi(OptimizerSection):
     iterations: int = Field(default=150, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
     knots: int = Field(default=32, ge=2, le=1000)
-    """Number K of normal knots of a perturbation, evenly spread over its length."""
+    """Number K of normally distributed knots of a perturbation, evenly spread over its length."""
     noise: Positive = 2.0
     """Initial standard deviation s of the knots without a warm start [rad]."""
     noise_warm: Positive = 0.3

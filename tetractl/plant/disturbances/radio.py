@@ -20,7 +20,7 @@ class RadioSection(DisturbanceSection):
     delay: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Time from sending a transmission until the robots receive it [s]."""
     jitter: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional time of a transmission, uniformly distributed [s]."""
+    """Largest additional delay of a transmission, uniformly distributed [s]."""
     spread: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
     """Largest additional delay of a robot, uniformly distributed, drawn for each robot once per
     trial [s]."""

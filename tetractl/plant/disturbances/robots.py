@@ -18,7 +18,7 @@ class BatterySection(DisturbanceSection):
     speed: Fraction
     """Fraction of its speed that each robot loses."""
     a: Fraction = 0.0
-    """Fraction of its a that each robot loses."""
+    """Fraction of its turning rate a that each robot loses."""
     over: Positive = 30.0
     """Time from the start of the trial over which these fractions are lost [s]."""
 

@@ -67,8 +67,8 @@ class Margins:
         return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
 
     def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether any robot that is outside all obstacles would touch an obstacle, without
-        its margin, on the straight line from its pose to its point x, y (N,).
+        """Return whether a robot outside all obstacles would touch one, margins ignored, on the
+        straight line from its pose to its point x, y (N,).
         """
         crossed = self._bare.cross(poses.x, poses.y, x, y)
         return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
@@ -137,7 +137,7 @@ class Margins:
 
 
 def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:
-    """Return the shape grown by the margin, reduced so that it contains no point (x, y)."""
+    """Return the shape grown by the margin, or by less so that it contains no point (x, y)."""
     grown = shape.grown(margin)
     if not grown.contain(x, y).any():
         return grown

@@ -141,8 +141,8 @@ class Rrt:
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
     ) -> Outcome | End | None:
-        """Return the end of the trial at the moment when the robot passes its target, None if it
-        does not pass the target in this step.
+        """Return the end of the trial for the moment when the robot passes its target, None if that
+        does not happen in this step.
         """
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
@@ -164,10 +164,10 @@ def grow(
     goal_bias: float,
     draws: Floats,
 ) -> Floats | None:
-    """Grow a tree from `start` (2,) and return the corners (M, 2) of its path to `target` (2,).
+    """Grow a tree from `start` (2,); return the corners (M, 2) of a path to `target` (2,) or None.
 
     Each row of `draws` (D, SHARES) holds numbers uniform in [0, 1) for one draw. `edge` is in the
-    length unit. None if no path was found.
+    length unit.
     """
     nodes = np.empty((len(draws) + 1, 2))
     before = np.zeros(len(draws) + 1, dtype=np.int64)

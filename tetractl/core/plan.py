@@ -54,7 +54,7 @@ class StopReason(StrEnum):
 
     @classmethod
     def read(cls, text: str) -> "StopReason | str":
-        """Return the StopReason with this text from a log; the text itself if there is none."""
+        """Return the StopReason that a log calls `text`; `text` itself if there is none."""
         return next((reason for reason in cls if reason.value == text), text)
 
 

@@ -55,7 +55,7 @@ class Poses:
         return np.column_stack([self.x, self.y])
 
     def distances(self, points: Floats) -> Floats:
-        """Return the distance (N,) of each robot to its point, the same row of `points` (N, 2)."""
+        """Return the distances (N,) of the robots to `points` (N, 2), one point for each robot."""
         return np.hypot(*(self.xy - points).T)
 
 

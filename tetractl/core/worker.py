@@ -89,8 +89,8 @@ class Worker:
     def close(self, last: Callable[[], object] = _nothing) -> None:
         """Make the calls in the queue and then `last`, even after a failure, and end the thread.
 
-        It never raises: read `failure`, or call `check`. A second `close` does nothing. It does not
-        wait for a thread that has stalled.
+        `close` never raises: read `failure`, or call `check`. A second `close` does nothing. A
+        thread that has stalled is abandoned.
         """
         if not self._thread.is_alive():
             return

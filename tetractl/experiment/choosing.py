@@ -59,7 +59,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
 
 
 def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
-    """Return the experiment with the robots of `setup`, which one of its trials has found."""
+    """Return the experiment with the robots of `setup`, as found by one of its trials."""
     columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
     rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
     robots = [
@@ -105,7 +105,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return a cell for each of `choice.wanted`, in this order: the nearest in a and speed."""
+    """Return, for each of `choice.wanted` in order, the cell that is nearest in a and speed."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)

@@ -133,9 +133,9 @@ class Scale(Model):
     unit: Literal["um", "mm", "cm", "m"] = "um"
     """Length unit of this section's numbers."""
     speed: Length = Field(gt=0)
-    """Speed of these robots [unit/s]."""
+    """Speed of the robots that the error is scaled to [unit/s]."""
     body_length: Length = Field(gt=0)
-    """Body length of these robots [unit]."""
+    """Body length of the robots that the error is scaled to [unit]."""
 
 
 _PLANT = KindSection(PLANTS, default="sim")

@@ -15,7 +15,7 @@ WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
 WORDS = 16
-"""Least width of a column of words without a terminal, in characters; less if its texts are
+"""If there is no terminal: least width of a column of words, in characters; less if its texts are
 shorter."""
 
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"

@@ -113,7 +113,7 @@ def compose(text: str) -> Node | None:
 
 
 def scalar(tag: str, text: str) -> str | bool | int | float | None:
-    """Return the value of a scalar with a tag; ValueError, with the reason, if they do not fit."""
+    """Return the value of a scalar with a tag; ValueError with the reason if they disagree."""
     if tag == STR:
         return text
     if tag not in SCALARS or not re.match(SCALARS[tag][0], text):

@@ -20,7 +20,7 @@ class BatterySection(DisturbanceSection):
     a: Fraction = 0.0
     """Fraction of its turning rate a that each robot loses."""
     over: Positive = 30.0
-    """Time from the start of the trial over which these fractions are lost [s]."""
+    """Time from the start of the trial over which the robots slow down [s]."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "Battery":
         """Return this disturbance for one trial."""

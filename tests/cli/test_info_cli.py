@@ -108,7 +108,7 @@ def test_the_last_estimate_is_told_with_its_deviations(tmp_path):
 @pytest.mark.parametrize(
     ("log", "said"),
     [
-        ("cut.mcap.part", "outcome  none: the log ends before its trial"),
+        ("cut.mcap.part", "outcome  none: the log breaks off before the end of the trial"),
         ("flipped.mcap", "the checksum of the data section does not match"),
     ],
 )

@@ -87,7 +87,7 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
         assert running.end() == 130
     told = running.err.read_text().splitlines()
     assert told[-1] == "interrupted"
-    assert "trials are lacking; go on with the same command" in told[-2]
+    assert "trials are missing; continue with the same command" in told[-2]
     assert 5 <= len(table(out)) < 40
     assert study("study.yaml", "--out", "out", cwd=tmp_path).returncode == 0
     assert results(out) == results(whole[0] / "out")

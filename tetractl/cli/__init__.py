@@ -1,4 +1,4 @@
-"""The command line: one module for each command, which parses, calls and prints."""
+"""The command line: one module per command, which reads the options and prints results."""
 
 ADDRESSES_MIN = 1_000_000_000
 """Bytes of address space that the libraries need; with fewer, OpenBLAS retries without end."""

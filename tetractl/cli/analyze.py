@@ -37,8 +37,8 @@ def analyze(
     Searches good plans with the multistart optimiser. Along them, predicts the mean total error
     under the noise of the spec's simulated plant (errors of a and speed, random walk of the
     headings, measurement noise), the shortest plan that reaches the targets, the ellipse of each
-    robot's end position, and the error of robots that differ more or less, or of fewer robots. If
-    two robots are too alike, searches for a better value of a.
+    robot's end position, and the error of robots whose a differ more or less, or of fewer robots.
+    If two robots are too alike, searches for a better value of a.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """

@@ -63,7 +63,7 @@ def identify(
         log = open_trial(path)
         damaged |= log.damage is not None
         if not any(command.direction is not None for command in log.commands):
-            print(f"warning: {path}: the log has no direction that was sent", file=sys.stderr)
+            print(f"warning: {path}: no direction was sent in this log", file=sys.stderr)
             continue
         tracks.append(track_of(log))
         if expected is None:

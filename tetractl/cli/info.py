@@ -81,7 +81,7 @@ def _result(found: "Overview") -> dict[str, str]:
 
     result, unit = found.result, found.run.get("unit", "")
     if result is None:
-        return {"outcome": "none: the log ends before its trial"}
+        return {"outcome": "none: the log breaks off before the end of the trial"}
     errors = ", ".join(f"{error:.1f}" for error in result.robot_errors)
     solve = sorted(result.solve_ns)
     return {

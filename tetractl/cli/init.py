@@ -85,8 +85,8 @@ def init(
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
     With --example it writes a shipped spec, study or fault script, and the files it names, to
-    experiments/, as the examples of other commands expect. With an unknown NAME, the names are
-    listed.
+    experiments/, as the examples of other commands expect. With an unknown NAME it lists the
+    examples.
 
     Example: tetractl init first
 

@@ -1,4 +1,4 @@
-"""`tetractl kinds`: lists what a spec, a study, a table, a figure or an emulated lab can name."""
+"""`tetractl kinds`: lists the kinds that a spec, study, table, figure or emulated lab can name."""
 
 import sys
 from typing import Annotated, Any
@@ -31,8 +31,8 @@ def kinds(
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
     on.
 
-    Each line holds the interface, the `type`, the package that provides it, and its code.
-    Exits with 2 if an installed package is broken.
+    Each line names the interface, the `type`, and the package and the code that provide it. Exits
+    with 2 if an installed package is broken.
 
     With --check it tests a kind of your own: that its NumPy functions, compiled functions and
     derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1

@@ -74,7 +74,7 @@ def stop(
         str | None,
         typer.Option(metavar="PORT", help="Serial port of an m3pi radio, in place of a spec."),
     ] = None,
-    baud: Annotated[int, typer.Option(metavar="N", help="With --port: its baud rate.")] = 57600,
+    baud: Annotated[int, typer.Option(metavar="N", help="With --port: baud rate.")] = 57600,
     mode: Annotated[
         str,
         typer.Option(
@@ -128,7 +128,7 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="Largest output while a robot moves; for m3pi robots a wheel count.",
+            help="Largest output that moves a robot; for m3pi robots a wheel count.",
         ),
     ] = 45,
     micrometer: Annotated[
@@ -141,13 +141,12 @@ def calibrate(
     ] = None,
     yes: Yes = False,
 ) -> int:
-    """Calibrate each robot's actuator by moving the robot a little; or a microscope's scale and
-    rotation by two marks of a stage micrometer.
+    """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
 
-    For m3pi robots it measures wheel speeds, wheel distance and heading offset. Robots move one
-    after another, each within about 0.3 m; space or Esc stops them. For a microscope, nothing is
-    moved or opened; the two places may also be those of one speck before and after the stage was
-    moved. Name the file in the spec as `lab.calibration`.
+    Of m3pi robots it measures wheel speeds, wheel distance and heading offset. Robots move one
+    after another, each within about 0.3 m; space or Esc stops them. A microscope is calibrated from
+    two places in its picture: two marks of a stage micrometer, or one speck before and after the
+    stage was moved; no device is opened. Enter the file's name in the spec as `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """

@@ -66,8 +66,8 @@ def emulate(
 ) -> int:
     """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
 
-    NO HARDWARE is involved. It runs in real time until Ctrl-C, and prints `ready` when programs can
-    connect.
+    NO HARDWARE is involved. The emulation runs in real time until Ctrl-C, and prints `ready` when
+    programs can connect.
 
     Example: tetractl lab emulate experiments/three_m3pi_lab.yaml --port-link /tmp/radio
     """
@@ -117,11 +117,11 @@ def _report(event: str, facts: dict[str, Any]) -> None:
         case "client":
             line = f"emulated cameras: {facts['address']} connected"
         case "run":
-            line = "emulated robots: a run starts"
+            line = "emulated robots: first command of a run"
         case "moving":
-            line = "emulated robots: on the move"
+            line = "emulated robots: moving"
         case "rest":
-            line = "emulated robots: all stand still"
+            line = "emulated robots: standing still"
         case "placed":
             line = "emulated robots: put back on their starts"
         case _:

@@ -105,7 +105,7 @@ def survey(
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
         data["robots"]["wanted"] = wanted
         save_whole(output, dump(data).encode())
-        print(f"wrote {output}: a trial of it finds these cells again", file=sys.stderr)
+        print(f"wrote {output}: a trial of this spec finds these cells again", file=sys.stderr)
     return Exit.DONE
 
 

@@ -1,5 +1,6 @@
-"""What several commands need: options, loading of specs and logs, warnings, and a confirmation
-before robots move."""
+"""Shared by several commands: options, loading of specs and logs, warnings, and a confirmation
+before robots move.
+"""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence

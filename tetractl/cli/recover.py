@@ -13,7 +13,7 @@ from tetractl.core.errors import Exit
 
 
 def recover(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial; a .part file too.")],
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, or a .part file.")],
     out: Annotated[
         Path | None,
         typer.Option("-o", "--out", metavar="FILE", help="File to write.  [NAME.recovered.mcap]"),

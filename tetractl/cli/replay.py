@@ -36,7 +36,8 @@ def replay(
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
-    Times count from the first direction sent; --start -5 shows what came before it in the lab.
+    Times count from the first direction sent; a log of a lab begins earlier, so that it can be
+    played from --start -5.
 
     Keys: space pause or go on; arrows 1 s back or on; , . previous and next control step;
     E e previous and next event; Home End; + - twice and half the rate;

@@ -55,9 +55,9 @@ def serve(
 ) -> int:
     """Show a trial in Foxglove or Lichtblick by a live WebSocket, until Ctrl-C.
 
-    It is served on this machine's loopback address under a random path; nothing is uploaded. The
-    browser opens Lichtblick if it runs here, otherwise Foxglove. A layout for the viewer's menu
-    "Layouts", "Import from file" is served too.
+    The trial is served on this machine's loopback address under a random path; nothing is uploaded.
+    The browser opens Lichtblick if it runs on this machine, otherwise Foxglove. A layout for the
+    viewer's menu "Layouts", "Import from file" is served too.
 
     A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a
     terminal the keys of `tetractl replay` do so too.
@@ -129,9 +129,10 @@ def open_logs(
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
-    under a random path; nothing is uploaded. If Lichtblick runs here, two more addresses are
-    printed: one opens the first log there, the other is a layout for its menu "Layouts", "Import
-    from file", which frames the arena, shows the scene and plots error, J, solve time and estimate.
+    under a random path; nothing is uploaded. If Lichtblick runs on this machine, two more addresses
+    are printed: one opens the first log in Lichtblick, the other is a layout for its menu
+    "Layouts", "Import from file", which frames the arena, shows the scene and plots error, J, solve
+    time and estimate.
 
     Example: tetractl open trial-000.mcap
     """

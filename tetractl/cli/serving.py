@@ -110,7 +110,7 @@ def answers(url: str) -> bool:
 
 @contextmanager
 def websockets_needed() -> Iterator[None]:
-    """Raise UsageError if the import in the block fails because the extra `serve` is not
+    """Raise UsageError if an import in the `with` block fails because the extra `serve` is not
     installed.
     """
     try:

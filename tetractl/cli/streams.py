@@ -144,7 +144,7 @@ class Output(io.TextIOWrapper):
         )
 
     def finish(self) -> None:
-        """Write what the descriptor accepts of the buffer; raise OSError once if `tells`."""
+        """Write as much of the buffer as the descriptor accepts; raise OSError once if `tells`."""
         self.flush()
         self.writer.finish()
 

@@ -1,4 +1,4 @@
-"""`tetractl study`: runs arms of trials with the same seeds, here, in shares or on a cluster."""
+"""`tetractl study`: runs arms of trials with the same seeds: at once, in shares or on a cluster."""
 
 import os
 import sys
@@ -125,7 +125,7 @@ def study(
         tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
             print(
-                f"notice: {sum(outdated.values())} trials are of outdated code and are kept:"
+                f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
                 f" {_listed(outdated)}; run them again with --rerun-outdated",
                 file=sys.stderr,
             )
@@ -204,7 +204,7 @@ def _conclude(
     if aborted:
         print(f"{aborted} trials aborted", file=sys.stderr)
     if lacking > 0:
-        print(f"{lacking} of {wanted} trials are lacking; go on with {how}", file=sys.stderr)
+        print(f"{lacking} of {wanted} trials are missing; continue with {how}", file=sys.stderr)
     if stopped:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED

@@ -8,7 +8,7 @@ from tetractl.film.follow import Followed
 
 
 def interval(decimals: int, value: Estimated | None) -> str:
-    """Return a value with its 95 % interval as text for a reader; "-" for an unknown value."""
+    """Return a value with its 95 % interval as text; "-" for an unknown value."""
     if value is None:
         return "-"
     show = fixed(decimals)
@@ -16,7 +16,7 @@ def interval(decimals: int, value: Estimated | None) -> str:
 
 
 def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
-    """Return the table for a reader, with one row per cell."""
+    """Return the table to print, with one row per cell."""
     known = any(cell.a is not None for cell in cells)
     columns = [
         Column("cell", [cell.cell for cell in cells]),
@@ -50,7 +50,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     if followed.guessed_scale:
         found.append(
             "warning: the scale is guessed, assuming bodies of 52.3 um; lengths and speeds have "
-            "its relative error. Give the scale by --scale"
+            "the scale's relative error. Give the scale by --scale"
         )
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")

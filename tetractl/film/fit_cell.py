@@ -65,7 +65,8 @@ class CellSummary:
     `path_um` is the length of the path along the helix's axis, `sway_rad` the amplitude of the
     body's swing about it; `helix_hz` and `helix_um` are frequency and radius of the helix. `a` and
     `bias` are None without a known field; `magnetised` is whether the interval of `a` lies above 0.
-    `probability` is the least in any picture that the cell was not mistaken for another.
+    `probability` is the probability that the cell was not mistaken for another, in the picture
+    where it is least.
     """
 
     cell: int
@@ -85,9 +86,9 @@ class CellSummary:
 
 @dataclass(frozen=True, slots=True)
 class TrackNoise:
-    """The noise of each of N cells, (N,): `walk` of the heading [rad/sqrt(s)], `exactness` of the
-    blobs relative to the usual noise, walks `unsteady` of the speed [um/s per sqrt(s)] and `stray`
-    of position and helix [um per sqrt(s)].
+    """The noise of each of N cells, (N,): `walk` of the heading [rad/sqrt(s)], `exactness`, the
+    blobs' noise relative to the usual noise, walks `unsteady` of the speed [um/s per sqrt(s)] and
+    `stray` of position and helix [um per sqrt(s)].
     """
 
     walk: Floats

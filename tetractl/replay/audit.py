@@ -123,13 +123,13 @@ def _steps(log: TrialLog) -> Iterator[Difference]:
         standing = k == 0 or (before is not None and before.plan.pauses)
         late = not standing and step.solve_ns > period_ns
         if step.deadline_missed != late:
-            text = f"states {step.deadline_missed} for {milliseconds(step.solve_ns):.3f} ms"
+            text = f"states {step.deadline_missed}, solved in {milliseconds(step.solve_ns):.3f} ms"
             yield Difference(k, "timing.deadline_missed", text)
         before = step
 
 
 def _at(k: int | None, found: tuple[str, str] | None) -> Iterator[Difference]:
-    """Yield what `first_difference` found as a difference in step `k`; nothing for None."""
+    """Yield a result of `first_difference` as a `Difference` in step `k`; nothing for None."""
     if found:
         yield Difference(k, *found)
 
@@ -142,7 +142,7 @@ def _order(step: Step, before: Step | None) -> Iterator[Difference]:
     if before is None:
         return
     if sent <= before.command.sent_ns or at.frame < before.observation.frame:
-        yield Difference(step.k, "command.sent_ns", "not after the step before")
+        yield Difference(step.k, "command.sent_ns", "not later than in the previous step")
 
 
 def _result(log: TrialLog, result: Result, same_host: bool) -> Iterator[Difference]:
@@ -255,7 +255,7 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
     if not least - 1e-6 <= result.duration_s <= most + STOPPING_S:
-        text = f"states {result.duration_s} s, but {least} to {most} s by the commands"
+        text = f"states {result.duration_s} s, but the commands give {least} to {most} s"
         yield Difference(None, "result.duration_s", text)
 
 

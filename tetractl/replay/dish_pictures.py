@@ -38,8 +38,8 @@ class DishPictures:
             self.corners = np.array([placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
-        """Return the index of the last picture taken up to a time [ns]; before the first picture
-        its index, None if there are no pictures.
+        """Return the index of the last picture taken up to a time [ns], 0 for an earlier time; None
+        if there are no pictures.
         """
         return max(bisect_right(self.times, when_ns) - 1, 0) if self.times else None
 

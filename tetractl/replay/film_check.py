@@ -55,7 +55,7 @@ class FilmCheck:
         for row, at in enumerate(times):
             if again and time.thread_time() > until:
                 again = False
-                self.notes.append(f"film: frame {log.frames[row]} and later take too long")
+                self.notes.append(f"film: not searched from frame {log.frames[row]} on: too slow")
             try:
                 self._check(row, by_time[at], again)
             except (DecodeError, ValueError) as error:

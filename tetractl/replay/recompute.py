@@ -157,7 +157,7 @@ class _Repeated:
         index: int,
         logged: Search,
     ) -> None:
-        """Add to `Rerun.wrong` what in a logged search contradicts its problem or its optimiser."""
+        """Add to `Rerun.wrong` how a logged search contradicts its problem or its optimiser."""
         name, wrong = f"searches.{index}", self._rerun.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
@@ -206,7 +206,7 @@ def recompute(
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
-        return Difference(None, "seed", f"no trial {log.start.trial} of seed {log.start.seed}")
+        return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
     setup, limit_s = log.start.setup, limits.seconds_limit()
     rerun = Rerun(search_again, cpu, limit_s)
     if not search_again:
@@ -222,7 +222,7 @@ def recompute(
             if rerun.expired():
                 raise _TooLongError
         except (_TooLongError, MemoryError):
-            text = f"not computed again: from here on it takes over {limit_s:g} s or much memory"
+            text = f"not computed again: the rest takes over {limit_s:g} s or much memory"
             return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
         except NoSearchError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
@@ -234,7 +234,7 @@ def recompute(
                 step.k, "plan", f"the controller ends the trial: {_outcome_text(decision)}"
             )
         if decision.generator != step.plan.generator:
-            text = f"logged {step.plan.generator}, but {decision.generator} by seed and trial"
+            text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
             return Difference(step.k, "generator", text)
         if step.plan.estimate is None and (log.damage or not estimated):
             # missing in the log: lost, or of an earlier version

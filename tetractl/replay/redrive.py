@@ -23,8 +23,8 @@ EARLY = 0.25  # a stop may precede the end of a control period by this fraction 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
 
-    Periods count from the first direction sent, which may belong to the square that robots drive
-    before the first plan to be identified. A direction sent in the first half of a period counts
+    Periods count from the first direction sent, which may belong to the square that robots drive,
+    to be identified, before the first plan. A direction sent in the first half of a period counts
     for the whole period. The remainder is the time for which the last direction was held after the
     last whole period. UsageError if no direction was sent, or if the field was off at times.
     """
@@ -33,7 +33,7 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
         (one for one in log.commands if one.direction is not None), key=lambda one: one.sent_ns
     )
     if not sent:
-        raise UsageError(f"{log.path}: contains no sent direction")
+        raise UsageError(f"{log.path}: no direction was sent")
     period = round(log.experiment.controller.period * SECOND)
     began = sent[0].sent_ns
     end = stopped_ns(log)

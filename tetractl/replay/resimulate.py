@@ -141,7 +141,7 @@ class _LoggedPlans:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Return the next logged plan; AbortError if the observation is not the logged one."""
+        """Return the logged plan of the next step; AbortError if its logged observation differs."""
         if self._k == len(self._steps):
             return End(self._outcome, max(0, self._ending.delay_ns))
         step = self._steps[self._k]
@@ -150,7 +150,7 @@ class _LoggedPlans:
             text = f"step {step.k} has frame {step.observation.frame}, not {observation.frame}"
             raise AbortError(text)
         if not 0 <= step.plan.delay_ns <= self._period_ns:
-            raise AbortError(f"step {step.k} is delayed by {step.plan.delay_ns} ns, over a period")
+            raise AbortError(f"step {step.k}: a delay of {step.plan.delay_ns} ns is out of range")
         return step.plan
 
 

@@ -129,7 +129,7 @@ def _entry_difference(
     if entry is None:
         return Difference(None, name, "missing")
     if entry[1:3] != made[1:3]:
-        return Difference(None, name, f"has the times {entry[1:3]}, but {made[1:3]} by the records")
+        return Difference(None, name, f"has the times {entry[1:3]}, not {made[1:3]}")
     if not same_host and made.topic in DRAWN:
         return None
     try:
@@ -266,5 +266,5 @@ def _difference(key: str, there: str | None, here: str | None) -> str:
     if there is not None and here is not None and key in provenance.LISTS:
         ours, theirs = set(here.split()), set(there.split())
         only = (" ".join(sorted(words)) or "no more" for words in (theirs - ours, ours - theirs))
-        return "{}: {} there, {} here".format(key, *only)
-    return f"{key}: {there or 'unknown'} there, {here or 'unknown'} here"
+        return "{}: {} on the log's host, {} on this one".format(key, *only)
+    return f"{key}: {there or 'unknown'} on the log's host, {here or 'unknown'} on this one"

@@ -97,8 +97,8 @@ def _title(paths: Sequence[Path], groups: Sequence[Group]) -> str:
 
 
 def _page(title: str, body: str, scripts: str) -> str:
-    """Return the whole page; its security policy allows no script but this one, and nothing from
-    outside the page.
+    """Return the whole page; its security policy allows only `scripts`, and nothing from outside
+    the page.
     """
     style = (ASSETS / "page.css").read_text()
     program = f'"use strict";\n{scripts}'
@@ -230,7 +230,7 @@ def _provenance(log: TrialLog) -> str:
 OF_A_TRIAL = ("trajectory", "convergence", "error", "timing")
 OF_A_BATCH = {
     "errors": "The error of each trial over time, the median, and the middle half of the trials",
-    "scatter": "Where each robot ended round its target, a dot per trial, with the covariance",
+    "scatter": "Where each robot ended relative to its target: a dot per trial, and the covariance",
 }
 FEWEST = 2  # least number of trials for the figures of a batch
 

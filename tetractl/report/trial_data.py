@@ -65,12 +65,12 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     direction sent.
 
     `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
-    For each control step, `steps` contains time, direction u (without one, what the robots do),
-    cost J, number of signals, solve time and the robots' distances to their targets (K, N). With
-    `plans`, `plan` contains the predicted positions and `history` the iterations and J of the
-    chosen search; step k has the entries `at[k]` to `at[k + 1]`. Points of both that are close to a
-    straight line between other points are left out. `dish` contains a microscope's pictures, for a
-    trial with `plans`.
+    For each control step, `steps` contains time, direction u (NaN while robots pause or turn, which
+    `undirected` states), cost J, number of signals, solve time and the robots' distances to their
+    targets (K, N). With `plans`, `plan` contains the predicted positions and `history` the
+    iterations and J of the chosen search; step k has the entries `at[k]` to `at[k + 1]`. Points of
+    both that are close to a straight line between other points are left out. `dish` contains a
+    microscope's pictures, for a trial with `plans`.
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
@@ -128,8 +128,8 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _thinned(log: TrialLog) -> "np.ndarray[Any, np.dtype[np.intp]]":
-    """Return the indices of at most `FRAMES_HZ` frames per second, from one control period before
-    the first direction on.
+    """Return the indices of the frames to show: at most `FRAMES_HZ` per second, none earlier than
+    one control period before the first direction.
     """
     times = log.mocap_ns
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))

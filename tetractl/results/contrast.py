@@ -165,7 +165,7 @@ def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
     """Return the differences (n,) between the total errors of paired trials, `one` minus `other`,
     and "" or the reason why there are no pairs.
 
-    A pair are two simulated trials with the same seed, number and disturbances, which do not depend
+    A pair is two simulated trials with the same seed, number and disturbances, which do not depend
     on the controller.
     """
     if not (one.origin.simulated and other.origin.simulated):

@@ -242,5 +242,5 @@ def proportion_interval(successes: int, n: int) -> Interval:
 
 
 def percent(share: Interval) -> str:
-    """Return the interval of a fraction such as " (0 to 16 %)", "" for none."""
+    """Return the interval of a fraction as text, such as " (0 to 16 %)"; "" if there is none."""
     return f" ({100 * share.low:.0f} to {100 * share.high:.0f} %)" if share.known else ""

@@ -308,8 +308,8 @@ def _double_ranks(values: Floats) -> NDArray[np.int64]:
 
 
 def _two_sided(probability: Floats, seen: int) -> float:
-    """Return the two-sided probability of a sum at least as extreme as `seen`; `probability` has
-    that of each sum from 0 on.
+    """Return the two-sided probability of a sum at least as extreme as `seen`; `probability[k]` is
+    the probability of the sum k.
     """
     tails = probability[: seen + 1].sum(), probability[seen:].sum()
     return min(1.0, 2 * float(min(tails)))

@@ -62,7 +62,7 @@ has none.
 def least(key: str, label: str, of: Distances) -> Statistic:
     """Return a statistic: the least distance over all robots and trials.
 
-    A trial whose log lacks the distance is left out; its cell in the column of trials is empty.
+    A trial whose log lacks the distance is left out; its cell in the table of trials is empty.
     """
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
@@ -87,8 +87,8 @@ APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:
-    """Return the sum of the robots' distances to each way-point when it was passed, None if it
-    never was.
+    """Return, for each way-point, the sum of the robots' distances to it when it was passed, None
+    if it was not.
     """
     wanted = len(trial.experiment.setup.legs) - 1
     known = (*trial.result.passed, *[None] * wanted)[:wanted]

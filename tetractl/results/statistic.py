@@ -1,5 +1,5 @@
-"""Statistics of a batch, which appear in every table, in JSON, and as columns of each trial
-in CSV.
+"""Statistics of a batch, shown in tables and JSON; their values for single trials are columns of
+the CSV table of trials.
 """
 
 import math
@@ -46,7 +46,7 @@ def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:
     """Return a statistic: the mean and its 95 % interval, over complete trials, of a number per
     trial.
 
-    A trial without a finite number is left out of the mean; its cell in the column of trials is
+    A trial without a finite number is left out of the mean; its cell in the table of trials is
     empty.
     """
 

@@ -22,10 +22,11 @@ from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 
 COARSE = 2.0
-"""Value of a T, turning rate times time per signal, above which headings of (6) oscillate with a
-growing amplitude."""
+"""Value of a T, turning rate times time per signal, above which headings of equation (6) oscillate
+with a growing amplitude.
+"""
 OVERSHOOTING = ("euler", "arc")
-"""The motions whose heading advances by (6)."""
+"""The motions whose heading advances by equation (6)."""
 TURN = 2 * math.pi
 ALIKE = 0.05
 """Robots are alike if their a differ by at most this fraction, and their start headings by at most
@@ -136,11 +137,11 @@ def coarse_period(spec: CheckContext) -> Iterator[SpecWarning]:
         return
     i = int(turned.argmax())
     if spec.motion in OVERSHOOTING:
-        effect = "by (6) its heading overshoots a held direction further at every step"
+        effect = "by equation (6) its heading overshoots a held direction further at each step"
     elif len(quick) > 1:
         slowest = float(turned[quick].min())
         effect = (
-            f"{len(quick)} robots do {-100 * math.expm1(-slowest):.3g} % or more of a turn in T"
+            f"{len(quick)} robots make {-100 * math.expm1(-slowest):.3g} % or more of a turn in T"
         )
     else:  # the motion is exact for any period, and one fast robot differs from the others
         return
@@ -281,7 +282,7 @@ def walled_off(spec: CheckContext) -> Iterator[SpecWarning]:
     for i in np.flatnonzero(apart > 0):
         yield SpecWarning(
             ("robots", int(i), "target"),
-            f"is walled off: past the obstacles, the robot comes within {apart[i]:.4g} {spec.unit}",
+            f"is walled off: the robot comes no nearer than {apart[i]:.4g} {spec.unit}",
             "open a gap between the obstacles",
         )
     if spec.margin > 0:

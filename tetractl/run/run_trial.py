@@ -173,7 +173,7 @@ class Trial:
             pool.shutdown(wait=False, cancel_futures=True)
 
     def _plan_driving(self, observation: Observation, info: PlantInfo, square: Square) -> Decision:
-        """Compute the first plan while the robots drive squares (IV-B.1)."""
+        """Compute the first plan while the robots drive squares (section IV-B.1 of the paper)."""
         side = round(square.side * SECOND)
         pool = ThreadPoolExecutor(1)
         try:

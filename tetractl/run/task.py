@@ -56,27 +56,27 @@ class Relay:
         self._worker.close()
 
     def on_start(self, start: Start) -> None:
-        """Call the observer directly, as no robot moves yet."""
+        """Pass the start to the observer directly, since no robot moves yet."""
         self._observer.on_start(start)
 
     def on_samples(self, samples: list[Sample]) -> None:
-        """Queue the call."""
+        """Queue camera frames for the observer."""
         self._worker.put(self._observer.on_samples, samples)
 
     def on_step(self, step: Step) -> None:
-        """Queue the call."""
+        """Queue a control step for the observer."""
         self._worker.put(self._observer.on_step, step)
 
     def on_command(self, command: Command) -> None:
-        """Queue the call."""
+        """Queue a command for the observer."""
         self._worker.put(self._observer.on_command, command)
 
     def on_note(self, note: Note) -> None:
-        """Queue the call."""
+        """Queue an operator message for the observer."""
         self._worker.put(self._observer.on_note, note)
 
     def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the call, and wait until all queued calls are done."""
+        """Queue the stop and the result; wait until the observer has received everything."""
         self._worker.put(self._observer.on_stop, stop, result)
         self._worker.drain()
 

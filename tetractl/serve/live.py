@@ -354,7 +354,7 @@ class ServedRun:
         self._viewers, self._wall = viewers, wall
 
     def on_start(self, start: Start) -> None:
-        """Send the scene of a new trial; the viewers' time goes to its start."""
+        """Send the scene of a new trial, and set the viewers' time to its start."""
         self._messages = Messages(start)
         self._paced = start.plant.simulated
         self._began_ns = self._wall.now()

@@ -130,7 +130,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.end_headers()
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
-        """Call `converse` with the WebSocket's connection and the request that was read here."""
+        """Call `converse` with the WebSocket's connection and the request that was read from it."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):

@@ -35,7 +35,7 @@ class Logs:
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Return the rule for `all`, `failed`, `sample:N` or `none`; UsageError for another."""
+        """Return the rule for `all`, `failed`, `sample:N` or `none`; UsageError otherwise."""
         if text == "all":
             return cls(float("inf"), True)
         if found := re.fullmatch(r"sample:([1-9]\d{0,6})", text):

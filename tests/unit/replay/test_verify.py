@@ -180,7 +180,9 @@ def elsewhere(name, facts):
 def test_on_another_processor_equal_bits_still_count(tmp_path, contents):
     found = verify(rewrite(contents, tmp_path / "other.mcap", {}, elsewhere))
     assert (found.method, found.problems) == (Method.RECOMPUTED, ())
-    assert found.elsewhere == (f"cpu: another there, {provenance.host()['cpu']} here",)
+    assert found.elsewhere == (
+        f"cpu: another on the log's host, {provenance.host()['cpu']} on this one",
+    )
 
 
 def test_on_another_processor_the_costs_have_to_agree(tmp_path, contents, monkeypatch):
@@ -255,7 +257,7 @@ def test_the_time_that_verifying_takes_is_bounded(log):
     ticks = iter(range(0, 100_000, 4))
     found = recompute(read_trial(log), search_again=True, cpu=lambda: next(ticks))
     assert found is not None
-    assert "not computed again: from here on it takes over 15 s" in found.message
+    assert "not computed again: the rest takes over 15 s" in found.message
 
 
 def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):

@@ -56,17 +56,17 @@ controller.horizon_max <- controller.horizon_max=20
 controller.horizon_max <- controller.horizon_max=102; controller.steps_max=100
   plans of 20.4 s outlast the trial, .* 20.2 s | horizon_max to 101
 robots.1.target <- WALL
-  walled off: .* within 49\d | gap
+  walled off: .* nearer than 49\d | gap
 robots.1.target <- GAP; NEAR
   no path to it that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
   is 20 mm from the nearest obstacle or wall; the plans keep 25 | margin
 controller.period <- controller.period=0.4; controller.motion=euler; ON
-  a T = 2.4 for green, .* T = 0.4 s, is above 2: by \(6\) its heading overshoots | less than 0.333 s
+  a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
-  a T = 3.6 for green, .* 2 robots do 90.9 % | less than 0.333 s
+  a T = 3.6 for green, .* 2 robots make 90.9 % | less than 0.333 s
 controller.period <- LAB; controller.hold=14
-  a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots do 87.8 % | 0.333 s
+  a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots make 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
   is 0.3 s, but the controller assumes 0 s: .* 1.5 control periods | controller.dead_time to 0.3
 robots.1.start <- LAB; robots.blue.start=[900, 890]
@@ -184,4 +184,4 @@ def test_a_value_under_an_earlier_name_is_found_where_it_was_written():
     sets = ["controller.period=0.4", ON]
     (warning,) = find_warnings(parse_spec(text, "old", sets), sets)
     assert warning.origin == "--set controller.period=0.4"
-    assert "by (6) its heading overshoots" in warning.message
+    assert "by equation (6) its heading overshoots" in warning.message

@@ -52,8 +52,8 @@ def find_logs(
 def without_others(paths: Iterable[Path | str]) -> list[Path]:
     """Return the paths without those files whose endings show that they are not logs.
 
-    Such files are named when a shell expands `logs/slip/*`: to the tables and figures of a study,
-    besides the folders of its arms. Raises UsageError if no path is left.
+    A shell expands `logs/slip/*` to such files: the tables and figures of a study, besides the
+    folders of its arms. Raises UsageError if no path is left.
     """
     places = [Path(path) for path in paths]
     kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]

@@ -201,7 +201,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"it was written with {', '.join(used)}; install that" if used else None,
+            f"it was written with {', '.join(used)}: install this version" if used else None,
         ) from None
     return experiment, Start(
         setup=experiment.setup,

@@ -95,7 +95,7 @@ class TrialLog(TrialRecords):
         """The time of the first direction: 0 on every time axis shown to users.
 
         In the lab the trial's clock starts earlier, while the robots are placed. If the first steps
-        are lost, it is computed from the control period; without directions it is 0.
+        are lost, the time is computed from the control period; without directions it is 0.
         """
         directed = (one.sent_ns for one in self.commands if not one.stops)
         sent = [*islice(directed, 1)]  # commands are in the order of sending

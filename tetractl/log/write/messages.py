@@ -120,7 +120,7 @@ class Messages:
         """Return the messages for camera frames: few for a simulation, two per frame for a lab.
 
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
-        transforms with the same times, so that a change of one copy shows.
+        transforms with the same times, so that a change of one copy can be detected.
         """
         made = list[Entry]()
         for begin in range(0, len(frames.numbers), self._most):

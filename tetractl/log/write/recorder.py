@@ -14,7 +14,7 @@ from tetractl.log.write.messages import Notes
 
 
 class Recorder:
-    """Keeps the records of one trial; `trial` returns them as its log would."""
+    """Keeps the records of one trial; `trial` returns them like a trial read from its log."""
 
     result: Result | None = None
 

@@ -196,7 +196,7 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
 def tables(found: IdentifiedRobots) -> list[Table]:
     """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
     logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
-    since = "" if found.frame_age is None else f"; its frame is {found.frame_age:.4f} s older"
+    since = "" if found.frame_age is None else f"; frames are {found.frame_age:.4f} s old then"
     labels = [
         f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
         for name, unit in QUANTITIES.items()

@@ -177,7 +177,7 @@ def _drive(track: Track, begin: float) -> Drives:
     `begin` [s].
     """
     if not len(track.sent):
-        raise UsageError(f"{track.source}: contains no sent direction")
+        raise UsageError(f"{track.source}: no direction was sent")
     origin = float(track.sent[0])
     kept = _thinned(track.time)
     time, poses, valid = track.time[kept], track.poses[kept], track.valid[kept]
@@ -225,7 +225,7 @@ def substeps(
     intervals: Intervals, when: Floats, tau: float
 ) -> list[tuple[NDArray[np.int64], Floats]]:
     """Return which of the directions sent at `when` (C,) [s] act in each interval: a pair of arrays
-    for the oldest one in each interval, a pair for the next, and so on.
+    for the oldest direction in each interval, a pair for the next, and so on.
 
     A pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
     interval has fewer directions. A direction acts from `tau` [s] after it was sent; the first

@@ -63,7 +63,7 @@ def robot_labels(names: Sequence[str]) -> list[str]:
 def unfinished(log: TrialLog) -> str:
     """Return the outcome and reason of a trial that was not completed, "" for a complete one."""
     if log.result is None:
-        return "the log ends before its trial"
+        return "the log breaks off before the end of the trial"
     if log.result.outcome.complete:
         return ""
     return f"{log.result.outcome.value}: {log.result.reason}"

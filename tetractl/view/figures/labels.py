@@ -73,8 +73,8 @@ class Labels:
     """Writes times next to the trails, each where it is farthest from other marks."""
 
     def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
-        """Place labels away from `trails` (M, 2); `point` is how many length units 1/72 inch of the
-        figure shows.
+        """Place labels away from `trails` (M, 2); `point` is the number of length units that 1/72
+        inch of the figure shows.
         """
         self._axes, self._point = axes, point
         self._taken = trails[np.isfinite(trails).all(axis=1)]

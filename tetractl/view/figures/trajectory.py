@@ -60,7 +60,7 @@ class DishGround:
         which = self._pictures.at(when_ns)
         if which is None or which == self._shown:
             return False
-        assert self._image is not None, "with a picture there is an image"
+        assert self._image is not None, "`_image` is set if there are pictures"
         self._image.set_data(self._pictures.grey(which))
         self._shown = which
         return True

@@ -167,7 +167,7 @@ class TerminalPrompt:
             self._shown = lines, questions
             self._entered.clear()
             ready = "all robots stand on their starts: press Enter to go"
-            ready += ", if the answer is yes" if questions else ""
+            ready += ", if your answers are yes" if questions else ""
             for text in (*questions, "; ".join(lines) or ready):
                 self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 

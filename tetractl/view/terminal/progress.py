@@ -109,7 +109,7 @@ class StudyProgress(_TrialsBar):
         if not (self._expected or self._quiet) and self._results >= FIRST and ending.every_arm:
             self._expected = True
             if left_s:
-                by = f"by the first {self._results} trials"
+                by = f"estimated from the first {self._results} trials"
                 self._say(f"expected duration {duration(left_s)}, {by}")
         before = self._done * LINES // self._total
         self._advance(_left(ending))

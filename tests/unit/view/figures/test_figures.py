@@ -308,7 +308,9 @@ def test_an_aborted_trial_says_so(log, kind):
     aborted = replace(log.result, outcome=Outcome.ABORTED, reason="red is not tracked (0.30 s)")
     text = words(draw(kind, [replace(log, result=aborted)]))
     assert "aborted: red is not tracked (0.30 s)" in text
-    assert "the log ends before its trial" in words(draw(kind, [cut_short(log, 3)]))
+    assert "the log breaks off before the end of the trial" in words(
+        draw(kind, [cut_short(log, 3)])
+    )
 
 
 @given(st.lists(st.floats(0, 1), min_size=1, max_size=20), st.floats(0.001, 0.05))

@@ -161,7 +161,7 @@ def test_a_study_prints_failures_the_expected_duration_and_each_tenth():
     lines = study_progress(Console(file=io.StringIO(), force_terminal=False, width=40))
     assert [line for line in lines if line.startswith("failed")] == FAILURES
     assert [line for line in lines if "expected" in line] == [
-        "expected duration 17 s, by the first 3 trials"
+        "expected duration 17 s, estimated from the first 3 trials"
     ]
     tenths = [f"{2 * i} of 20 trials, {20 - 2 * i} s left" for i in range(1, 11)]
     assert [line for line in lines if "of 20" in line] == tenths

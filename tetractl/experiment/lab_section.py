@@ -165,7 +165,7 @@ class LabLimits(Model):
     report heights.
     """
     tilt: Positive = 0.5
-    """Largest tilt of a body's upward axis from the vertical [rad]; more is rejected."""
+    """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
     damaged_frames: int = Field(default=20, ge=1, le=100_000)
     """The run aborts if more camera frames than this are damaged within a second."""
     edge_mm: NonNegative = 0.0

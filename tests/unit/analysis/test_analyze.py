@@ -105,7 +105,7 @@ def test_more_noise_is_more_error():
 def test_what_the_plant_has_beside_the_noise_is_said():
     found = of(a=(6,), plant=NOISE | {"dead_time": 0.1, "lost_commands": 0.1})
     assert found.left_out == ("dead_time", "lost_commands")
-    assert "not dead_time, lost_commands" in dict(tables(found)[0].rows)["noise assumed"]
+    assert "without dead_time, lost_commands" in dict(tables(found)[0].rows)["noise assumed"]
 
 
 def test_any_controller_is_analysed_by_multistart():

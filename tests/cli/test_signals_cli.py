@@ -56,7 +56,7 @@ def test_eight_signals_at_once_lose_neither_the_log_nor_the_last_lines(tmp_path,
             assert not read_result(path).recovered
         lines = running.err.read_text().splitlines()
         assert lines[-2].startswith("logs in logs")
-        assert lines[-1] == "interrupted; go on with the same command and --out logs --resume"
+        assert lines[-1] == "interrupted; continue with the same command and --out logs --resume"
 
 
 @pytest.mark.parametrize("module", first_of(["numba", "typer", "pydantic", "tetractl.run.task"]))

@@ -39,7 +39,7 @@ run spec.yaml --resume | --resume needs --out
 run spec.yaml --port 1 | --port needs --serve
 run spec.yaml --serve --jobs 2 | --serve shows one trial at a time
 run lab.yaml --plant lab --jobs 2 | one trial at a time
-serve spec.yaml --paused | only a LOG is played back
+serve spec.yaml --paused | only a LOG can be played back
 serve LOG --rate 0 | --rate must be above 0
 rerun LOG --seed 3 | No such option
 study study.yaml --shard 3/2 | --shard 3/2: must be i/n

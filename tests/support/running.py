@@ -125,5 +125,5 @@ def assert_interrupted(running, trials, reason=""):
         assert log.result.reason.startswith(reason)
         assert len(log.steps) == log.result.steps
     last = running.err.read_text().splitlines()[-1]
-    assert last == "interrupted; go on with the same command and --out logs --resume"
+    assert last == "interrupted; continue with the same command and --out logs --resume"
     assert "interrupted" in running.out.read_text()

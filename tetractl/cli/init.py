@@ -105,7 +105,7 @@ def init(
     if lab and cells:
         raise UsageError(
             "--lab and --cells exclude each other: the lab has robots, not cells",
-            "give one of the two",
+            "leave out one of the two options",
         )
     path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
     if not NAME.fullmatch(path.stem):

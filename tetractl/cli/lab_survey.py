@@ -69,7 +69,7 @@ def survey(
     if choice is None or not experiment.open:
         raise UsageError(
             f"{spec}: lists its robots, so a survey has no cells to choose",
-            "a survey needs robots: {choose: N, ...}",
+            "a survey needs `robots: {choose: N, ...}` in the spec",
         )
     refuse_existing(output)
     require_confirmation(yes)

@@ -20,8 +20,8 @@ def plot(
             "-o",
             "--out",
             metavar="FILE",
-            help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png here. A film:"
-            " .mp4, .gif or .webp, by default LOG-video.gif.",
+            help="Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. "
+            "A film: .mp4, .gif or .webp, by default LOG-video.gif.",
         ),
     ] = None,
     kind: Annotated[

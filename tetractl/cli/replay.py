@@ -29,7 +29,7 @@ def replay(
     until: Annotated[
         float | None, typer.Option(metavar="S", help="Stop at this second of the trial.")
     ] = None,
-    loop: Annotated[bool, typer.Option("--loop", help="Begin again at the end.")] = False,
+    loop: Annotated[bool, typer.Option("--loop", help="At the end, start again.")] = False,
     paused: Annotated[
         bool, typer.Option("--paused", help="Start paused, until a key is pressed.")
     ] = False,
@@ -39,9 +39,9 @@ def replay(
     Times count from the first direction sent; a log of a lab begins earlier, so that it can be
     played from --start -5.
 
-    Keys: space pause or go on; arrows 1 s back or on; , . previous and next control step;
-    E e previous and next event; Home End; + - twice and half the rate;
-    p n previous and next trial; ? all keys; q quit.
+    Keys: space pause or continue; arrows 1 s back or forward; , . previous and next control step; E
+    e previous and next event; Home End; + - twice and half the rate; p n previous and next trial; ?
+    all keys; q quit.
 
     Without a terminal it prints one line per control step and event.
 

@@ -42,7 +42,7 @@ def serve(
     until: Annotated[
         float | None, typer.Option(metavar="S", help="With a LOG: end at this second of the trial.")
     ] = None,
-    loop: Annotated[bool, typer.Option(help="With a LOG: begin again at its end.")] = True,
+    loop: Annotated[bool, typer.Option(help="With a LOG: at its end, start again.")] = True,
     paused: Annotated[
         bool,
         typer.Option(
@@ -59,8 +59,8 @@ def serve(
     The browser opens Lichtblick if it runs on this machine, otherwise Foxglove. A layout for the
     viewer's menu "Layouts", "Import from file" is served too.
 
-    A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and on a
-    terminal the keys of `tetractl replay` do so too.
+    A LOG is played over and over: the viewer plays, pauses, seeks and sets the rate, and so do the
+    keys of `tetractl replay` on a terminal.
 
     The trials of a SPEC are run as by `tetractl run SPEC --serve`; that command has more options.
 
@@ -71,7 +71,7 @@ def serve(
 
         if (rate, start, until, loop, paused) != (1.0, 0.0, None, True, False):
             raise UsageError(
-                "only a LOG is played back",
+                "only a LOG can be played back",
                 "leave out the options for playback, or give a LOG in place of the SPEC",
             )
         return run(what, serve=True, port=port)

@@ -43,7 +43,7 @@ def track(
             min=0.1,
             max=2000,
             metavar="HZ",
-            help="Pictures per second, if the film's own rate is wrong or lacking.",
+            help="Pictures per second, if the film's own rate is wrong or missing.",
         ),
     ] = None,
     y_down: Annotated[

@@ -302,7 +302,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         return Exit.FAILED
     if report.interrupted or (stopped and lacking):
         again = f"the same command and --out {folder} --resume"
-        print(f"interrupted; go on with {again}", file=sys.stderr)
+        print(f"interrupted; continue with {again}", file=sys.stderr)
         return Exit.INTERRUPTED
     first = min((trial for _, trial in report.results), default=0)
     print(f"look at one with: tetractl replay {log_path(folder, first)}", file=sys.stderr)

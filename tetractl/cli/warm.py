@@ -1,4 +1,4 @@
-"""`tetractl warm`: compile what specs need before they are run."""
+"""`tetractl warm`: compile the code that specs need before they are run."""
 
 import sys
 from pathlib import Path
@@ -25,7 +25,8 @@ def warm(
     ] = None,
     sets: Sets = None,
 ) -> int:
-    """Compile what specs and studies need, with progress, so that their runs start at once.
+    """Compile the code that specs and studies need, with progress, so that their runs start at
+    once.
 
     Compiled code is kept on this machine, for each kind of processor and each combination of
     controller, optimiser, motion and shapes. Run this command again after a change of one of these.

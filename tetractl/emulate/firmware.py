@@ -101,7 +101,7 @@ def _build(codes: list[Path], path: Path) -> None:
 
 
 class CoreEvent(IntEnum):
-    """The result of reading a byte: what kind of frame, if any, the byte completed."""
+    """The result of reading a byte: the kind of frame that the byte completed, if any."""
 
     NOTHING = 0
     ACCEPTED = 1

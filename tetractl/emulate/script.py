@@ -58,7 +58,7 @@ class Emulation(Model):
 
 
 class Runner(Model):
-    """Actions of the end-to-end test on the run."""
+    """How the end-to-end test starts and disturbs the run."""
 
     sets: tuple[str, ...] = Field(default=(), alias="set")
     """`--set` settings for both the run and the emulator."""
@@ -109,7 +109,7 @@ class Script(Model):
     )
     """The faults and their times."""
     runner: Runner = Runner()
-    """Actions of the end-to-end test on the run."""
+    """How the end-to-end test starts and disturbs the run."""
     expect: Expect | None = None
     """The result that a test expects of the run."""
 

@@ -40,7 +40,7 @@ class GuardState(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class GuardRules:
-    """The spec's `limits`, and what the guard needs to know of robots and arena.
+    """The spec's `limits`, and the properties of robots and arena that the guard needs.
 
     `speeds` (N,) are the robots' v [length unit/s], `turning` (N,) their greatest turning rates
     [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can

@@ -76,7 +76,7 @@ def _lost(rig: Rig) -> list[str]:
 
 def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
     """Return why robot i does not count as standing still in the frames of `window`; "" if it
-    does.
+    stands still.
     """
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]

@@ -203,7 +203,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
-    due = [(KILL_S, signal.SIGKILL, "killed it: its log is cut short, see `tetractl recover`")]
+    due = [(KILL_S, signal.SIGKILL, "killed it; `tetractl recover` mends its log")]
     due.insert(0, (AGAIN_S, signal.SIGTERM, "asked it to end at once"))
     due.insert(0, (0.0, signal.SIGTERM, "asked it to stop its robots and end"))
     words = command_line(pid) if pid else []

@@ -234,7 +234,7 @@ class IdentityWatch:
         for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
             if probability < SURE and i not in self._since_ns:
                 self._since_ns[i] = now
-                text = f"{name} has met another cell: its identity has the probability"
+                text = f"{name} has met another cell: the probability of its identity is"
                 yield Note(now, "warning", f"{text} {probability:.2f}")
             elif probability >= SURE and self._since_ns.pop(i, None) is not None:
                 yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")

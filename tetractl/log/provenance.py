@@ -71,8 +71,8 @@ def _present(features: Mapping[str, bool]) -> str:
 
 
 def processor(host: Mapping[str, str]) -> str:
-    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if the facts in `host`
-    lack it.
+    """Return the type of a host's processor, such as `znver3-1a2b3c`; "" if it is not among the
+    facts in `host`.
 
     It is LLVM's name and six digits that identify the instruction sets in use: results of code
     compiled for two types may differ in the last bits.

@@ -16,7 +16,7 @@ COORDINATES = ("x", "y", "heading")
 @dataclass(frozen=True, slots=True)
 class Difference:
     """A value that contradicts the log: its control step (None outside of steps), its field, and a
-    message with what was found.
+    message that describes the contradiction.
     """
 
     step: int | None

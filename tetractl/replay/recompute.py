@@ -59,8 +59,8 @@ class Rerun:
 
     A search that was ended by the deadline is repeated with a deadline that passes once the logged
     number of evaluations is done. With `search_again` False, nothing is searched: the logged
-    searches are returned, and what contradicts them is added to `wrong`. `limit_s` is the processor
-    time allowed after `start`, and `cpu` the clock that measures it [s].
+    searches are returned, and contradictions are added to `wrong`. `limit_s` is the processor time
+    allowed after `start`, and `cpu` the clock that measures it [s].
     """
 
     def __init__(self, search_again: bool, cpu: Callable[[], float], limit_s: float) -> None:

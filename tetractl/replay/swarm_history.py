@@ -47,8 +47,8 @@ class SwarmHistory:
 
     `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) its
     local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two signals,
-    (12), with the lowest row first; the other signals are those of u_gb, the best sequence found.
-    `repeated` is whether J(u_gb) agrees with the log in every iteration.
+    given by equation (12), with the lowest row first; the other signals are those of u_gb, the best
+    sequence found. `repeated` is whether J(u_gb) agrees with the log in every iteration.
     """
 
     frames: tuple[Frame, ...]

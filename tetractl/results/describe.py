@@ -180,7 +180,7 @@ def _notes(trial: ResultSummary) -> list[str]:
     if gone := sum(trial.result.lost):
         notes.append(f"{gone} robot{'s' * (gone > 1)} lost")
     if trial.outcome is Outcome.STEPS_MAX:
-        notes.append(f"not over after {trial.result.steps} steps")
+        notes.append(f"did not end in {trial.result.steps} steps")
     if trial.warnings and not trial.simulated:
         notes.append(f"{trial.warnings} warning{'s' * (trial.warnings > 1)}")
     if trial.recovered:

@@ -107,7 +107,7 @@ def estimates(log: TrialLog) -> Table:
 
 
 def events(log: TrialLog) -> Table:
-    """Return one row per event, such as a lost command, lost tracking, or the end."""
+    """Return one row per event, such as a lost command, lost tracking, or the end of the trial."""
     found = log.events
     columns = {
         "time_s": [event.time_s for event in found],

@@ -96,7 +96,7 @@ def error_of(loaded: LoadedStudy, store: Store, arms: Sequence[Arm]) -> Distribu
     """Describe the total error over the trials that have a result in all `arms`.
 
     Trials with the same number have the same seed in every arm, so their mean over the arms counts
-    as one observation. If each trial counted as one, the interval would be too short.
+    as one observation. If each trial counted separately, the interval would be too short.
     """
     errors = [
         {

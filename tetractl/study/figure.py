@@ -35,7 +35,8 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
-    """Draw the mean total error with its 95 % interval against a field; None if no trial has one.
+    """Draw the mean total error with its 95 % interval against a field; None if no trial has an
+    error.
 
     If several arms share a value, each trial is represented by its mean over these arms.
     """

@@ -234,7 +234,7 @@ def test_flagged_trials_are_those_that_ended_oddly():
     found = flagged(Batch.of(trials))
     assert [(one.path, one.notes[1]) for one in found] == [
         ("trial-001.mcap", "green, red entered an obstacle"),
-        ("trial-002.mcap", "not over after 31 steps"),
+        ("trial-002.mcap", "did not end in 31 steps"),
     ]
     lab = [replace(one, origin=Origin.LAB, digest=one.path) for one in trials]
     assert ("in the means", "2 warnings") in [one.notes for one in flagged(Batch.of(lab))]

@@ -139,7 +139,7 @@ def test_the_tail_of_the_errors_has_a_row_with_the_bound_of_the_spec_or_ten_medi
 def test_a_long_list_of_flagged_trials_is_cut():
     text = printed(group(batch(ERRORS * 2, outcome=Outcome.STEPS_MAX)))
     assert "20 more" in text
-    assert text.count("not over after") == 20
+    assert text.count("did not end in") == 20
 
 
 def test_more_groups_than_fit_abreast_have_tables_of_their_own():

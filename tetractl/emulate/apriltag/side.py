@@ -78,7 +78,7 @@ class Optics:
             size = np.array([width, height])
             if (np.ptp(pixels, axis=0) < 0.96 * size).all():
                 return replace(made, position=at).centred(corners)
-        raise ValueError("no distance of the camera shows all floor tags in one picture")
+        raise ValueError("the camera cannot see all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
         """Return the camera turned so that points (M, 3) [m] lie in the middle of the picture."""
@@ -223,7 +223,7 @@ class Renderer:
         part += ink[..., 0]
 
     def _texture(self, number: int) -> Shades:
-        """Return the grey level and the coverage, which is 1, of a tag's card: (side, side, 2)."""
+        """Return a tag's card (side, side, 2): the grey level, and a coverage of 1."""
         if number not in self._textures:
             modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
             grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))

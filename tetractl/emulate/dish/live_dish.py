@@ -137,7 +137,7 @@ class CellBody:
         return not self.dish.steered
 
     def place(self, x: float, y: float, heading: float) -> None:
-        """Put the cell at a pose [mm, rad]; if the dish's cells are `held`, it stays there."""
+        """Put the cell at a pose [mm, rad], where it stays if the dish's cells are `held`."""
         cells, row = self.dish.cells, self.row
         cells.x[row], cells.y[row], cells.heading[row] = x * UM_MM, y * UM_MM, heading
         cells.resting[row] = self.dish.held

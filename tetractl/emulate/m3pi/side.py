@@ -146,7 +146,7 @@ FAULTS = (
     ),
     fault(
         "wheel_stuck",
-        "A wheel, or both, no longer turn.",
+        "One or both wheels no longer turn.",
         settings(_robot_of, stuck=lambda f: STUCK[f.wheel]),
         robot=Name,
         wheel=Wheel,

@@ -173,7 +173,7 @@ FAULTS = (
     ),
     fault(
         "repeat",
-        "The pose of a body, or of all, is repeated in new frames.",
+        "The pose of a body, or of all bodies, is repeated in new frames.",
         _repeat,
         EXPOSED,
         robot=(Name | None, None),
@@ -220,7 +220,7 @@ FAULTS = (
         _run_clock,
         rate=Positive,
     ),
-    fault("twin_id", "A body has the id of another.", _twin, EXPOSED, robot=Name, other=Name),
+    fault("twin_id", "A body has the id of another body.", _twin, EXPOSED, robot=Name, other=Name),
 )
 
 

@@ -18,7 +18,7 @@ _OLD_SERVER = "EMULATED"  # part of an emulated server's name, in logs without t
 
 
 class Origin(StrEnum):
-    """The plant of a trial, which every table and figure names."""
+    """The kind of plant of a trial, which every table and figure states."""
 
     UNDISTURBED = "undisturbed simulation"
     DISTURBED = "disturbed simulation"

@@ -98,7 +98,7 @@ def check_alike(logs: Sequence[TrialLog]) -> None:
 
 
 def final_poses(log: TrialLog) -> Floats:
-    """Return the final poses (N, 3) of the result or, without one, the last measured poses."""
+    """Return the final poses (N, 3) of the result or, without a result, the last measured poses."""
     if log.result is not None:
         return log.result.verdict.final.array()
     poses = log.start.setup.starts.array()

@@ -101,8 +101,8 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     """Return the robots' distances to their targets (M, N) at times (M,) since the first command
     [s].
 
-    A distance is the last one measured up to its time; from the last frame on, it is the error in
-    the result, if there is one.
+    Each distance is the last measured up to its time or, from the last frame on, the error in the
+    result, if the log has a result.
     """
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)

@@ -142,8 +142,8 @@ def print_lines(
 ) -> None:
     """Print the control steps and events of a span [ns], in the order of their times.
 
-    Lines appear at `rate` times the trial's speed; without a rate all at once or, with `loop`, at
-    the trial's speed.
+    Lines appear at `rate` times the trial's speed. Without a rate they appear at once or, with
+    `loop`, at the trial's speed.
     """
     start_ns, until_ns = span
     pace = rate or (1.0 if loop else None)

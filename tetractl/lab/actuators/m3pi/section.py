@@ -52,8 +52,8 @@ class M3piRobot(RobotPart):
     """A robot's entry in the actuator's section: radio address and wheels."""
 
     index: int | None = Field(default=None, ge=0, le=31)
-    """Number of the robot in broadcasts, as built into its firmware; by default its index in this
-    list.
+    """Number of the robot in broadcasts, as built into its firmware; by default the number of its
+    entry in `robots`, from 0.
     """
     address: int | None = Field(default=None, ge=0, le=0xFFFD)
     """16-bit radio address (MY) of the robot's module; needed for `slave`."""
@@ -82,7 +82,7 @@ class M3piSection(XbeeSection, ActuatorSection):
     )
     """Protocol of the robots' program: one broadcast for all, or one message each."""
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
-    """Radio address and wheels of every robot of the spec, once each."""
+    """One entry for each robot of the spec, with its radio address and wheels."""
     battery_refuse: NonNegative = 4.0
     """A run does not start with a robot below this battery voltage [V]."""
     battery_warn: NonNegative = 4.4

@@ -120,7 +120,7 @@ class Receive(XbeeFrame):
 
 @dataclass(frozen=True, slots=True)
 class Other:
-    """A frame of a type that has no class here, such as a modem status; `api` is the type."""
+    """A frame of a type without a class of its own, such as a modem status; `api` is the type."""
 
     api: int
     data: bytes

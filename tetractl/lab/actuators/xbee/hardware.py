@@ -2,9 +2,9 @@
 
 The first byte of HV (hardware version) gives the hardware, and the first hexadecimal digit of VR
 (firmware version) gives the firmware's protocol. The numbers are those of Digi's published
-enumerations `HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); all variants of Zigbee are
-called Zigbee here. Only 802.15.4 firmware broadcasts at the rate of wheel commands: Zigbee allows
-about one broadcast per second, and DigiMesh repeats every broadcast.
+enumerations `HardwareVersion` and `XBeeProtocol` (digi-xbee 1.5.0); in this module all variants of
+Zigbee are called Zigbee. Only 802.15.4 firmware broadcasts at the rate of wheel commands: Zigbee
+allows about one broadcast per second, and DigiMesh repeats every broadcast.
 """
 
 from dataclasses import dataclass, field
@@ -128,13 +128,13 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     rate = _number(link.ask(b"BD"))
     if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
         raise AbortError(
-            f"{radio.port}: the module is set to {BAUDS[rate]} baud, the spec says {radio.baud}",
+            f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's {radio.baud}",
             f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
         )
     mode = MODES.get(_number(link.ask(b"AP")) or 0, "an unknown mode")
     if mode != radio.mode:
         raise AbortError(
-            f"{radio.port}: the module is in {mode}, the spec says {radio.mode}",
+            f"{radio.port}: the module is in {mode}, not the spec's {radio.mode}",
             f"set lab.actuator.mode to {mode}, or AP in the module",
         )
     if radio.baud == 115_200 and family(hardware) is SERIES_1:
@@ -158,7 +158,7 @@ def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
         link.set_baud(baud)
         if link.ask(b"HV") is not None:
             return AbortError(
-                f"{radio.port}: the module answers at {baud} baud, the spec says {radio.baud}",
+                f"{radio.port}: the module answers at {baud} baud, not the spec's {radio.baud}",
                 f"set lab.actuator.baud to {baud}, or BD in the module",
             )
     return AbortError(

@@ -131,7 +131,7 @@ def _floor_findings(
     if missing := [tag for tag in floor if tag not in seen]:
         yield True, f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}"
     if double := [tag for tag in floor if tag in twice]:
-        yield True, f"floor {_tags(double)} seen twice: every number may be used once only"
+        yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
     if plane is None:
         return
     if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too

@@ -72,7 +72,7 @@ class AprilTagSection(PictureSection):
     family: Literal["36h11"] = "36h11"
     """The family of the tags."""
     robots: tuple[RobotTag, ...] = Field(min_length=1, max_length=32)
-    """Tag of every robot of the spec, once each."""
+    """One entry for each robot of the spec, with its tag."""
     floor: tuple[FloorTag, ...] = Field(min_length=4, max_length=16)
     """Tags around the arena that define the floor; one picture must show all of them."""
     lens: Lens | None = None

@@ -156,8 +156,8 @@ class Merges:
         sizes: Floats,
         seconds: float,
     ) -> None:
-        """Open a question: which of the cells, predicted in the filter rows `coasted`, has which of
-        the poses `seen` (K, 3): x, y [um] and axis [rad].
+        """Open a question: which of the cells, predicted in the filter rows `coasted`, is at which
+        of the poses `seen` (K, 3): x, y [um] and axis [rad].
         """
         heading = self._bank.mean[[cell.row for cell in cells], HEADING]
         places = seen.copy()

@@ -1,8 +1,8 @@
 """Tracks cells through a sequence of pictures: assigns blobs to cells and updates their states.
 
-A blob is assigned to the cell that the filter, given the known signal, expects there. Cells that
-touch share one blob; once they separate, `identity` decides which is which. An object that does not
-swim is a speck, not a cell.
+A blob is assigned to the cell that the filter, given the known signal, expects at its place. Cells
+that touch share one blob; once they separate, `identity` decides which is which. An object that
+does not swim is a speck, not a cell.
 """
 
 import math

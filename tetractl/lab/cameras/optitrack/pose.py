@@ -58,7 +58,7 @@ class Placement:
 
     @classmethod
     def of(cls, section: OptitrackSection, metres: float) -> "Placement":
-        """Return the placement by a section, in a spec whose length unit is `metres` [m]."""
+        """Return the placement given by a section of a spec with the length unit `metres` [m]."""
         return cls(*section.origin, section.rotation, 1.0 / metres)
 
     def pose(self, body: RigidBody, up: UpAxis, heading_offset: float = 0.0) -> Pose | None:

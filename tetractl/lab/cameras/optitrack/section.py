@@ -77,7 +77,7 @@ class OptitrackSection(CameraSection):
     connect: Positive = 2.0
     """Longest wait for the server's answer, and then for its stream [s]."""
     robots: tuple[TrackedRobot, ...] = Field(min_length=1, max_length=32)
-    """Rigid body of every robot of the spec, once each."""
+    """One entry for each robot of the spec, with its rigid body."""
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and text of each problem with the robots or the version."""

@@ -40,7 +40,7 @@ class Senders:
         """Return whether a datagram comes from the address and port for its kind.
 
         Until the frames' port is known, frames are admitted from every port of the server. A
-        datagram of unknown kind counts as a frame, since it may be a damaged one.
+        datagram of unknown kind counts as a frame, since it may be a damaged frame.
         """
         kind = int.from_bytes(datagram[:2], "little")
         frame = kind == MessageKind.FRAME or kind not in set(MessageKind)

@@ -75,7 +75,7 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     size = int.from_bytes(datagram[2:4], "little")
     payload = bytes(datagram[HEADER:])
     if size != len(payload):
-        raise WireError(f"the header states {size} bytes, {len(payload)} were received")
+        raise WireError(f"the header states {size} bytes, but {len(payload)} were received")
     try:
         return MessageKind(code), payload
     except ValueError:

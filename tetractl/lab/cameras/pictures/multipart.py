@@ -34,7 +34,7 @@ class Multipart:
         return bodies
 
     def _find(self) -> bool:
-        """Drop the bytes up to the next boundary; return whether there is one."""
+        """Drop the bytes up to the next boundary; return whether a boundary was found."""
         at = self._held.find(self._mark)
         if at < 0:
             del self._held[: max(0, len(self._held) - len(self._mark) + 1)]

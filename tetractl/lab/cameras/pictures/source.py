@@ -201,14 +201,14 @@ class MjpegFeed:
             said = f"not within {timeout_s:g} s" if late else error or type(error).__name__
             raise AbortError(
                 f"{source.url} does not answer: {said}",
-                "is the camera on, is lab.camera.source.url its address?",
+                "is the camera on, and is lab.camera.source.url its address?",
             ) from error
         kind, boundary = self._answer.headers.get_content_type(), self._boundary()
         if self._answer.status != 200 or kind != "multipart/x-mixed-replace" or not boundary:
             self.close()
             raise AbortError(
                 f"{source.url} is not an MJPEG stream: it answers {self._answer.status}, {kind}",
-                "a stream is multipart/x-mixed-replace with a boundary",
+                "the answer must be multipart/x-mixed-replace with a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
         self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader

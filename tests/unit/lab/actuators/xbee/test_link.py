@@ -89,8 +89,8 @@ def test_a_unicast_that_nobody_acknowledged_is_counted():
         ({b"HV": b"\x19\x44", b"VR": b"\x21\xa7"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x22\x44", b"VR": b"\x40\x60"}, {}, "the module runs Zigbee firmware"),
         ({b"HV": b"\x23\x44", b"VR": b"\x20\x03"}, {}, "the module runs 900 MHz firmware"),
-        ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, the spec says 57600"),
-        ({b"AP": b"\x01"}, {}, "the module is in api1, the spec says api2"),
+        ({b"BD": b"\x03"}, {}, "the module is set to 9600 baud, not the spec's 57600"),
+        ({b"AP": b"\x01"}, {}, "the module is in api1, not the spec's api2"),
         ({b"BD": b"\x07"}, {"baud": 115200}, "loses API frames at 115200"),
     ],
 )

@@ -46,7 +46,7 @@ def candidates(warm: Floats | None, horizon_max: int) -> Iterable[Candidate]:
 
 
 def affordable(found: list[Candidate], warm: Floats | None, searches: int) -> list[Candidate]:
-    """Return the candidates to search if evaluations suffice for `searches` smallest searches:
+    """Return the candidates to search if evaluations suffice for `searches` searches of least size:
     evenly spread lengths at step 0, later the lengths nearest to the present plan's."""
     if warm is None:
         stride = math.ceil(len(found) / max(1, searches // WORTHWHILE))

@@ -252,7 +252,7 @@ class Mpc:
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Return the problem with its margins: adaptive ones grow obstacles and separation by the
-        greatest deviation of a robot, given the estimate `known`, None for an exact motion."""
+        greatest deviation of a robot for the estimate `known`, None if the motion is certain."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem

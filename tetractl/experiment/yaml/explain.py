@@ -133,7 +133,7 @@ def _problem(
 
 
 def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schema | None) -> str:
-    """Return a plain message: for a wrong choice or pattern from the schema, else by `words`."""
+    """Return a message, made from the schema for a wrong choice or pattern, else by `words`."""
     kind, context = details["type"], details.get("ctx", {})
     about = describe(loc, data, schema)
     if kind == "literal_error":

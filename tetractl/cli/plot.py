@@ -31,8 +31,8 @@ def plot(
     """Draw a figure of a trial and print the name of its file.
 
     trajectory: paths in one trial or several, the paper's Figure 5.
-    convergence: cost over the iterations, its Figure 3.
-    swarm: particles of the first search, its Figure 2.
+    convergence: cost over the iterations, the paper's Figure 3.
+    swarm: particles of the first search, the paper's Figure 2.
     error: distances to the targets over time.
     errors: errors of several trials over time, with their median.
     arms: the medians of several folders over time.

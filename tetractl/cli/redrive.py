@@ -73,7 +73,7 @@ def redrive(
 
 
 def _table(apart: "Apart") -> "Table":
-    """Return a table of distances between two paths: at a few times, the largest, the last."""
+    """Return a table of distances between two paths: at a few times, the largest, and the last."""
     import numpy as np
 
     from tetractl.core.table.table import Column, Table, fixed

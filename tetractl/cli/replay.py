@@ -20,7 +20,7 @@ def replay(
         typer.Option(
             metavar="R",
             help="Speed: seconds of the trial per second (1). Without a terminal all lines "
-            "are printed at once unless this is given.",
+            "are printed at once unless --rate is given.",
         ),
     ] = None,
     start: Annotated[
@@ -58,7 +58,7 @@ def replay(
         raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not screen and len(paths) > 1:
         raise UsageError(
-            "--loop without a terminal takes one log: the others would never be played"
+            "--loop without a terminal takes one log: other logs would never be played"
         )
     try:
         if screen:

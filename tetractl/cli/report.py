@@ -18,7 +18,7 @@ def report(
             "-o",
             "--out",
             metavar="FILE",
-            help="HTML file to write; an existing one is overwritten.",
+            help="HTML file to write; an existing file is overwritten.",
         ),
     ] = Path("report.html"),
     title: Annotated[

@@ -109,7 +109,7 @@ def compare(log: Path, again: Path) -> int:
     if first.experiment.controller.deadline is not None:
         print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
     if was.start.resolved != is_now.start.resolved:
-        print("  its spec is written with an earlier tetractl's names or fields", file=sys.stderr)
+        print("  its spec uses names or fields of an earlier tetractl", file=sys.stderr)
     for line in host_differences(was):
         print(printable(f"  {line}"), file=sys.stderr)
     return Exit.FAILED

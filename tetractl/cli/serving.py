@@ -73,7 +73,7 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
 
 def print_forwarding(server: "LoopbackServer") -> None:
     """Print how to end a server, and how to reach it from another machine."""
-    print("Ctrl-C ends it; over ssh, forward the port:", file=sys.stderr)
+    print("Ctrl-C ends the server; over ssh, forward the port:", file=sys.stderr)
     print(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST", file=sys.stderr)
 
 

@@ -186,8 +186,8 @@ def _conclude(
     how: str,
     stopped: bool = False,
 ) -> int:
-    """Write tables and figures; print the errors, and the number of missing trials with `how`, the
-    way to run them; return the exit code.
+    """Write tables and figures; print the errors, the number of missing trials, and `how` to run
+    them; return the exit code.
     """
     from tetractl.core.table.terminal_table import print_tables
     from tetractl.study.arm_table import arms_table, counted_rows, write_tables

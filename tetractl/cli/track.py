@@ -47,7 +47,7 @@ def track(
         ),
     ] = None,
     y_down: Annotated[
-        bool, typer.Option("--y-down", help="Directions in the --field file count clockwise.")
+        bool, typer.Option("--y-down", help="Directions in the --field file run clockwise.")
     ] = False,
     out: Annotated[
         Path | None,

@@ -92,8 +92,8 @@ def _summary(found: "WhatIf") -> "Iterator[str]":
     apart = np.array([step.apart for step in found.steps])
     turned = np.abs([step.difference for step in found.steps])
     yield (
-        f"{found.changed} of {len(found.steps)} steps would have sent another direction, by "
-        f"{turned.mean():.4f} rad on average and {turned.max():.4f} at most"
+        f"{found.changed} of {len(found.steps)} steps would have sent another direction; over all "
+        f"steps, it differs by {turned.mean():.4f} rad on average and {turned.max():.4f} at most"
     )
     yield (
         f"the predicted ends of a robot differ by {apart.mean():.3f} {unit} on average and "

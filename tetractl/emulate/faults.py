@@ -109,7 +109,7 @@ def fault(
 
 
 UNPLUG = fault(
-    "unplug", "The actuator's port is pulled out.", switching(lambda d, f: d.plugged, False)
+    "unplug", "The actuator's port is unplugged.", switching(lambda d, f: d.plugged, False)
 )
 STUCK_PORT = fault(
     "stuck_port", "The actuator's port takes no bytes.", switching(lambda d, f: d.port.stall)

@@ -47,7 +47,7 @@ class Placed(Model):
 
 
 class Emulation(Model):
-    """Differences of the emulated lab from the spec."""
+    """Properties of the emulated lab that differ from the spec."""
 
     camera: Annotated[Model, PlainValidator(_settings)] | None = None
     """Settings of the emulated camera; the fields depend on the camera's type."""
@@ -103,7 +103,7 @@ class Script(Model):
     row: str = Field(default="", max_length=200)
     """Kind of fault that the script tests."""
     emulation: Emulation = Emulation()
-    """Differences of the emulated lab from the spec."""
+    """Properties of the emulated lab that differ from the spec."""
     faults: tuple[Annotated[Fault, PlainValidator(_chosen_fault)], ...] = Field(
         default=(), max_length=100
     )

@@ -311,7 +311,7 @@ class StreamedCamera(ABC):
 
     def _scene_at(self, t_ns: int) -> Floats:
         """Return the scene at a time [ns] on the camera's clock, interpolated between the stored
-        scenes before and after.
+        scenes before and after that time.
         """
         past, when = list(self._past), self._start_ns + t_ns
         i = min(max(bisect_left([t for t, _ in past], when), 1), len(past) - 1)

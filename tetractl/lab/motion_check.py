@@ -34,8 +34,8 @@ STANDS = 0.3  # a robot that makes less than this fraction of the commanded moti
 
 REPEATS = "its pose repeats to the last bit though it is commanded to move: is the camera frozen?"
 STILL = (
-    "does not move though commanded to: is a wheel stuck, is it on its back, has it power and "
-    "link, or is the camera frozen?"
+    "does not move though commanded to: is a wheel stuck, is the robot on its back or "
+    "without power or link, or is the camera frozen?"
 )
 BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
 WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"

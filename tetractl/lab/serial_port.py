@@ -158,7 +158,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     if number == 13:
         return AbortError(
             f"{name}: this user has no permission to open the port",
-            "join the group that owns it, often dialout",
+            "join the group that owns the port, often dialout",
         )
     return AbortError(f"{name}: cannot be opened: {_why(error)}")
 
@@ -237,7 +237,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
             say(f"it released the port after {time.monotonic() - began:.1f} s")
             return
         if time.monotonic() - began > DEAD_S:
-            raise _left(name, f"does not end even by SIGKILL; {failure}")
+            raise _left(name, f"does not end even after SIGKILL; {failure}")
 
 
 def _left(

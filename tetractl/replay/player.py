@@ -147,8 +147,8 @@ class PlayerClock:
         return self._anchor + round(self._rate * (self._wall.now() - self._anchor_wall))
 
     def sleep_until(self, time_ns: int) -> bool:
-        """Wait until a time of the trial [ns]; a paused clock does not wait. Return whether it is
-        reached.
+        """Wait until a time of the trial [ns]; a paused clock does not wait. Return whether the
+        time is reached.
         """
         if not self._paused:
             wall_ns = math.ceil((time_ns - self._anchor) / self._rate)
@@ -250,7 +250,7 @@ class Player:
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
         """Play or pause at a rate, from a time [ns] or, if None, from now.
 
-        The rate is limited to RATE_MIN to RATE_MAX; NaN keeps it.
+        The rate is limited to RATE_MIN to RATE_MAX; NaN keeps the rate.
         """
         if at_ns is not None:
             self._seek(at_ns)

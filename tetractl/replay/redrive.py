@@ -2,7 +2,7 @@
 between the recorded and the new path.
 
 A controller of kind `sequence` sends the directions in a separate trial, which is run, logged and,
-in the lab, guarded like any other.
+in the lab, guarded like any other trial.
 """
 
 from dataclasses import dataclass, replace

@@ -38,8 +38,8 @@ def floats(values: ArrayLike) -> dict[str, Any]:
 
 
 def rounded(values: ArrayLike) -> dict[str, Any]:
-    """Return an array in 16 bits: {"i2": base64, "scale": s, "offset": o}, integer i stands for o +
-    s i.
+    """Return an array in 16 bits: {"i2": base64, "scale": s, "offset": o}, where the integer i
+    stands for o + s i.
 
     Rounding errors are at most 1/131,068 of the range of all values. A value that is not finite
     becomes `MISSING`.

@@ -150,7 +150,7 @@ def distributions(rows: Floats, bound: float | None = None) -> list[Distribution
 
 
 def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distribution:
-    """Describe values from their n, mean and standard deviation only."""
+    """Describe n values by their mean, standard deviation and interval; all else is NaN."""
     unknown = Tail(_NAN, 0, n, False, Interval.none(""))
     return Distribution(n, mean, std, _NAN, _NAN, _NAN, ci95, unknown)
 

@@ -55,7 +55,7 @@ RECOVERED = Statistic(
 
 Distances = Callable[[Verdict], Sequence[float]]
 """Function that returns the least distance of each robot in a trial [length unit]; empty if the log
-has none.
+has no distances.
 """
 
 

@@ -1,4 +1,4 @@
-"""Formats groups and their comparisons as tables for readers."""
+"""Formats groups and their comparisons as tables for display."""
 
 import math
 from collections import Counter

@@ -245,7 +245,7 @@ def _and(names: Sequence[str]) -> str:
 
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots with an a and a start heading like those of the group's first."""
+    """Yield groups of robots with an a and a start heading like those of the first robot."""
     left = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if not left[i]:
@@ -308,8 +308,8 @@ def inside_margin(spec: CheckContext) -> Iterator[SpecWarning]:
         for i in np.flatnonzero(gaps <= spec.margin):
             yield SpecWarning(
                 ("robots", int(i), field),
-                f"is {gaps[i]:.4g} {spec.unit} from the nearest obstacle or wall; the plans keep "
-                f"{spec.margin:.4g}",
+                f"is {gaps[i]:.4g} {spec.unit} from the nearest obstacle or wall; plans keep "
+                f"{spec.margin:.4g} {spec.unit}",
                 "move it, or lower controller.collision.margin or radius",
             )
 

@@ -249,8 +249,9 @@ class Trial:
             _pass_news(observer, news)
 
     def _end(self, outcome: Outcome, reason: str, bug: Exception | None, opened_ns: int) -> Result:
-        """Stop the robots, wait until they rest, and call every observer, even after it failed. If
-        an observer raises an exception, the others are still called; bugs are raised at the end.
+        """Stop the robots, wait until they rest, and call every observer, even one that failed
+        before. If an observer raises an exception, the others are still called; bugs are raised at
+        the end.
         """
         stop = self.plant.stop()
         stopped = self.clock.now()

@@ -163,7 +163,7 @@ class LogStore:
             same = same.model_copy(update=own)
         if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
             raise UsageError(
-                f"{path}: was run with another spec or seed", "resume with that spec and seed"
+                f"{path}: was run with another spec or seed", "resume with its spec and seed"
             )
         return found.outcome.complete and not found.recovered
 

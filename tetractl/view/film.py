@@ -68,8 +68,9 @@ def write_video(
 ) -> int:
     """Write a film of a trial and return how many times faster than the trial it plays.
 
-    A trial of more than a minute plays faster, by 2, 5, 10 and so on. `progress` is called with the
-    numbers of pictures drawn and of all pictures. Raises LogError if the file cannot be written.
+    A trial of more than a minute plays faster, by a factor of 2, 5, 10 and so on. `progress` is
+    called with the numbers of pictures drawn and of all pictures. Raises LogError if the file
+    cannot be written.
     """
     ending = check_file(path)
     rate = FORMATS[ending]

@@ -60,7 +60,7 @@ robots.1.target <- WALL
 robots.1.target <- GAP; NEAR
   no path to it that keeps 20 mm .* within 51\d | margin
 robots.1.target <- robots.blue.target=[1420, 1200]; NEAR; controller.collision.margin=5; FIXED
-  is 20 mm from the nearest obstacle or wall; the plans keep 25 | margin
+  is 20 mm from the nearest obstacle or wall; plans keep 25 mm | margin
 controller.period <- controller.period=0.4; controller.motion=euler; ON
   a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON

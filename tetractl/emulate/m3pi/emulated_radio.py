@@ -161,7 +161,7 @@ class EmulatedRadio(SerialDevice):
                 self._timeline.at(ready, lambda a=address, d=answer: self._reply(a, d))
 
     def _take_air(self, size: int) -> int:
-        """Reserve the radio channel for a transmission of `size` bytes; return when it ends
+        """Reserve the radio channel for a transmission of `size` bytes; return the time of its end
         [ns].
         """
         start = max(self._timeline.now_ns, self._air_ns)

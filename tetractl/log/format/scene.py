@@ -1,6 +1,6 @@
 """Encodes the messages that viewers draw, in Foxglove's formats and in metres.
 
-Positions are converted here from the spec's unit to metres. Non-finite values are not drawn, since
+Positions are converted from the spec's unit to metres. Non-finite values are not drawn, since
 viewers drop a whole message for one NaN.
 """
 

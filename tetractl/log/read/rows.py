@@ -21,7 +21,7 @@ from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
-"""The plant of every study, a simulation; results need no other facts of it."""
+"""The plant of every study: a simulation. Results need no other facts of the plant."""
 TEXT_MAX = 200  # largest number of characters of a text in a row, except a reason
 
 
@@ -51,7 +51,7 @@ class Row:
 
     @property
     def complete(self) -> bool:
-        """Whether the trial's outcome is complete: the controller ended it."""
+        """Whether the trial is complete: the controller ended it."""
         return self.result.outcome.complete
 
     def line(self, experiment: Experiment) -> str:

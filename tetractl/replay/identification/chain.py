@@ -95,8 +95,8 @@ class Chain:
         return found
 
     def whiten(self, factor: Floats, columns: Floats) -> Floats:
-        """Return L^-1 times columns (K, M), with 0 for unused intervals; `factor` is L from
-        `factor`.
+        """Return L^-1 times columns (K, M), with 0 for unused intervals; `factor` is L as the
+        method `factor` returns it.
         """
         columns = np.where(self.used[:, None], columns, 0.0)
         found, info = _SOLVE(factor, columns, uplo="L")

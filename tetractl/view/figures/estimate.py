@@ -44,7 +44,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
     if not known:
         raise LogError(
             f"{log.path}: contains no estimates to plot",
-            "the controller estimates with --set controller.estimate=true",
+            "run the trial with --set controller.estimate=true",
         )
     setup = log.start.setup
     unit = unit_of(setup.unit)

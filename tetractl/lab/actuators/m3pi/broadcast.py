@@ -86,7 +86,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
         raise WireError(f"{len(payload)} bytes are not a command for {robots} robots")
     counts = struct.unpack_from(f"{2 * robots}b", payload, 4)
     if min(counts, default=0) < -COUNT_MAX:
-        raise WireError("a wheel count of -128")
+        raise WireError(f"a wheel count is -128, below -{COUNT_MAX}")
     return BroadcastCommand(
         sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
     )

@@ -84,8 +84,8 @@ def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
     ]
     if ratios and statistics.median(ratios) < FAINT:
         found.append(
-            f"cells differ from the medium by {statistics.median(ratios):.1f} times the noise "
-            "only: use more light, a smaller aperture or phase contrast"
+            f"cells differ from the medium by only {statistics.median(ratios):.1f} times the noise"
+            ": use more light, a smaller aperture or phase contrast"
         )
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:

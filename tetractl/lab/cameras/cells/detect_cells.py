@@ -93,7 +93,7 @@ class BlobFinder:
     _smooth: Grey | None = field(default=None, init=False)
     _room: list[Grey] = field(default_factory=list, init=False)  # buffers, reused for speed
     searched: Grey | None = field(default=None, init=False)
-    """The newest picture minus its background; blobs are searched in this difference."""
+    """The newest picture minus its background; blobs are searched for in this difference."""
     limits: tuple[float, ...] = field(default=(), init=False)
     """Limits of the newest search: low and high threshold [grey levels], least and most area
     [px^2].

@@ -274,7 +274,7 @@ class CellTracker:
         self._next += 1
 
     def _beside(self, speck: Speck) -> FollowedCell | None:
-        """Return the cell next to which a speck was first seen, None if there was none."""
+        """Return the cell next to which a speck was first seen, None if no cell was near."""
         return next((cell for cell in self._cells if cell.track == speck.beside), None)
 
     def _density(self, near_edge: bool, beside: FollowedCell | None) -> float:

@@ -18,7 +18,7 @@ class Version(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether the layouts of this version are known; newer ones are read as 4.3."""
+        """Whether the layouts of this version are known; newer versions are read as 4.3."""
         return OLDEST <= self <= NEWEST
 
     @classmethod

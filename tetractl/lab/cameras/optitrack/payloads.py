@@ -50,7 +50,7 @@ class Cursor:
     def skip(self, size: int) -> None:
         """Skip `size` bytes."""
         if not 0 <= size <= self.left:
-            raise WireError(f"{size} bytes expected, only {self.left} remain")
+            raise WireError(f"{size} bytes expected, but only {self.left} remain")
         self.at += size
 
     def take(self, layout: Struct) -> tuple[Any, ...]:

@@ -173,7 +173,7 @@ def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_p
     words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
     done = tetractl(tmp_path, *words, stdin="n\n")
     assert done.returncode != 0
-    assert "green, blue, red will move up to 0.3 m each. Go on?" in done.stdout + done.stderr
+    assert "green, blue, red will move up to 0.3 m each. Continue?" in done.stdout + done.stderr
     assert emulated.events("run") == []
 
 

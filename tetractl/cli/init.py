@@ -43,7 +43,7 @@ def example_files(name: str) -> dict[str, str]:
         guess = did_you_mean(name, known)
         top = ", ".join(one for one in known if "/" not in one)
         raise UsageError(
-            f"there is no example '{name}'{guess}", f"there are {top}, studies/, faults/"
+            f"there is no example '{name}'{guess}", f"the examples are {top}, studies/, faults/"
         )
     found: dict[str, str] = {}
     waiting = [folder / f"{name}.yaml"]

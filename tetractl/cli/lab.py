@@ -167,7 +167,7 @@ def calibrate(
             raise UsageError(f"--robot {name}: the spec has no such robot")
     require_confirmation(yes)
     if not yes:
-        typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Go on?", abort=True)
+        typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
     emergency = Event()
     stop_key = StopKey(emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:

@@ -166,7 +166,7 @@ def open_streams() -> Output:
 def settle() -> None:
     """Write or drop the standard streams' buffered text, while their threads still run.
 
-    Otherwise the interpreter would write the text at its end, when the threads have ended.
+    Otherwise the interpreter would write the text when it ends, after the threads have ended.
     """
     for stream in (sys.stdout, sys.stderr) * 2:  # the second flush drops the rest
         with suppress(OSError, ValueError):

@@ -48,7 +48,7 @@ def decode(frame: bytes) -> bytes:
         code = frame[at]
         block = frame[at + 1 : at + code]
         if len(block) != code - 1:
-            raise WireError("a COBS frame that ends too early")
+            raise WireError("the COBS frame ends too early")
         out += block
         at += code
         if code < 255 and at < len(frame):

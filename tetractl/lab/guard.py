@@ -123,7 +123,7 @@ class Guard:
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Why each robot's newest pose was refused (N,); "" if it was accepted or missing."""
+        """The reason why each robot's newest pose was refused (N,); "" if it was not refused."""
         return tuple(track.refused for track in self._filters)
 
     def ready(self) -> None:

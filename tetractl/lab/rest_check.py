@@ -61,7 +61,7 @@ def _late(rig: Rig, lines: list[str]) -> str:
 
 
 def _stream_lost(rig: Rig) -> list[str]:
-    """Return a line if no camera frames arrive now."""
+    """Return a line that says that no camera frames arrive; [] if frames arrive."""
     silent_ns = rig.silent_ns()
     if rig.frames.newest is None or silent_ns > rig.limits.stream_lost * SECOND:
         return [f"the cameras do not show that the robots stand: {rig.guard.no_frame(silent_ns)}"]

@@ -199,8 +199,8 @@ class _TurnIntegrals:
 
 
 def _ring(follows: np.ndarray) -> list[int]:
-    """Return a ring of robots, each of which follows the next and the last the first; [] if
-    none.
+    """Return a ring of robots, each of which follows the next, and the last the first; [] if there
+    is none.
     """
     reach = follows.copy()
     for k in range(len(follows)):

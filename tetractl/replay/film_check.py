@@ -126,4 +126,4 @@ def _search_again(film: CellFilm, tolerance: float) -> None:
     for i, (crop, corner, blob) in enumerate(rows):
         found = found_again(crop, corner, blob.tolist(), film.limits)
         if found is None or not np.allclose(found, blob, rtol=tolerance, atol=tolerance):
-            raise ValueError(f"the blob found in crop {i} differs from the stated one")
+            raise ValueError(f"the blob found in crop {i} differs from the logged blob")

@@ -131,7 +131,7 @@ def run_batch(
     """Run trials and store their logs and records.
 
     With `fail_fast` the first trial that is aborted or has no outcome ends the run. Raises
-    OtherCodeError if the code on a worker differs from the code here.
+    OtherCodeError if the code on a worker differs from that of this process.
     """
     report, time_left = Report(left=len(tasks)), TimeLeft(tasks)
 

@@ -75,7 +75,7 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
         found = verify(rewrite(log, tmp_path / f"{number}.mcap", new))
         assert [one.message for one in found.problems] == [
             f"frame {sample.observation.frame}: "
-            "the blob found in crop 0 differs from the stated one"
+            "the blob found in crop 0 differs from the logged blob"
         ]
 
 

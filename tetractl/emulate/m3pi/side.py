@@ -250,7 +250,7 @@ class EmulatedM3pi(PluggedDevice):
 def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
     radius = truth.radius_mm or robot.radius_mm
     if radius is None:
-        assert stage.setup.wheel_radius is not None, "the spec has one of the two radii"
+        assert stage.setup.wheel_radius is not None, "the spec gives the radius"
         radius = stage.setup.wheel_radius * stage.mm
     fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
     given = {name: value for name, value in fields.items() if value is not None}

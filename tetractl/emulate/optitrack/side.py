@@ -301,7 +301,7 @@ def _tracked(
 
 
 def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
-    """Return the cameras' axes; the settings or else the spec give the vertical axis, else y."""
+    """Return the cameras' axes; the vertical axis is the settings', else the spec's, else y."""
     up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
     x, y = section.origin
     return View(up, (x * stage.mm, y * stage.mm), section.rotation)

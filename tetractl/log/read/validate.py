@@ -114,8 +114,8 @@ def stated_result(
 ) -> Result:
     """Return the result stated in the records of a log or row, for `robots` robots and in `unit`.
 
-    Its reason is made printable. Raises KeyError, OverflowError,
-    RecursionError, TypeError or ValueError for values that tetractl does not write.
+    Its reason is made printable. Raises KeyError, OverflowError, RecursionError, TypeError or
+    ValueError for values that tetractl does not write.
     """
     result = read_result(items, timing, robots)
     check_result(result)

@@ -119,7 +119,7 @@ class LogWriter:
 
     @property
     def failure(self) -> Exception | None:
-        """Why the log can no longer be written, None while it can."""
+        """The reason why the log can no longer be written; None while it can."""
         return self._worker.failure if self._worker else None
 
     def on_start(self, start: Start) -> None:

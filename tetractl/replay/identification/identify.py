@@ -196,7 +196,7 @@ def identified(found: IdentifiedRobots, when: str) -> Identified:
 def tables(found: IdentifiedRobots) -> list[Table]:
     """Return tables of each value with its 95 % interval; a row per value, a column per robot."""
     logs = "1 log" if len(found.sources) == 1 else f"{len(found.sources)} logs"
-    since = "" if found.frame_age is None else f"; frames are {found.frame_age:.4f} s old then"
+    age = "" if found.frame_age is None else f"; frames are {found.frame_age:.4f} s old at sending"
     labels = [
         f"{name.replace('_', ' ')} [{unit.format(unit=found.unit)}]"
         for name, unit in QUANTITIES.items()
@@ -215,7 +215,7 @@ def tables(found: IdentifiedRobots) -> list[Table]:
                     for robot in robots
                 ),
             ),
-            f"dead time from sending: {cell(found.dead_time)} s{since}",
+            f"dead time from sending: {cell(found.dead_time)} s{age}",
         )
         for robots in parts
     ]

@@ -31,7 +31,7 @@ class Footer:
     hints: tuple[str, ...] = ()
 
     def text(self, glyphs: Glyphs, width: int) -> Text:
-        """Return the line; if too long, hints are left out, then the bar is shortened."""
+        """Return the line; if it is too long, hints are left out, then the bar is shortened."""
         fixed = len(self.left) + len(self.right) + 2
         hints = list(self.hints)
         while hints and fixed + 12 + _length(hints) > width:

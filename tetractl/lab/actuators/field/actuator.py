@@ -77,7 +77,7 @@ class FieldActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why the driver no longer makes a field; None without a fault."""
+        """The reason why the driver no longer makes a field; None without a fault."""
         return self.driver.failure
 
     def steer(

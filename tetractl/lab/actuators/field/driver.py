@@ -132,7 +132,7 @@ class Driver:
 
     @property
     def failure(self) -> str | None:
-        """Why the driver no longer makes a field; None without a fault."""
+        """The reason why the driver no longer makes a field; None without a fault."""
         newest, now_ns = self.newest, self._clock.now()
         if self._port.failure is not None:
             return self._port.failure

@@ -70,7 +70,7 @@ class M3piActuator:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more; None without a fault."""
+        """The reason why nothing can be sent any more; None without a fault."""
         return self.link.failure
 
     def check(self) -> Health:

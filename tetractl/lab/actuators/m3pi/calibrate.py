@@ -218,7 +218,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: its rigid body points {math.degrees(offset):.0f} degrees off its "
                 "front",
-                "set heading_offset in the spec roughly, or redefine the rigid body in the "
+                "set an approximate heading_offset in the spec, or redefine the rigid body in the "
                 "camera software",
             )
         wheels = [

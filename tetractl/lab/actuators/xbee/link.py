@@ -61,7 +61,7 @@ class Link:
 
     @property
     def failure(self) -> str | None:
-        """Why nothing can be sent any more; None without a fault."""
+        """The reason why nothing can be sent any more; None without a fault."""
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:

@@ -74,7 +74,7 @@ class Merges:
         a new cell that separated from its blob. An open question about `cell` is closed first;
         `cells` are all cells.
         """
-        assert cell.alone is not None, "only a watched cell is asked about"
+        assert cell.alone is not None, "the cell was watched before"
         if cell.question is not None:
             self._close(cell.question, cells)
         new_row = self._bank.copied(new.row)

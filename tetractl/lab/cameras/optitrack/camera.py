@@ -174,7 +174,7 @@ class OptitrackCamera:
             warnings.append("the server does not report its unit of length: metres are assumed")
         version = stream.version
         if version is not None and not version.known:
-            warnings.append(f"protocol {version} is newer than the known ones; it is read as 4.3")
+            warnings.append(f"protocol {version} is newer than 4.3; it is read as 4.3")
         server = stream.info.name if stream.info else ""
         facts = {
             "natnet": str(version),

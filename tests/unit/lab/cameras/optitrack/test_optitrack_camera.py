@@ -219,9 +219,7 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
         assert clock.wait(lambda: all(camera.newest.poses))
         found = camera.check()
         assert found.problems == ()
-        assert f"protocol {version} is newer than the known ones; it is read as 4.3" in (
-            found.warnings
-        )
+        assert f"protocol {version} is newer than 4.3; it is read as 4.3" in (found.warnings)
         assert camera.damaged == 0
 
 

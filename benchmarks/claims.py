@@ -70,20 +70,28 @@ def turning(direction: Floats, time_s: Floats) -> tuple[float, float]:
     """Return how long a field spins [s], and how fast it turns while it is on [rad/s].
 
     Directions (K,) are NaN while the field is off. It spins while it turns on the same way, from
-    command to command, through a whole turn at least.
+    direction to direction, through a whole turn at least.
     """
-    turned = np.remainder(np.diff(direction) + np.pi, 2 * np.pi) - np.pi
-    took = np.diff(time_s)
+    took, turned = np.diff(time_s), _turned(direction)
     on = np.isfinite(turned)
+    rate = float(np.abs(turned[on]).sum() / took[on].sum()) if on.any() else 0.0
+    # a direction held over several commands turns once, so only the commands that change it count
+    same = (direction[1:] == direction[:-1]) | (np.isnan(direction[1:]) & np.isnan(direction[:-1]))
+    new = np.concatenate([[True], ~same])
+    turned, took = _turned(direction[new]), np.diff(time_s[new])
+    signs = np.where(np.isfinite(turned), np.sign(turned), 0.0)
     spinning, begin = 0.0, 0
-    signs = np.where(on, np.sign(turned), 0.0)
     for k in range(1, len(signs) + 1):
         if k == len(signs) or signs[k] != signs[begin]:
             if signs[begin] != 0 and abs(turned[begin:k].sum()) >= 2 * np.pi:
                 spinning += float(took[begin:k].sum())
             begin = k
-    rate = float(np.abs(turned[on]).sum() / took[on].sum()) if on.any() else 0.0
     return spinning, rate
+
+
+def _turned(direction: Floats) -> Floats:
+    """Return the change from each direction to the next, -pi to pi [rad]."""
+    return np.remainder(np.diff(direction) + np.pi, 2 * np.pi) - np.pi
 
 
 def arms(folder: Path) -> dict[tuple[str, int, str], list[Measured]]:

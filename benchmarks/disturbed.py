@@ -52,8 +52,8 @@ WORLD = (
 FAR_MM = 100.0
 NEAR_MM = 95.0  # between the centres of two m3pi that touch
 RATES = {
-    5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=400"),
-    20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=1600"),
+    5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=800"),
+    20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=3200"),
 }
 """Settings for each rate of the control [Hz]."""
 PLAIN = (

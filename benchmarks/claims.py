@@ -7,7 +7,7 @@
 Section I of the paper: Feedback Ensemble Control needs a rotating field, a large space, and leaves
 large errors. So for each trial: the error a robot; the area of the box round all paths, in that of
 the box round all starts and targets; the time until the robots stop; the time during which the
-field turns on and on the same way through a whole turn or more; and how fast it turns while it is
+field turns in one sense through a whole turn or more; and how fast it turns while it is
 on. Everything is simulated.
 """
 
@@ -30,6 +30,10 @@ CONTROLLERS = {
     "ensemble": "Feedback Ensemble Control",
     "recommended": "recommended",
 }
+
+
+REVERSAL = 0.3
+"""A field that turns back by up to this angle [rad] has not changed its sense."""
 
 
 @dataclass(frozen=True)
@@ -69,29 +73,34 @@ def _box(points: Floats) -> float:
 def turning(direction: Floats, time_s: Floats) -> tuple[float, float]:
     """Return how long a field spins [s], and how fast it turns while it is on [rad/s].
 
-    Directions (K,) are NaN while the field is off. It spins while it turns on the same way, from
-    direction to direction, through a whole turn at least.
+    Directions (K,) are NaN while the field is off. A field spins while it turns in one sense, apart
+    from reversals up to REVERSAL, through a whole turn or more.
     """
-    took, turned = np.diff(time_s), _turned(direction)
+    turned = np.remainder(np.diff(direction) + np.pi, 2 * np.pi) - np.pi
+    took = np.diff(time_s)
     on = np.isfinite(turned)
     rate = float(np.abs(turned[on]).sum() / took[on].sum()) if on.any() else 0.0
-    # a direction held over several commands turns once, so only the commands that change it count
-    same = (direction[1:] == direction[:-1]) | (np.isnan(direction[1:]) & np.isnan(direction[:-1]))
-    new = np.concatenate([[True], ~same])
-    turned, took = _turned(direction[new]), np.diff(time_s[new])
-    signs = np.where(np.isfinite(turned), np.sign(turned), 0.0)
-    spinning, begin = 0.0, 0
-    for k in range(1, len(signs) + 1):
-        if k == len(signs) or signs[k] != signs[begin]:
-            if signs[begin] != 0 and abs(turned[begin:k].sum()) >= 2 * np.pi:
-                spinning += float(took[begin:k].sum())
-            begin = k
+    bounds = np.flatnonzero(np.diff(np.concatenate([[False], on, [False]]).astype(int)))
+    spinning = sum(
+        _spinning(np.concatenate([[0.0], np.cumsum(turned[begin:end])]), time_s[begin : end + 1])
+        for begin, end in bounds.reshape(-1, 2)
+    )
     return spinning, rate
 
 
-def _turned(direction: Floats) -> Floats:
-    """Return the change from each direction to the next, -pi to pi [rad]."""
-    return np.remainder(np.diff(direction) + np.pi, 2 * np.pi) - np.pi
+def _spinning(angle: Floats, time_s: Floats) -> float:
+    """Return how long a field spins [s] whose angle [rad], (K,), counts whole turns."""
+    spinning, begin, far, sense = 0.0, 0, 0, 0.0
+    for k in range(1, len(angle) + 1):
+        ahead = sense * (angle[k] - angle[far]) if k < len(angle) else -np.inf
+        if ahead < -REVERSAL:  # the sense changed at `far`
+            if abs(angle[far] - angle[begin]) >= 2 * np.pi:
+                spinning += float(time_s[far] - time_s[begin])
+            begin, far, sense = far, k, -sense
+        elif ahead >= 0:
+            sense = sense or float(np.sign(angle[k] - angle[begin]))
+            far = k
+    return spinning
 
 
 def arms(folder: Path) -> dict[tuple[str, int, str], list[Measured]]:

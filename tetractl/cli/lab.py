@@ -143,7 +143,7 @@ def calibrate(
 ) -> int:
     """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
 
-    Of m3pi robots it measures wheel speeds, wheel distance and heading offset. Robots move one
+    It measures wheel speeds, wheel distance and heading offset of m3pi robots. Robots move one
     after another, each within about 0.3 m; space or Esc stops them. A microscope is calibrated from
     two places in its picture: two marks of a stage micrometer, or one speck before and after the
     stage was moved; no device is opened. Enter the file's name in the spec as `lab.calibration`.

@@ -1,4 +1,4 @@
-"""The preflight check: are robots tracked, on their starts and answering? Are frames recent?"""
+"""The preflight check: are robots tracked, on their starts and answering, and frames recent?"""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -23,8 +23,8 @@ EARLY = 0.25  # a stop may precede the end of a control period by this fraction 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
 
-    Periods count from the first direction sent, which may belong to the square that robots drive,
-    to be identified, before the first plan. A direction sent in the first half of a period counts
+    Periods count from the first direction sent, which may belong to the square that robots drive
+    for identification before the first plan. A direction sent in the first half of a period counts
     for the whole period. The remainder is the time for which the last direction was held after the
     last whole period. UsageError if no direction was sent, or if the field was off at times.
     """

@@ -155,8 +155,8 @@ class _LoggedPlans:
 
 
 class _Recorder(Recorder):
-    """Records a repeated trial. If the log ends between two control steps, the repeated trial is
-    ended there.
+    """Records a repeated trial. If the log ends between two control steps, the repeated trial ends
+    at the same point.
     """
 
     failure = ""  # reason why the trial did not run to its end

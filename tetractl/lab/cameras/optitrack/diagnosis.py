@@ -25,7 +25,7 @@ def no_server(section: OptitrackSection, senders: Senders, timeout_s: float) -> 
     return AbortError(
         f"no camera server answers at {at} ({timeout_s:g} s)",
         "is Motive running and streaming, is lab.camera.server its address, "
-        "does a firewall block UDP?",
+        "or does a firewall block UDP?",
     )
 
 

@@ -119,11 +119,14 @@ class KernelCache:
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Return a decorator like `numba.njit`, whose compiled code is kept between runs."""
+    """Return a decorator like `numba.njit`, whose compiled code is kept between runs.
+
+    The code of a part (`tetractl.control.kernels.part`) is kept only within that of kernels.
+    """
 
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher: Any = njit(**options)(function)
-        place = folder()
+        place = None if "pipeline_class" in options else folder()
         if place is not None:
             dispatcher._cache = KernelCache(function, place)
         return dispatcher

@@ -21,7 +21,7 @@ from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import Trace, backward, trace, workspace
 from tetractl.control.kernels.motion import constants
 from tetractl.control.kernels.obstacles import count_deepest, outward
-from tetractl.control.kernels.options import INLINE_FAST
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 
@@ -257,7 +257,7 @@ def _propose(work, u, r):
         work.trial[j] = u[j] - shrink * work.trial[j]
 
 
-@compiled(**INLINE_FAST)
+@compiled(**ENTRY_FAST)
 def polish(work, u, tolerance, slack, iterations, patience, budget, factor, history):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
 

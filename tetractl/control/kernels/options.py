@@ -8,24 +8,26 @@ from typing import Any
 from numba import njit
 from numba.extending import overload
 
+from tetractl.control.kernels.part import PartCompiler
+
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf are kept, to check costs for them
-INLINE_FAST: Any = {
+_PART: Any = {
     "nogil": True,
-    "fastmath": FAST,
     "error_model": "numpy",
     "forceinline": True,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+    "pipeline_class": PartCompiler,
 }
+_ENTRY: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+INLINE_FAST: Any = _PART | {"fastmath": FAST}
 """For functions that a kernel calls, which are inlined. A call would cost as much as the loop, and
 a freshly compiled kernel would call other machine code than one from the cache, so that results
 would differ in the last bits from run to run.
 """
-ENTRY_FAST: Any = {"nogil": True, "fastmath": FAST, "error_model": "numpy"}
-INLINE_STRICT: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "forceinline": True,
-}
-ENTRY_STRICT: Any = {"nogil": True, "error_model": "numpy"}
+ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
+"""For kernels, which Python calls."""
+INLINE_STRICT, ENTRY_STRICT = _PART, _ENTRY
 """For functions that must round exactly as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""

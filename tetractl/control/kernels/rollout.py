@@ -82,12 +82,6 @@ def _drift(problem: Problem) -> Floats:
 @compiled(**ENTRY_FAST)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
-    return evaluate(rollout, signals, total)
-
-
-@compiled(**INLINE_FAST)
-def evaluate(rollout, signals, total):
-    """Do the same as `costs`, for a call by another kernel."""
     lanes, scratch = views(rollout)
     begin(rollout, lanes, scratch)
     for j in range(signals.shape[0]):

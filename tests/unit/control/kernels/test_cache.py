@@ -12,7 +12,7 @@ SEARCH = """
 import hashlib, sys
 from pathlib import Path
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.kernels.multistart import polish_each
+from tetractl.control.kernels.levenberg import polish
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso_section import Pso
 from tetractl.core.plan import Limits
@@ -25,7 +25,7 @@ for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
     search = optimizer.search(problem, 30, None, 1, Limits())
     digest.update(search.signals.tobytes() + search.history.tobytes())
     digest.update(compiled_foresee(problem, search.signals).path.tobytes())
-print(sum(polish_each.stats.cache_hits.values()), digest.hexdigest())
+print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
 """
 
 

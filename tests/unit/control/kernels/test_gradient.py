@@ -5,11 +5,23 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numba import njit
 from support import problems
 
 from tetractl.control.cost import predict
-from tetractl.control.kernels.gradient import backward, trace
+from tetractl.control.kernels import gradient
 from tetractl.control.kernels.levenberg import lay_out_polish
+
+
+@njit
+def trace(*args):
+    gradient.trace(*args)
+
+
+@njit
+def backward(*args):
+    gradient.backward(*args)
+
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
 

@@ -35,10 +35,11 @@ def analyze(
     """Predict how well the robots of a spec can be steered together; no trial is run.
 
     Searches good plans with the multistart optimiser. Along them, predicts the mean total error
-    under the noise of the spec's simulated plant (errors of a and speed, random walk of the
-    headings, measurement noise), the shortest plan that reaches the targets, the ellipse of each
-    robot's end position, and the error of robots whose a differ more or less, or of fewer robots.
-    If two robots are too alike, searches for a better value of a.
+    under the noise of the spec's simulated plant (errors of turning rate a and speed, random walk
+    of the headings, measurement noise), the shortest plan that reaches the targets, the ellipse of
+    each robot's end position, and the error of robots whose turning rates a differ more or less, or
+    of fewer robots. If the turning rates a of two robots are too similar, searches for a better
+    value of one of them.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
     """

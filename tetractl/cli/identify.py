@@ -1,4 +1,4 @@
-"""`tetractl identify`: estimates a, speed, heading bias, dead time and noise from logs."""
+"""`tetractl identify`: estimates turning rate, speed, heading bias, dead time, noise from logs."""
 
 import sys
 from datetime import UTC, datetime
@@ -37,7 +37,7 @@ def identify(
     out: NewFile = None,
     as_json: AsJson = False,
 ) -> int:
-    """Identify a, speed, heading bias, dead time and noise, with 95 % intervals.
+    """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
 
     All logs, simulated or from a lab, must be of the same robots; their data is pooled. The true
     poses in a simulation's log are not used. The dead time counts from the sending of a direction.

@@ -128,7 +128,7 @@ def calibrate(
             min=10,
             max=80,
             metavar="N",
-            help="Largest output that moves a robot; for m3pi robots a wheel count.",
+            help="Largest output that the calibration sends; for m3pi robots a wheel count.",
         ),
     ] = 45,
     micrometer: Annotated[

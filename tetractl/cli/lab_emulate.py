@@ -20,7 +20,7 @@ def emulate(
         ),
     ] = None,
     address: Annotated[
-        str, typer.Option(metavar="IP", help="Local address to serve from.")
+        str, typer.Option(metavar="IP", help="Address at which the camera serves.")
     ] = "127.0.0.1",
     command_port: Annotated[
         int | None,
@@ -60,7 +60,7 @@ def emulate(
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option(metavar="N", help="Seed of the random jitter and losses.")
+        int, typer.Option(metavar="N", help="Seed of the emulation's random numbers.")
     ] = 1,
     json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
 ) -> int:

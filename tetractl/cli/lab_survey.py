@@ -43,7 +43,7 @@ def survey(
     The field rotates for the time `robots.seconds` of the spec. Every cell with a magnet is listed
     with 95 % intervals; choices of cells are ranked by the error that `tetractl analyze` predicts,
     with the noise of the spec's simulation. -o writes a spec with which a trial finds the best
-    cells again, by their a and speed.
+    cells again, by their turning rates a and speeds.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
     """
@@ -112,12 +112,12 @@ def survey(
 def _print_cells(
     cells: "Sequence[FoundCell]", pairs: "Sequence[tuple[FoundCell, FoundCell]]", unit: str
 ) -> None:
-    """Print each cell with 95 % intervals, and the pairs of cells whose a are too similar to tell
-    the cells apart.
+    """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
+    similar to tell the cells apart.
     """
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
-        near = "" if cell.free else ", was near the edge: its a is unreliable"
+        near = "" if cell.free else ", was near the edge: its turning rate a is unreliable"
         print(
             f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
             f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"

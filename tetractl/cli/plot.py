@@ -35,10 +35,10 @@ def plot(
     swarm: particles of the first search, the paper's Figure 2.
     error: distances to the targets over time.
     errors: errors of several trials over time, with their median.
-    arms: the medians of several folders over time.
-    ecdf: fraction of each folder's trials that ended with at most an error.
+    arms: the median error of each of several folders over time.
+    ecdf: fraction of each folder's trials that ended with an error up to a value.
     scatter: where the robots of several trials ended.
-    estimate: the controller's estimates of a, speed and so on over time.
+    estimate: the controller's estimates of turning rate a, speed and so on over time.
     timing: solve time of each control step.
     video: a film of the trial.
     Installed packages may add figures.

@@ -164,7 +164,7 @@ def open_streams() -> Output:
 
 
 def settle() -> None:
-    """Write or drop the standard streams' buffered text, while their threads still run.
+    """Write or drop the standard streams' buffered text, while the writing threads still run.
 
     Otherwise the interpreter would write the text when it ends, after the threads have ended.
     """

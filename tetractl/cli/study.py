@@ -51,7 +51,7 @@ def study(
         bool,
         typer.Option(
             "--rerun-outdated",
-            help="Run again the trials whose rows were written by other code.",
+            help="Run again the trials whose rows were written by another version of the code.",
         ),
     ] = False,
     shard: Annotated[

@@ -62,8 +62,9 @@ def track(
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
-    If the field's direction over time is given, it also prints a, heading bias, and whether the
-    cell has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
+    If the field's direction over time is given, it also prints each cell's turning rate a, heading
+    bias, and whether the cell has a magnet. Nothing is steered. Exits with 1 if no cell swims in
+    the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """

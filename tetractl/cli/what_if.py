@@ -33,8 +33,9 @@ def what_if(
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
 
-    For each control step it prints the direction, its change, and the distance between the two
-    predicted ends. This is an open-loop prediction: the robots do not follow the other controller.
+    For each control step it prints the recorded and the other direction, their difference, and the
+    largest distance between a robot's ends as predicted by the two plans. This is an open-loop
+    prediction: the robots do not follow the other controller.
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """

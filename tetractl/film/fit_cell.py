@@ -2,7 +2,7 @@
 
 The filter of `lab.cameras.cells.helix` runs over the whole film again, with each cell's most likely
 noise of heading, speed and blobs. The filter's covariance after a cell's last picture gives the
-uncertainty of a, bias and speed.
+uncertainty of turning rate a, bias and speed.
 """
 
 import math
@@ -192,9 +192,9 @@ class _Measured:
         """Run the filter; return each cell's means (N, 12) and covariances (N, 12, 12) after its
         last measurement, and its log-likelihood (N,).
 
-        `known` is whether the field is known. The constant states (rate of the helix, a, bias)
-        start at their values in `about` (N, 12), the means of an earlier run; without `about`, the
-        filter has to estimate them first, with a slightly larger error.
+        `known` is whether the field is known. The constant states (rate of the helix, turning rate
+        a, bias) start at their values in `about` (N, 12), the means of an earlier run; without
+        `about`, the filter has to estimate them first, with a slightly larger error.
         """
         count = self.values.shape[1]
         bank, growth = HelixFilter(known), noise.growth

@@ -25,8 +25,8 @@ class FilmPictures:
     """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
     or the film's own.
 
-    `damaged` is the number of pictures in the last iteration that could not be read or had another
-    size.
+    `damaged` is the number of pictures in the last iteration that could not be read, or differed in
+    size from the first one read.
     """
 
     path: Path

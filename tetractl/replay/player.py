@@ -248,9 +248,9 @@ class Player:
                 self._clock.pause()
 
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
-        """Play or pause at a rate, from a time [ns] or, if None, from now.
-
-        The rate is limited to RATE_MIN to RATE_MAX; NaN keeps the rate.
+        """Play, or pause if not `playing`, from the trial's time `at_ns` [ns], None for the present
+        time. Playing is `rate` times as fast as the trial, limited to RATE_MIN to RATE_MAX; NaN
+        keeps the rate.
         """
         if at_ns is not None:
             self._seek(at_ns)

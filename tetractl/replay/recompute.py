@@ -40,8 +40,8 @@ from tetractl.run.task import trial_seeds
 TOLERANCE = 1e-9
 """Relative tolerance of re-evaluation."""
 ROUNDING = 1e-12
-"""Additional tolerance relative to the largest coordinate: a cost near 0 is a difference of
-positions."""
+"""Additional tolerance relative to the largest coordinate: a cost near 0 is a small difference of
+much larger coordinates."""
 
 _LONG_AGO = 2**62
 
@@ -201,7 +201,7 @@ def recompute(
 
     `search_again` True runs the searches again and compares bits, False uses the logged searches.
     Steps after a gap are not checked, since the controller's state is lost. If the processor time,
-    read from `cpu` [s], exceeds its limit, this is returned as a difference.
+    read from `cpu` [s], exceeds its limit, a difference that says so is returned.
     """
     try:
         key, _ = trial_seeds(log.start.seed, log.start.trial)

@@ -26,7 +26,7 @@ from tetractl.run.task import trial_seeds
 
 GRID = 61
 SEEN = [0, 1]
-"""Indices of the two signals that are the dimensions of the figure."""
+"""Indices, in a sequence of signals, of the two signals on the axes of the figure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,12 +43,13 @@ class Frame:
 
 @dataclass(frozen=True, slots=True)
 class SwarmHistory:
-    """A particle swarm search in two dimensions: the first two signals of a sequence.
+    """A particle swarm search, reduced to two dimensions: the first two signals of each sequence.
 
-    `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) its
-    local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two signals,
-    given by equation (12), with the lowest row first; the other signals are those of u_gb, the best
-    sequence found. `repeated` is whether J(u_gb) agrees with the log in every iteration.
+    `path` (Z + 1, 2) is the course of the first particle over Z iterations, `path_best` (2,) that
+    particle's local best at the end. `costs` (GRID, GRID) is J on a grid over the range of the two
+    signals, given by the paper's equation (12), with the lowest row first; the other signals are
+    those of u_gb, the best sequence found. `repeated` is whether J(u_gb) agrees with the log in
+    every iteration.
     """
 
     frames: tuple[Frame, ...]

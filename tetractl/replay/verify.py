@@ -2,8 +2,8 @@
 
 Messages for viewers are computed from the records of the trial: the decoded records are encoded
 again by the log writer's encoder, and every message and its times must have the same bytes. If
-another machine or version wrote the log, numbers must agree to `NEARLY`, and the arena may be drawn
-differently.
+another machine or version wrote the log, numbers must agree within the tolerance `NEARLY`, and the
+arena may be drawn differently.
 """
 
 import time

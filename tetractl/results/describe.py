@@ -21,8 +21,8 @@ class Published:
     """The published result, and the measured mean minus the published mean, tested by Welch's t
     test.
 
-    `difference` is None if the two are not comparable, such as an undisturbed simulation and
-    real robots.
+    `difference` is None if the two results cannot be compared, such as those of an undisturbed
+    simulation and of real robots.
     """
 
     reference: Reference

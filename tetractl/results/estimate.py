@@ -66,12 +66,12 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Tail:
-    """How many of n values are above a `bound`, and Wilson's interval of this fraction.
+    """How many of n values are above a `bound`, and Wilson's interval of their fraction of n.
 
     The mean of a few values does not show rare large ones: an event with a probability of 2 % is
     missing in two of three batches of 20 trials. `stated` is whether the spec states the bound;
-    otherwise the bound is 10 medians. Without values, or with a median that is not positive,
-    `bound` is NaN.
+    otherwise the bound is 10 times the median. Without values, or with a median that is not
+    positive, `bound` is NaN.
     """
 
     bound: float
@@ -103,7 +103,7 @@ class Distribution:
     """Summary of n values: mean, standard deviation (n - 1), median, range, confidence interval of
     the mean, and the number of values above a bound.
 
-    With n = 0 mean, deviation, median and range are NaN; with n = 1 only the deviation is.
+    With n = 0 mean, deviation, median and range are NaN; with n = 1 only the deviation is NaN.
     """
 
     n: int
@@ -131,7 +131,7 @@ class Distribution:
 
 def distributions(rows: Floats, bound: float | None = None) -> list[Distribution]:
     """Describe each row of an array of shape (R, n), with tails above `bound` or, if that is None,
-    above 10 medians of the row.
+    above 10 times the row's median.
     """
     count, n = rows.shape
     if n == 0:
@@ -156,7 +156,8 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Return the tail of values (n,) above `bound`, or above FAR medians if `bound` is None."""
+    """Return the tail of values (n,) above `bound`, or above FAR times the median if `bound` is
+    None."""
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:

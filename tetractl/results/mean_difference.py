@@ -289,8 +289,8 @@ def rank_sum(ours: Floats, theirs: Floats) -> float:
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return p-values corrected for multiple comparisons, by Holm (Scand. J. Statist. 6, 1979).
 
-    The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value
-    before it if that is larger. NaN stays NaN and is not counted in k.
+    The i-th smallest of k p-values is multiplied by k - i + 1, and raised to the corrected value of
+    the next smaller p-value if that is larger. NaN stays NaN and is not counted in k.
     """
     order = sorted((p, i) for i, p in enumerate(p_values) if not math.isnan(p))
     found, least = [math.nan] * len(p_values), 0.0

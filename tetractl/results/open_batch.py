@@ -252,7 +252,8 @@ def _refuse_copies(trials: Iterable[ResultSummary]) -> None:
 
 def differences(one: Experiment, two: Experiment) -> list[str]:
     """Return a text such as `controller.horizon_max: 20 != 30` for each field in which two
-    experiments differ; only the path if a value is a section, or a list of another length.
+    experiments differ; only the field's path if its value is a section, or a list that differs in
+    length.
 
     Fields that do not change a trial are left out: the description, the number and seed of the
     trials, and the error bound; also the robots, if both trials chose them by the same rule.

@@ -23,9 +23,9 @@ _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
 def steps(log: TrialLog) -> Table:
     """Return one row per control step k: the direction sent, its plan and its searches.
 
-    Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by
-    equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did not reach
-    it.
+    Columns that begin with `left_NAME` and `right_NAME` are the wheel speeds of robot NAME by the
+    paper's equations (24)-(25); `delivered_NAME` is False if the plant knows that the command did
+    not reach it.
     """
     setup, found = log.start.setup, log.steps
     columns: dict[str, Any] = {

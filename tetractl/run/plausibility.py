@@ -22,15 +22,15 @@ from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
 
 COARSE = 2.0
-"""Value of a T, turning rate times time per signal, above which headings of equation (6) oscillate
-with a growing amplitude.
+"""Largest product of turning rate a and time per signal T: above it, headings computed by the
+paper's equation (6) oscillate with a growing amplitude.
 """
 OVERSHOOTING = ("euler", "arc")
-"""The motions whose heading advances by equation (6)."""
+"""The motions whose heading advances by the paper's equation (6)."""
 TURN = 2 * math.pi
 ALIKE = 0.05
-"""Robots are alike if their a differ by at most this fraction, and their start headings by at most
-this angle [rad]."""
+"""Robots are alike if their turning rates a differ by at most this fraction, and their start
+headings by at most this number of radians."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,8 @@ def angles(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield location and value of each number of a section that has [rad] in its description."""
+    """Yield location and value of each number in those fields of a section whose description has
+    [rad]."""
     for name, field in type(part).model_fields.items():
         value = getattr(part, name)
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
@@ -227,7 +228,7 @@ def robots_alike(spec: CheckContext) -> Iterator[SpecWarning]:
             )
         else:
             message = (
-                f"{_and(others)} and {first} differ by {100 * spread:.2g} % in a and "
+                f"{_and(others)} and {first} differ by {100 * spread:.2g} % in turning rate a and "
                 f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
                 f"they did not differ, the least total error of the {len(group)} would be"
             )
@@ -245,7 +246,8 @@ def _and(names: Sequence[str]) -> str:
 
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots with an a and a start heading like those of the first robot."""
+    """Yield groups of robots, each robot similar to the group's first in turning rate a and start
+    heading."""
     left = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if not left[i]:

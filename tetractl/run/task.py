@@ -194,7 +194,7 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
     if code and code_of(loaded) != code:
         raise OtherCodeError(
             "the worker's code differs from the code of the machine that runs the study",
-            "install the same tetractl, numpy, numba, llvmlite, scipy and plug-ins on it",
+            "install the same tetractl, numpy, numba, llvmlite, scipy and plug-ins on the worker",
         )
     with suppress(TetractlError):  # the trial raises the same error
         warm_up(loaded.experiment, lambda text: None)

@@ -138,7 +138,8 @@ def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> 
 
 
 def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
-    """Run the trial `ARM/N` again and keep its log; return a line with the digest if it is equal.
+    """Run the trial `ARM/N` again and keep its log; return a line with the digest if it equals that
+    of the trial's row.
 
     Raises UsageError if the study lacks the trial or its row, or already has its log. Raises
     LogError if the digests differ; the log is then set aside as an attempt.

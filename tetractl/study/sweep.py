@@ -85,7 +85,8 @@ class Range(Model):
     high: Finite
     """Upper end of the range."""
     scale: Literal["linear", "log"] = "linear"
-    """`linear` to distribute the values evenly over the range, `log` their logarithms."""
+    """`linear` distributes the values evenly over the range, `log` distributes their logarithms
+    evenly."""
     whole: bool = False
     """Whether only whole numbers are drawn, both ends included."""
 

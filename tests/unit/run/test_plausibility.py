@@ -44,9 +44,9 @@ robots.2.heading <- robots.red.heading=-7
 robots.1.a <- robots.blue.a=6
   is that of green, .* error of the 2 is 575.6 mm | different a
 robots.1.a <- robots.blue.a=5.9
-  blue and green differ by 1.7 % in a and 0 rad .* would be 575.6 mm | different a
+  blue and green differ by 1.7 % in turning rate a and 0 rad .* would be 575.6 mm | different a
 robots.1.a <- robots.blue.a=6; robots.blue.heading=0.04
-  0 % in a and 0.04 rad in start heading | different a
+  0 % in turning rate a and 0.04 rad in start heading | different a
 robots <- robots.blue.a=6
   any plan: 575.6 mm | no controller
 robots.0.target <- controller.steps_max=20; controller.horizon_max=20

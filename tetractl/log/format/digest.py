@@ -16,7 +16,7 @@ class ContentDigest:
 
     A record is preceded by the number of its fields, and a field by its length in bytes, so that no
     two different logs give the same bytes to hash. The fields of a message are topic, both times
-    and data; of metadata, name and items by key without the checksum and the digests; of an
+    and data; of metadata, name and items sorted by key, without the checksum and the digests; of an
     attachment, name, media type and data.
     """
 

@@ -188,9 +188,9 @@ def _reason(error: Exception) -> str:
 def read_file(path: Path) -> tuple[bytes, int, str | None]:
     """Return a file's bytes, its size, and a problem if not all bytes were read.
 
-    The file is not memory-mapped: if another program shortens it meanwhile, reading a missing page
-    kills the process. Zeros at the end, left by a power cut, are returned only in part. Raises
-    LogError if the path is not a file, or the file is empty or cannot be read.
+    The file is not memory-mapped: if another program shortened a mapped file, reading a missing
+    page would kill the process. Zeros at the end, left by a power cut, are returned only in part.
+    Raises LogError if the path is not a file, or the file is empty or cannot be read.
     """
     try:
         # O_NONBLOCK, since opening a pipe that no process writes to would wait for ever

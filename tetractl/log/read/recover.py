@@ -27,8 +27,8 @@ PART_SUFFIX = ".recovering"
 
 @dataclass(frozen=True, slots=True)
 class Recovery:
-    """The damage of a log, and the numbers of intact records in it; they were copied to `path`,
-    None if nothing was copied.
+    """The damage of a log, and the numbers of intact records in it; the records were copied to
+    `path`, which is None if nothing was copied.
     """
 
     source: str

@@ -7,12 +7,13 @@ residual of interval k, which lasts t_k, is then
     r_k = e_(k+1) - F_k e_k + w sqrt(T_k) n_k,      T_k = t_k (1 + 4 F_k + F_k^2) / 6,
 
 where n_k is standard normal, and F_k is the derivative of the model's value at the interval's end
-with respect to the value at its start: a deviation at the start is multiplied by F_k at the end,
-one later by a smaller power of F_k (Simpson's rule for the integral of F_k^(2 x), x from 0 to 1).
-The covariance A of r is tridiagonal: s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it
-if interval k begins with the frame that interval k - 1 ended with. G_k is F_k; for displacements
-projected along a path it is the cosine of the angle between both intervals' paths. With A = L L^T,
-the elements of y = L^-1 r are independent with standard deviation 1, and
+with respect to the value at its start: a deviation at the interval's start is multiplied by F_k
+until its end, a deviation that arises later by a power of F_k between 0 and 1 (T_k is Simpson's
+rule for t_k times the integral of F_k^(2 x), x from 0 to 1). The covariance A of r is tridiagonal:
+s^2 (1 + F_k^2) + w^2 T_k on the diagonal, -s^2 G_k next to it if interval k begins with the frame
+that interval k - 1 ended with. G_k is F_k; for displacements projected along a path it is the
+cosine of the angle between both intervals' paths. With A = L L^T, the elements of y = L^-1 r are
+independent with standard deviation 1, and
 
     -2 ln likelihood = sum y^2 + 2 sum ln L_kk + a constant.
 
@@ -62,8 +63,8 @@ class ChainNoise:
 @dataclass(frozen=True, slots=True)
 class Chain:
     """The K intervals of one robot: `t` (K,) [s] is the length of each, `slope` (K,) the derivative
-    F of the value predicted for its end with respect to the value at its start, and `used` (K,) is
-    whether it is used.
+    F of the value predicted for the interval's end with respect to the value at its start, and
+    `used` (K,) is whether the interval is used.
 
     `linked` (K,) is True for intervals that begin with the last frame of the interval before.
     `coupling` (K,) is G in the covariance of the residuals of two such intervals, by default F.

@@ -1,10 +1,11 @@
 """Designs a motion from which robots can be identified accurately: a sequence of directions.
 
 Of many random sequences, the one is taken that minimises the sum of the logarithms of the predicted
-variances of the dead time, each robot's a and each robot's heading bias (a D-optimal design). It is
-then improved one direction at a time. No robot may come within `margin` of the arena's edge or an
-obstacle, and no two robots within twice `margin` of each other. Variances are predicted from the
-Fisher information of the robots' turns in intervals of SHORTEST_S, with the noise NOISE.
+variances of the dead time, each robot's turning rate a and each robot's heading bias (a D-optimal
+design). It is then improved one direction at a time. No robot may come within `margin` of the
+arena's edge or an obstacle, and no two robots within twice `margin` of each other. Variances are
+predicted from the Fisher information of the robots' turns in intervals of SHORTEST_S, with the
+noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -40,9 +41,9 @@ class Design:
     """A sequence of directions, one per control period, and the standard deviations predicted for
     the values that will be identified from it.
 
-    `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative to a, `heading_bias_std`
-    (N,) [rad]. `clearance` [length unit] is the least distance of a robot from the edge or an
-    obstacle, or half the least distance between two robots if that is smaller.
+    `directions` (C,) [rad]; `dead_time_std` [s], `a_std` (N,) relative to the turning rate a,
+    `heading_bias_std` (N,) [rad]. `clearance` [length unit] is the least distance of a robot from
+    the edge or an obstacle, or half the least distance between two robots if that is smaller.
     """
 
     directions: Floats
@@ -191,7 +192,8 @@ def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
 
 
 def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
-    """Return the predicted standard deviations (1 + 2 N,) of dead time, ln a and heading biases."""
+    """Return the predicted standard deviations (1 + 2 N,) of the dead time, the logarithms of the N
+    turning rates, and the N heading biases."""
     n = len(setup.names)
     drives = drives_of([_driven(setup, directions, dead_time)])
     turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))

@@ -1,16 +1,17 @@
-"""Fits a dead time that all robots share, and each robot's a and heading bias, by maximum
-likelihood.
+"""Fits a dead time that all robots share, and each robot's turning rate a and heading bias, by
+maximum likelihood.
 
-The controller's filters (`control.filter`) run over the longest track, once for each of RATES,
-starting from the expected a times that rate. The fit starts from the final estimates of the run
-that predicts the turns best. Each of ROUNDS rounds then infers lost commands from the robots'
-turns, leaves out intervals that deviate from the model by more than OUTLYING standard deviations,
-fits the measurement noise and the random walk of the headings, and fits the parameters by
-Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval contains the values for
-which the deviance, minimised over all other parameters, exceeds its minimum by at most LIMIT.
+The controller's filters (`control.filter`) run over the longest track, once for each factor of
+RATES, starting from the expected turning rates a times that factor. The fit starts from the final
+estimates of the run that predicts the turns best. Each of ROUNDS rounds then infers lost commands
+from the robots' turns, leaves out intervals that deviate from the model by more than OUTLYING
+standard deviations, fits the measurement noise and the random walk of the headings, and fits the
+parameters by Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval contains the
+values for which the deviance, minimised over all other parameters, exceeds its minimum by at most
+LIMIT.
 
-Normal priors around the start, with the wide standard deviations WEAK, keep a parameter bounded if
-the data do not determine it.
+Normal priors around the fit's starting values, with the wide standard deviations WEAK, keep a
+parameter bounded if the data do not determine it.
 """
 
 from dataclasses import dataclass

@@ -67,9 +67,9 @@ class IdentifiedRobots:
 def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> IdentifiedRobots:
     """Identify robots from tracks, all of the same robots.
 
-    `a` (N,) [rad/s] and `dead_time` [s] are expected values: a should be right within a factor of
-    about 5, or None if unknown, the dead time within 0.3 s. UsageError if the tracks contain too
-    few data.
+    `a` (N,) [rad/s] are the expected turning rates, right within a factor of about 5, or None if
+    unknown; `dead_time` [s] is the expected dead time, right within 0.3 s. UsageError if the tracks
+    contain too few data.
     """
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)

@@ -50,9 +50,10 @@ class Track:
 class Intervals(NamedTuple):
     """K intervals between two camera frames of N robots.
 
-    An interval lasts from `since` to `until` (K,) [s]. `heading` (K, N) [rad] is the heading at its
-    start, `turned` (K, N) [rad] the turn and `travelled` (K, N) [length unit] the distance during
-    it. `usable` (K, N) is False for a robot that was not tracked, or did not move yet.
+    An interval lasts from `since` to `until` (K,) [s]. `heading` (K, N) [rad] is the heading at the
+    interval's start, `turned` (K, N) [rad] the turn and `travelled` (K, N) [length unit] the
+    distance during the interval. `usable` (K, N) is False for a robot that was not tracked, or did
+    not move yet.
     """
 
     since: Floats

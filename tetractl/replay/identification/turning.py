@@ -1,9 +1,9 @@
 """The turns of N robots under the directions sent to them, and their prediction by a model.
 
 A direction acts from `tau` after it was sent, and turns a robot of turning rate a and heading bias
-beta by the closed form of equations (1)-(3). The model starts each interval at the measured
-heading. A robot that lost a direction follows the previous direction; the probability of a loss is
-inferred from the robot's turns.
+beta by the closed form of the paper's equations (1)-(3). The model starts each interval at the
+measured heading. A robot that lost a direction follows the previous direction; the probability of a
+loss is inferred from the robot's turns.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +24,8 @@ LARGE = 100.0  # cap of a squared deviation, so that outliers have little influe
 
 @dataclass(frozen=True, slots=True)
 class Turning:
-    """The parameters: dead time `tau` [s], `ln_a` (N,), the logarithm of a [rad/s], and `beta` (N,)
-    [rad].
+    """The parameters: dead time `tau` [s], `ln_a` (N,), the logarithms of the turning rates
+    [rad/s], and `beta` (N,), the heading biases [rad].
     """
 
     tau: float
@@ -61,7 +61,7 @@ class Turns:
 
         If it is uncertain whether a direction arrived, the motions with and without it are
         averaged, weighted by their probabilities. `ahead` [rad] is added to the measured headings
-        at the start.
+        at the intervals' starts.
         """
         arrived, lost = self._followed
         found = self._under(p, arrived, ahead)

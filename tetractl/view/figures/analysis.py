@@ -21,9 +21,9 @@ ROOM = 1.15  # half width of panel (a), relative to the largest ellipse
 def analysis_figure(found: Analysis) -> Figure:
     """Draw an analysis: (a) the ellipse that contains 95 % of each robot's end positions, around
     the planned end; (b) how far the signals move the ends, as singular values [length unit/rad];
-    the predicted mean total error (c) over the smallest relative difference between two robots' a,
-    and (d) over the number of robots. For one robot only (a) and (b) are drawn. Raises UsageError
-    if no plan reaches the targets.
+    the predicted mean total error (c) over the smallest relative difference between two robots'
+    turning rates a, and (d) over the number of robots. For one robot only (a) and (b) are drawn.
+    Raises UsageError if no plan reaches the targets.
     """
     if found.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")
@@ -68,7 +68,7 @@ def _singular(axes: Axes, found: Analysis, here: Steering) -> None:
     axes.set_xticks(np.arange(1, len(values) + 1))
     axes.set_xlabel("singular value")
     axes.set_ylabel(f"singular values [{unit_of(found.setup.unit)}/rad]")
-    style.panel(axes, "b", "how far signals move the ends")
+    style.panel(axes, "b", "how far signals move robots' ends")
 
 
 def _map(axes: Axes, found: Analysis, error: float) -> None:
@@ -77,9 +77,9 @@ def _map(axes: Axes, found: Analysis, error: float) -> None:
     axes.plot([100 * found.gap], [error], "D", color=style.ALARM, ms=5, ls="none",
               label="robots in the spec")  # fmt: skip
     _error_axis(axes, found, [*errors, error])
-    axes.set_xlabel("smallest relative difference of a [%]")
+    axes.set_xlabel("smallest relative difference of two robots' a [%]")
     axes.legend()
-    style.panel(axes, "c", "error for more similar robots")
+    style.panel(axes, "c", "error over the difference between robots")
 
 
 def _crowd(axes: Axes, found: Analysis) -> None:
@@ -87,7 +87,7 @@ def _crowd(axes: Axes, found: Analysis) -> None:
     axes.plot(counts, errors, color=style.INK, marker="o", ms=3)
     axes.set_xticks(counts)
     _error_axis(axes, found, errors)
-    axes.set_xlabel("robots, the first of the spec")
+    axes.set_xlabel("number of robots, in the spec's order")
     style.panel(axes, "d", "error for fewer robots")
 
 

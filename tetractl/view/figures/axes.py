@@ -122,7 +122,8 @@ def positive(values: Floats) -> Floats:
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return limits of an axis for positive values; their ratio is at least 1.1."""
+    """Return limits of an axis for positive values; the upper limit is at least 1.1 times the
+    lower."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0

@@ -34,9 +34,9 @@ TO_MS = SECOND / MILLISECOND
 def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the estimates of a trial over time, each with a band of +- one standard deviation.
 
-    Each estimated quantity has a panel: a and speed as differences from the spec's values [%], with
-    a cross at a simulation's true value; the heading bias [rad]; the dead time [ms]. NUMBERED or
-    more robots have no bands.
+    Each estimated quantity has a panel: turning rate a and speed as differences from the spec's
+    values [%], with a cross at a simulation's true value; the heading bias [rad]; the dead time
+    [ms]. NUMBERED or more robots have no bands.
     """
     log = one_trial(logs)
     steps = [step for step in log.steps if step.plan.estimate is not None]
@@ -77,8 +77,8 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
 def _relative(
     axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
 ) -> list[Curve]:
-    """Draw the difference of a or speed from the spec's value [%]; labels state the last values of
-    a or speed.
+    """Draw the difference of turning rate a or speed from the spec's value [%]; labels state the
+    last values.
     """
     spec = getattr(log.start.setup, what)
     percent = 100 / spec
@@ -133,7 +133,8 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true a or speed (N,) of a simulation, None if the log does not state it."""
+    """Return the true turning rates a or speeds (N,) of a simulation, None if the log does not
+    state it."""
     fact = log.start.plant.facts.get(f"true_{what}")
     return None if fact is None else np.array(json.loads(fact), dtype=np.float64)
 

@@ -1,4 +1,5 @@
-"""The paper's Figure 2: the particles of a search, by the first two signals of the plan."""
+"""The paper's Figure 2: the particles of a search as points, with the first two signals of each
+particle's plan as coordinates."""
 
 from collections.abc import Sequence
 

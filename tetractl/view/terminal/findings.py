@@ -12,8 +12,8 @@ ANSWERS = {True: "yes", False: "no", None: "cannot"}
 
 
 def robots_table(found: Preflight) -> Table:
-    """Return a table with one row per robot: its distance and turn from the start in the spec,
-    unless it is not tracked, its battery, and whether it answers.
+    """Return a table with one row per robot: its distance and turn from the start in the spec
+    (none if the robot is not tracked), its battery, and whether it answers.
     """
     robots = found.robots
     return Table(

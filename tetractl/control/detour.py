@@ -30,6 +30,7 @@ LATE_FROM, LATE_GROWTH = 0.5, 4.0
 LAST_S = 0.7  # time per robot before a plan's end in which a detour raises the accepted error [s]
 LAST_LEAST_S = 2.0  # least value of that time, for all robots together [s]
 OUT_SIGNALS = 8  # number of signals of a way out of a corner
+OUT_ROOM_S, OUT_SHARE = 0.1, 0.8  # clearance kept on a way out, see `way_out`
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
 TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
@@ -82,14 +83,29 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
     return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
 
 
-def way_out(problem: Problem, margins: Margins, apart: float) -> Floats | None:
+def way_out(
+    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT_ROOM_S
+) -> Floats | None:
     """Return signals (OUT_SIGNALS,) that lead standing robots away from obstacles and walls, with
     at least the distance `apart` between two robots; None if none was found.
 
-    Sequences whose direction changes at a constant rate are tried; targets are ignored.
+    Sequences whose direction changes at a constant rate are tried; targets are ignored. Robots keep
+    the clearance that they drive in `keep_s` [s], or OUT_SHARE of the present one if it is less.
     """
-    signals, least, _ = _roomiest(problem, margins, apart)
+    signals, least, _ = _roomiest(problem, margins, apart, keep_s)
     return signals if least > -np.inf else None
+
+
+def away(
+    problem: Problem, margins: Margins, apart: float, may_turn: bool
+) -> tuple[Floats | None, float | None]:
+    """Return a way out for standing robots or, if none keeps clear and robots `may_turn`, the
+    direction [rad] to which they turn first; otherwise the best way out that enters nothing."""
+    out = way_out(problem, margins, apart)
+    facing = turn_away(problem, margins, apart) if out is None and may_turn else None
+    if out is None and facing is None:
+        out = way_out(problem, margins, apart, 0.0)
+    return out, facing
 
 
 def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
@@ -107,7 +123,9 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
     return facing if least > -np.inf else None
 
 
-def _roomiest(problem: Problem, margins: Margins, apart: float) -> tuple[Floats, float, float]:
+def _roomiest(
+    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT_ROOM_S
+) -> tuple[Floats, float, float]:
     """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
     for an unsafe path; and that clearance plus FINAL_ROOM times the clearance at the path's end."""
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
@@ -117,6 +135,6 @@ def _roomiest(problem: Problem, margins: Margins, apart: float) -> tuple[Floats,
     least = room.min(axis=0)
     total = least + FINAL_ROOM * room[-1]
     best = int(np.argmax(total))
-    outside = room[0, best] < 0  # a robot that is inside already must not go deeper
-    safe = least[best] > 0 or (outside and least[best] >= room[0, best])
+    now = float(room[0, best])  # below 0 inside an obstacle: robots must not go deeper
+    safe = least[best] >= (min(keep_s * problem.speed.max(), OUT_SHARE * now) if now > 0 else now)
     return signals[best], float(least[best]) if safe else -np.inf, float(total[best])

@@ -35,7 +35,7 @@ import numpy as np
 
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ENOUGH, best_stop, growth, late, longer, turn_away, way_out
+from tetractl.control.detour import ENOUGH, away, best_stop, growth, late, longer
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.filter import warm_up as warm_up_filter
@@ -214,12 +214,12 @@ class Mpc:
             if self.warm is None:
                 enters = self._enters(problem, observation, plan.signals)
                 room = problem, self.margins, self.section.collision.separation
-                out = way_out(*room) if enters or not self.leaving else None
+                look = enters or not self.leaving
+                out, facing = away(*room, self.turns < TURNS) if look else (None, None)
                 if out is not None:
                     self.began, self.leaving = self.k, True
                     return self._given(problem, out, plan.searches)
-                if enters:
-                    facing = turn_away(*room) if self.turns < TURNS else None
+                if enters or facing is not None:
                     # the trial ends after a pause, in whose step the searches are logged
                     self.stuck = facing is None
                     return self._pause(problem, plan, facing)

@@ -9,7 +9,7 @@ from support.trials import experiment
 
 from tetractl.control.cost import predict
 from tetractl.control.delay import driven
-from tetractl.control.detour import LATE_GROWTH, TURN_S, late, turn_away, way_out
+from tetractl.control.detour import LATE_GROWTH, TURN_S, away, late, turn_away, way_out
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -52,6 +52,21 @@ def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
     still = replace(problem, speed=np.zeros(3))
     turned = Poses(*driven(still, problem.poses, np.full(3, facing), TURN_S))
     assert way_out(replace(problem, poses=turned), margins, 95.0) is not None
+
+
+def test_robots_turn_on_the_spot_rather_than_pass_close_to_a_wall():
+    """Regression: a way out kept 1 mm by prediction, and led 3 mm out of the arena."""
+    problem, margins = standing(facing_the_wall(1.1 * CIRCLE))
+    close = way_out(problem, margins, 95.0, keep_s=0.0)
+    assert close is not None
+    room = margins.room(*np.moveaxis(predict(problem, close)[..., :2], -1, 0), 95.0)
+    assert 0 < room.min() < 0.1 * CIRCLE
+    out, facing = away(problem, margins, 95.0, may_turn=True)
+    assert out is None
+    assert facing is not None
+    out, facing = away(problem, margins, 95.0, may_turn=False)
+    assert facing is None
+    np.testing.assert_array_equal(out, close)
 
 
 def test_no_turn_helps_in_an_arena_as_narrow_as_a_corridor():

@@ -335,7 +335,7 @@ def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_doe
 
 
 def test_a_trial_ends_after_a_pause_where_no_turn_gives_a_way_out(monkeypatch):
-    monkeypatch.setattr(mpc_module, "turn_away", lambda *_: None)
+    monkeypatch.setattr("tetractl.control.detour.turn_away", lambda *_: None)
     stop, again, end = decisions_beside_a_wall(3)
     assert stop.pauses
     assert again.pauses

@@ -89,8 +89,8 @@ def test_what_the_camera_cannot_show_steers_no_cell(tmp_path, fault, at, says):
     ("on_lost", "notes", "lost"),
     [
         ("stop", [], ()),
-        ("drop", ["the run goes on without it"], (1, 0)),
-        ("replace", ["the run goes on without it", "cell 1 is another cell now"], (1, 0)),
+        ("drop", ["the run goes on without this robot"], (1, 0)),
+        ("replace", ["the run goes on without this robot", "cell 1 is another cell now"], (1, 0)),
     ],
 )
 def test_a_cell_that_divides_ends_the_trial_is_dropped_or_replaced(on_lost, notes, lost, tmp_path):

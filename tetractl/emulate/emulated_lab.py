@@ -177,7 +177,7 @@ class EmulatedLab:
         self.timeline.at(now + TICK_NS, self._tick)
 
     def _help(self, now: int) -> None:
-        """Carry the robots back to their starts once they have stood long enough."""
+        """Carry the robots back to their starts once they have stood still for `replace_after`."""
         wait = self._options.replace_after
         if wait is None or not self._ran or self._still_since is None:
             return

@@ -39,7 +39,7 @@ class Fault(Model):
     begin: ClassVar[Callable[..., Undo]]
     fault: Any  # the name of its kind, as a Literal
     at: NonNegative = 0.0
-    """Time of the fault after `since` [s]."""
+    """Time of the fault after the event `since` [s]."""
     since: Literal["start", "client", "run"] = "run"
     """Event from which `at` counts: the `start` of the emulation, the first `client` of the
     cameras, or the first command of a `run` that moves a robot.
@@ -55,7 +55,7 @@ class Fault(Model):
 
 
 def setting(target: object, **values: object) -> Undo:
-    """Set attributes of an object; return the function that restores their values."""
+    """Set attributes of `target`; return the function that restores the attributes' values."""
     before = {name: getattr(target, name) for name in values}
     for name, value in values.items():
         setattr(target, name, value)

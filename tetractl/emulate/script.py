@@ -84,7 +84,7 @@ class Expect(Model):
     says: str = ""
     """Regular expression that the run's output or log must match."""
     tolerance: NonNegative | None = None
-    """Time for which the fault is tolerated [s]; the stop must be sent within 0.1 s after that."""
+    """Time for which the fault is tolerated [s]; the stop must be sent within 0.1 s after it."""
     robots: tuple[Name, ...] = ()
     """Names of the robots that have to stop; all by default."""
     still: Positive | None = None

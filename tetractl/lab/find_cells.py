@@ -24,8 +24,8 @@ def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
     """Return a function from time [ns] to the direction [rad] of a field that makes cells circle.
 
     The field turns once in `turn_s` [s], always in the same sense, in four steps of unequal angles:
-    a cell's response shows its a and its dipole's angle. A cell with a < 2 pi / `turn_s` lags
-    behind.
+    a cell's response shows its turning rate a and its dipole's angle. A cell with a turning rate a
+    below 2 pi / `turn_s` lags behind the field.
     """
     start = float(np.random.default_rng(seed).uniform(-math.pi, math.pi))
 
@@ -72,7 +72,7 @@ def turn_field(
         raise AbortError(
             f"{rate:.1f} pictures per second were searched; to follow cells that swim "
             f"{choice.speed:g} {rig.setup.unit}/s, {least:.0f} are needed",
-            "do other programs keep this computer busy? smaller pictures take less time",
+            "do other programs keep this computer busy? searching smaller pictures takes less time",
         )
     return cells
 

@@ -42,7 +42,7 @@ class GuardState(StrEnum):
 class GuardRules:
     """The spec's `limits`, and the properties of robots and arena that the guard needs.
 
-    `speeds` (N,) are the robots' v [length unit/s], `turning` (N,) their greatest turning rates
+    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) their greatest turning rates
     [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can
     only be stopped together. A run that `goes_on` continues without a lost robot, and ends when the
     last robot is lost.
@@ -215,7 +215,7 @@ class Guard:
             self.abort(reason)
         else:
             self.lost[i] = self._filters[i].seen_ns
-            self._warnings.append(f"{reason}: the run goes on without it")
+            self._warnings.append(f"{reason}: the run goes on without this robot")
 
     def replaced(self, i: int) -> None:
         """Continue with another body in place of a lost robot."""
@@ -252,7 +252,7 @@ class Guard:
                 self.abort(f"this program stood still for {asleep_ns / SECOND:.1f} s")
             silent_ns, steps = now_ns - self._steered_ns, limits.late_steps
             if silent_ns >= self.rules.silence_ns:
-                silent = f"no direction for {silent_ns / SECOND:.1f} s"
+                silent = f"the controller gave no direction for {silent_ns / SECOND:.1f} s"
                 self.abort(f"{steps} control steps in a row were late: {silent}")
             if (unseen_ns := now_ns - (self._last_frame_ns or 0)) >= limits.stream_lost * SECOND:
                 self.abort(self.no_frame(unseen_ns))
@@ -370,7 +370,7 @@ class Guard:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
     def _outward(self, now: Pose, then: Pose) -> bool:
-        """Return whether a robot leaves the arena or, if it is outside, moves away from it."""
+        """Return whether a robot leaves the arena or, if outside, moves away from the arena."""
         return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
 
     def _outside(self, pose: Pose) -> float:

@@ -33,7 +33,7 @@ class PortHeldError(AbortError):
     def __init__(self, port: str) -> None:
         super().__init__(
             f"{port}: another program has this port open",
-            "only one run can use it; `tetractl lab stop` stops its robots and ends it",
+            "only one run can use a port; `tetractl lab stop` stops the robots and ends the other run",
         )
         self.port = port
 
@@ -203,9 +203,9 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
-    due = [(KILL_S, signal.SIGKILL, "killed it; `tetractl recover` mends its log")]
-    due.insert(0, (AGAIN_S, signal.SIGTERM, "asked it to end at once"))
-    due.insert(0, (0.0, signal.SIGTERM, "asked it to stop its robots and end"))
+    due = [(KILL_S, signal.SIGKILL, "killed the process; `tetractl recover` mends its log")]
+    due.insert(0, (AGAIN_S, signal.SIGTERM, "asked the process to end at once"))
+    due.insert(0, (0.0, signal.SIGTERM, "asked the process to stop its robots and end"))
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     say(f"{port}: {name} has this port open")
@@ -234,7 +234,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
                 name, "is not a tetractl process that can be ended" if pid else "is unknown"
             )
         if holder(port) != pid:
-            say(f"it released the port after {time.monotonic() - began:.1f} s")
+            say(f"the process released the port after {time.monotonic() - began:.1f} s")
             return
         if time.monotonic() - began > DEAD_S:
             raise _left(name, f"does not end even after SIGKILL; {failure}")

@@ -110,7 +110,7 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         ),
         (
             [SLAVE, "lab.actuator.mode=transparent"],
-            "lab.actuator.mode: transparent: cannot address one robot",
+            "lab.actuator.mode: transparent: cannot send to a single robot",
         ),
         (
             ["lab.actuator.robots.0.limit=9", "lab.actuator.robots.0.left.dead_zone=9"],

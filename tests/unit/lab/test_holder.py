@@ -80,9 +80,9 @@ def test_a_run_is_asked_to_end_even_when_suspended(port, hold, suspended):
     said = stopping(port)
     assert process.wait() == -signal.SIGTERM
     assert f"{port}: process {process.pid} (" in said
-    assert "asked it to stop its robots and end" in said
+    assert "asked the process to stop its robots and end" in said
     assert "sent stops, while that process has the port open" in said
-    assert "it released the port" in said
+    assert "the process released the port" in said
 
 
 def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
@@ -91,7 +91,7 @@ def test_a_run_that_hears_nothing_is_killed(port, hold, monkeypatch):
     process = hold("tetractl", "deaf")
     said = stopping(port)
     assert process.wait() == -signal.SIGKILL
-    assert said.index("asked it to end at once") < said.index("killed it")
+    assert said.index("asked the process to end at once") < said.index("killed the process")
 
 
 def test_another_program_is_named_and_left_alone(port, hold):

@@ -81,7 +81,7 @@ class Optics:
         raise ValueError("the camera cannot see all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
-        """Return the camera turned so that points (M, 3) [m] lie in the middle of the picture."""
+        """Return the camera turned so that `corners` (M, 3) [m] lie around the picture's middle."""
         made = self
         for _ in range(8):
             pixels = made.project(corners)

@@ -37,8 +37,8 @@ class FieldDriver(Protocol):
 class Dish:
     """Cells between the coils of a driver.
 
-    `coils` are the true coils; `reference_mt` is the field strength at which the cells' a holds.
-    `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
+    `coils` are the true coils; at the field strength `reference_mt` the cells' turning rates are
+    their a of equation (3) of the paper. `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
     placed cell stays at its place until the driver makes a field, as if a helper held it with a
     pipette, so that a trial begins with the cells on their starts.
     """
@@ -144,8 +144,8 @@ class CellBody:
 
 
 def cells_of(setup: Setup, walk: float, seed: int) -> Swimmers:
-    """Return one cell per robot of a setup, with the robot's a and speed, and with the random walk
-    `walk` of the heading [rad/sqrt(s)]; other properties are drawn at random.
+    """Return one cell per robot of a setup, with the robot's turning rate and speed, and with the
+    random walk `walk` of the heading [rad/sqrt(s)]; other properties are drawn at random.
     """
     cells = Swimmers.drawn(np.random.default_rng(seed), len(setup.names))
     cells.a, cells.speed = setup.a.copy(), setup.speed * setup.metres * 1e6

@@ -127,7 +127,7 @@ class DishPainter:
         self._random = np.random.default_rng(self.seed)
 
     def change(self, **values: Any) -> None:
-        """Replace values of `look`."""
+        """Give the named fields of `look` new values."""
         self.look, self._still = replace(self.look, **values), None
 
     def picture(

@@ -1,8 +1,8 @@
 """The common direction as a magnetic field that turns cells.
 
 A cell turns towards the field's direction u by equation (3) of the paper, at a rate proportional to
-the field's strength B. The spec's a holds at B = `strength_mt`, so a cell's turning rate is
-a (B / strength_mt) sin(u - heading).
+the field's strength B. The spec's turning rate a holds at B = `strength_mt`, so the heading changes
+at the rate a (B / strength_mt) sin(u - heading).
 """
 
 import threading
@@ -167,7 +167,7 @@ class FieldActuator:
 
 
 def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
-    """Return the driver's problems, warnings and facts; None as `reply` means that it is silent."""
+    """Return the driver's problems, warnings and facts; a `reply` of None means a silent driver."""
     if reply is None:
         where = f"{section.port} at {section.baud} baud"
         return Health((f"no current driver answers on {where}: is it on?",))

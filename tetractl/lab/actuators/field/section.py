@@ -110,7 +110,7 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field strength at which the cells' `a` holds [mT]; the current limit may weaken the field."""
+    """Field strength at which cells have the turning rate `a` [mT]; the current limit may weaken the field."""
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)
@@ -122,13 +122,13 @@ class FieldSection(ActuatorSection):
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
     temperature_max_c: Positive = 60.0
-    """A run does not start with coils warmer than this [degrees Celsius]."""
+    """A run does not start with coils above this temperature [degrees Celsius]."""
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:
         for name, pair in (("x", self.coils.x), ("y", self.coils.y)):
             if abs(pair.offset_mt) >= abs(pair.gain_mt_a) * self.current_max_a:
-                message = f"too small to cancel the ambient field of coils.{name}"
+                message = f"too small to cancel the ambient field coils.{name}.offset_mt"
                 raise inconsistent("current_max_a", message)
         if self.rate * self.watchdog < FRAMES_PER_WATCHDOG:
             least = FRAMES_PER_WATCHDOG / self.rate

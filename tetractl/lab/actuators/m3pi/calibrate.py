@@ -210,7 +210,7 @@ class _Bench:
         radius = speed / sum(rates)
         if not 5.0 < radius < 500.0:
             raise AbortError(
-                f"{self.name}: measured an impossible r of {radius:.0f} mm; do the wheels "
+                f"{self.name}: measured an impossible distance r of {radius:.0f} mm from a wheel to the centre; do the wheels "
                 "roll freely?"
             )
         offset = math.atan2(here.across - back.across, here.along - back.along)

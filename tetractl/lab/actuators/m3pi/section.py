@@ -96,7 +96,7 @@ class M3piSection(XbeeSection, ActuatorSection):
         yield from mismatches(indexed, setup.names, ("index", "address"))
         slave = not self.protocol.watchdog
         if slave and self.mode == "transparent":
-            message = "cannot address one robot, which the slave protocol needs; use api2"
+            message = "cannot send to a single robot, which the slave protocol needs; use api2"
             yield ("mode",), message
         if slave and setup.watchdog_s < math.inf:
             message = "these robots do not stop without commands; leave out wheels.watchdog"

@@ -41,7 +41,7 @@ def build_protocol(
 
 
 class BroadcastProtocol:
-    """Sends one frame with a checksum to all robots; robot i has the number `indices[i]` in it."""
+    """Sends all robots one frame with a checksum, in which robot i has the number `indices[i]`."""
 
     def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
         self._link, self._clock = link, clock

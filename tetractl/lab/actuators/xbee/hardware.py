@@ -118,7 +118,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     if runs not in (RIGHT, None):
         raise AbortError(
             f"{radio.port}: the module runs {runs} firmware, not {RIGHT}",
-            "it could not broadcast wheel commands fast enough; "
+            "this firmware could not broadcast wheel commands fast enough; "
             + (
                 f"load {RIGHT} firmware with XCTU"
                 if capable(family(hardware))

@@ -138,7 +138,7 @@ def _floor_findings(
         yield (
             not plane.worst_mm <= MISFIT_MM,
             f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
-            "lab.camera.floor: measure at, size_mm and heading again",
+            "lab.camera.floor: measure the fields at, size_mm and heading again",
         )
     if estimated and plane.doubt_mm > DOUBTFUL_MM:
         yield (
@@ -153,7 +153,7 @@ def _robot_findings(robots: Sequence[RobotTag], looks: Sequence[Look[Seen]]) -> 
     for i, robot in enumerate(robots):
         measured = [size for look in looks if (size := look.seen.sizes[i]) is not None]
         if robot.tag in twice:
-            yield True, f"{robot.name}: tag {robot.tag} is seen twice, so it is not tracked"
+            yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in seen:
             yield True, f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
         elif measured and abs(size := statistics.median(measured) - 1) > ODD:

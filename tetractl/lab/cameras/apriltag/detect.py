@@ -107,7 +107,7 @@ NOTHING = 1e-9
 
 
 def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[Floats, Floats]:
-    """Refine the rough corners (T, 4, 2) [px] of T tags; return them and each tag's blur (T,) [px].
+    """Refine the corners (T, 4, 2) [px] of T tags; return refined corners and blurs (T,) [px].
 
     Corners run clockwise round a dark square with `modules` modules per side. The blur is the
     standard deviation of the Gaussian that blurs a step to the width of the sides. If a tag's sides

@@ -64,8 +64,8 @@ class Cursor:
         return self.take(I32)[0]
 
     def count(self, smallest: int) -> int:
-        """Read a number of elements, which have at least `smallest` bytes each; WireError if so
-        many do not fit into the rest.
+        """Read a number of elements, which have at least `smallest` bytes each; WireError if
+        the elements do not fit into the rest of the payload.
 
         This limits loops and memory by the datagram's size.
         """

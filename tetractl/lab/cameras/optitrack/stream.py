@@ -97,7 +97,7 @@ class ClockSync:
 
     def _contradiction(self, new: Echo) -> str:
         """Return, as text, by how much the server's clock gained or lost time on the host's between
-        an earlier echo and this one; "" if that is within the tolerance.
+        an earlier echo and the echo `new`; "" if the clock is within the tolerance.
         """
         for old in reversed(self._echoes):
             span = new.host_ns - old.host_ns
@@ -351,7 +351,7 @@ class Stream:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:
                 listed = " and ".join(map(str, ids))
-                return f"the cameras have {len(ids)} rigid bodies '{robot.body}', of ids {listed}"
+                return f"the cameras have {len(ids)} rigid bodies named '{robot.body}', of ids {listed}"
         return ""
 
     def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:

@@ -27,8 +27,8 @@ class Look(Generic[S]):
 
 
 def rate_hz(looks: Sequence[Look[Any]] | Sequence[CameraFrame]) -> float | None:
-    """Return the rate of received pictures or frames [Hz], including those not searched; None for
-    fewer than two.
+    """Return the rate of received pictures or frames [Hz], including pictures not searched; None
+    for fewer than two looks.
     """
     if len(looks) < 2 or looks[-1].received_ns <= looks[0].received_ns:
         return None

@@ -121,7 +121,7 @@ class PictureCamera(ABC, Generic[S]):
             thread.join(CLOSE_S)
 
     def _look(self) -> tuple[Look[S], ...]:
-        """Wait until 20 more pictures have come or the source has ended, at most `connect`; return
+        """Wait until 20 more pictures have come or the source has ended, up to `connect`; return
         the results for the last 20, oldest first.
         """
         first = self._looks[-1].number if self._looks else 0

@@ -126,7 +126,10 @@ DOWN = {"tilt": 0.0}
             {"strays": TWINS},
             {},
             {},
-            ["floor tag 100 is seen twice: each", "red: tag 586 is seen twice, so it is not"],
+            [
+                "floor tag 100 is seen twice: each",
+                "red: tag 586 is seen twice, so the robot is not",
+            ],
             "",
         ),
         ({}, {}, {"floor": turned(0.06)}, [], "the floor tags are up to "),

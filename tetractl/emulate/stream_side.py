@@ -38,9 +38,9 @@ class EmulatedNetworkCamera:
     `draw(exposed_ns)` returns the picture whose exposure has its middle at a time on `clock`. The
     middle of picture k's exposure, which lasts `exposure_s`, is k / `rate_hz` after the camera was
     entered. The picture is sent `latency_s` after the middle of the exposure, or as soon as it is
-    drawn; a busy host skips some exposures. `mangle` changes the bytes of a part before they are sent; `frozen` stops
-    exposures while it is set; only every `every`-th picture is sent. A camera that `drips` sends an
-    endless header byte by byte. Raises TetractlError if the port is in use.
+    drawn; a busy host skips some exposures. `mangle` changes the bytes of a part before they are
+    sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent. A camera
+    that `drips` sends an endless header byte by byte. Raises TetractlError if the port is in use.
     """
 
     def __init__(

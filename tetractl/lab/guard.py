@@ -42,7 +42,7 @@ class GuardState(StrEnum):
 class GuardRules:
     """The spec's `limits`, and the properties of robots and arena that the guard needs.
 
-    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) their greatest turning rates
+    `speeds` (N,) are the robots' speeds [length unit/s], `turning` (N,) the greatest turning rates
     [rad/s]; `mm` is the number of millimetres per length unit. Robots that are not `individual` can
     only be stopped together. A run that `goes_on` continues without a lost robot, and ends when the
     last robot is lost.

@@ -33,7 +33,7 @@ class PortHeldError(AbortError):
     def __init__(self, port: str) -> None:
         super().__init__(
             f"{port}: another program has this port open",
-            "only one run can use a port; `tetractl lab stop` stops the robots and ends the other run",
+            "only one run can use a port; `tetractl lab stop` stops and ends the run that uses it",
         )
         self.port = port
 

@@ -38,9 +38,10 @@ class Dish:
     """Cells between the coils of a driver.
 
     `coils` are the true coils; at the field strength `reference_mt` the cells' turning rates are
-    their a of equation (3) of the paper. `walls` [um] are the edges along which cells slide, None for a dish without edges. If `held`, a
-    placed cell stays at its place until the driver makes a field, as if a helper held it with a
-    pipette, so that a trial begins with the cells on their starts.
+    their a of equation (3) of the paper. `walls` [um] are the edges along which cells slide, None
+    for a dish without edges. If `held`, a placed cell stays at its place until the driver makes a
+    field, as if a helper held it with a pipette, so that a trial begins with the cells on their
+    starts.
     """
 
     def __init__(

@@ -110,7 +110,7 @@ class FieldSection(ActuatorSection):
     rate: float = Field(default=40.0, ge=10, le=120, allow_inf_nan=False)
     """Rate of commands [Hz]."""
     strength_mt: Positive
-    """Field strength at which cells have the turning rate `a` [mT]; the current limit may weaken the field."""
+    """Field strength at which cells turn at the rate `a` [mT]; the current limit may weaken it."""
     coils: CoilsSection
     """The coils, as measured with a field probe at the position of the cells."""
     current_max_a: float = Field(gt=0, le=32, allow_inf_nan=False)

@@ -210,8 +210,8 @@ class _Bench:
         radius = speed / sum(rates)
         if not 5.0 < radius < 500.0:
             raise AbortError(
-                f"{self.name}: measured an impossible distance r of {radius:.0f} mm from a wheel to the centre; do the wheels "
-                "roll freely?"
+                f"{self.name}: measured an impossible distance of {radius:.0f} mm from a wheel to "
+                "the robot's centre; do the wheels roll freely?"
             )
         offset = math.atan2(here.across - back.across, here.along - back.along)
         if abs(offset) > math.pi / 3:

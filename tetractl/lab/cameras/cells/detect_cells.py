@@ -80,7 +80,7 @@ class BlobFinder:
     than the background, None to determine it.
 
     `learn` computes the background from pictures taken over a second or more. `follow` updates it
-    by later pictures, except around the cells, so that resting cells do not become part of the background.
+    by later pictures, except around the cells, so that the background shows no resting cells.
     """
 
     least_px2: float

@@ -67,7 +67,7 @@ class HelixFilter:
 
     `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
     the growth of the standard deviations of the first nine states per sqrt(s). `near_wall` says
-    where a wall may turn cells: turning there does not change the estimates of the states a and bias.
+    where a wall may turn cells: turning there leaves the estimates of states a and bias unchanged.
     """
 
     known: bool = True

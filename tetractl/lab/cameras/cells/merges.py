@@ -71,8 +71,8 @@ class Merges:
         cells: Sequence[FollowedCell],
     ) -> None:
         """Open a question: which of two poses `seen` (2, 3) belongs to `cell`, and which to `new`,
-        a new cell that separated from the blob of `cell`. An open question about `cell` is closed first;
-        `cells` are all cells.
+        a new cell that separated from the blob of `cell`. An open question about `cell` is closed
+        first; `cells` are all cells.
         """
         assert cell.alone is not None, "the cell was watched before"
         if cell.question is not None:

@@ -351,7 +351,8 @@ class Stream:
             ids = [body.id for body in model.bodies if body.name == robot.body]
             if len(ids) > 1:
                 listed = " and ".join(map(str, ids))
-                return f"the cameras have {len(ids)} rigid bodies named '{robot.body}', of ids {listed}"
+                named = f"rigid bodies named '{robot.body}', of ids {listed}"
+                return f"the cameras have {len(ids)} {named}"
         return ""
 
     def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:

@@ -175,7 +175,7 @@ def test_a_controller_that_falls_silent_stops_the_robots():
     while course.guard.state is not GuardState.ABORT:
         course.frame()
         assert course.at < 3000 * MS
-    assert course.guard.reason.startswith("5 control steps in a row were late: no direction")
+    assert course.guard.reason.startswith("5 control steps in a row were late: the controller gave")
 
 
 def test_a_program_that_slept_does_not_go_on():

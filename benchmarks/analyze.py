@@ -120,8 +120,9 @@ def main() -> None:
         print(f"| {' | '.join(cells)} |", flush=True)
     rank = float(spearmanr(predicted, measured).statistic)
     print(
-        f"\nrank correlation {rank:.2f} over {len(measured)} instances; {asked.trials} trials and "
-        f"{asked.plans} plans each, disturbed simulation (assumed)"
+        "\nrank correlation of predicted error and mean of trials, over "
+        f"{len(measured)} instances: {rank:.2f}; per instance {asked.trials} trials and "
+        f"{asked.plans} plans; simulation with assumed noise"
     )
 
 

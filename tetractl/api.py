@@ -214,7 +214,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
 def summarise(batch: "Batch", name: str = "") -> "Group":
     """Return the statistics of a batch: errors with intervals, outcomes, the published result.
 
-    `name` is its name in tables and figures. Raises UsageError if the trials are not of one
+    `name` is the batch's name in tables and figures. Raises UsageError if the trials are not of one
     experiment.
     """
     from tetractl.results.describe import describe

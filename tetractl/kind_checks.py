@@ -78,7 +78,7 @@ def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     named = kind.model_fields["type"].annotation
     options = getattr(named, "__args__", ())
     if len(options) != 1:
-        raise UsageError(f"{code}: its field `type` must be a Literal with one name")
+        raise UsageError(f"{code}: the field `type` must be a Literal with one name")
     try:
         return kind.model_validate({"type": options[0], **fields})
     except ValidationError as error:

@@ -14,11 +14,11 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
-"""An error is predicted for robots whose a differ from the next lower a by these fractions."""
+"""Errors are predicted for turning rates that each exceed the next lower one by these fractions."""
 TOO_ALIKE = 0.2
-"""If the smallest relative difference of a is below this value, other values of a are tried."""
+"""If two robots' turning rates differ by a smaller fraction, other rates are tried for them."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
-"""Relative differences of a tried for the two robots that are most alike."""
+"""Relative differences of turning rate that are tried for the two robots most alike in it."""
 WORTH = 0.8
 """An advised change must reduce the predicted error to at most this fraction of its value."""
 AS_GOOD = 1.1
@@ -42,12 +42,12 @@ class Analysis:
     `plans` is the number of plans searched, `steering` the analysis of those that reach the
     targets, with a cost of at most `tolerance` [length unit], None if none does. An error is NaN if
     no plan was found. `left_out` lists disturbances of the plant that are not in the predictions.
-    `alike` are the two robots whose a differ least, `gap` is this difference relative to the
-    smaller a; for one robot `alike` is None and `gap` inf. `by_gap` pairs relative differences of a
-    with errors: the robots keep the order and the geometric mean of their a, and each a is larger
-    than the next lower a by this difference. `by_count` pairs a number n with the error of the
-    spec's first n robots. `change` is the advised change if two robots are too alike and another a
-    reduces the error; `looked` is whether changes were tried.
+    `alike` are the two robots whose turning rates a differ least, `gap` is their difference
+    relative to the smaller rate; for one robot `alike` is None and `gap` inf. `by_gap` pairs
+    relative differences with errors: the turning rates keep their order and geometric mean, and
+    each exceeds the next lower rate by this relative difference. `by_count` pairs a number n with
+    the error of the spec's first n robots. `change` is the advised change if two robots are too
+    alike and another turning rate reduces the error; `looked` is whether changes were tried.
     """
 
     setup: Setup
@@ -114,8 +114,8 @@ def analyze(
 
 
 def smallest_gap(setup: Setup) -> tuple[float, tuple[int, int] | None]:
-    """Return the least relative difference of a between two robots, and the indices of the two
-    robots, smaller a first.
+    """Return the least relative difference between the turning rates a of two robots, and the
+    indices of the two, the one with the smaller rate first.
     """
     order = np.argsort(setup.a, kind="stable")
     if len(order) < 2:
@@ -148,7 +148,8 @@ def best_change(changes: list[Change], error: float) -> Change | None:
 
 
 def _candidates(setup: Setup, alike: tuple[int, int]) -> Iterator[tuple[int, float]]:
-    """Yield (index, new a): changes of one of the robots `alike` that raise the smallest gap."""
+    """Yield (index, new turning rate) of one of the robots `alike`: rates that raise the least
+    gap."""
     low, high = alike
     old, _ = smallest_gap(setup)
     for step in STEPS:

@@ -71,7 +71,7 @@ def predicted(
 
 
 def alike(cells: Sequence[FoundCell]) -> Iterator[tuple[FoundCell, FoundCell]]:
-    """Yield pairs of cells whose a are too similar to distinguish the cells after they meet."""
+    """Yield pairs of cells with turning rates too similar to tell them apart after they meet."""
     for one, two in combinations([cell for cell in cells if cell.magnetised], 2):
         if abs(math.log(one.a / two.a)) < ALIKE:
             yield one, two

@@ -1,16 +1,16 @@
 """Predicts the final positions of robots under an assumed noise: the linearised closed loop.
 
-The deviation e (2N,) of the final positions from the plan, and the relative errors of a and speed,
-are normal variables with a joint covariance. Signal by signal, from the first to the last,
+The deviation e (2N,) of the final positions from the plan, and the relative errors of turning rate
+a and speed, are normal variables with a joint covariance. For each signal, from first to last,
 
 1. the controller measures the deviation, with noise propagated to the end, and corrects it by the
    remaining signals: for a deviation of covariance P, measured with noise M, the correction is the
    fraction C = R (R + P + M)^-1. R is the covariance of the final positions if every remaining
    signal varies with the standard deviation TURN, and the stop comes a signal earlier or later;
-2. the robots move: errors of a and speed act, and the heading makes its random walk.
+2. the robots move: errors of turning rate and speed act, and the heading makes its random walk.
 
-A controller that identifies a and speed plans with its estimates, which improve with every
-measurement. Without `corrects` there is no feedback.
+A controller that identifies turning rate and speed plans with its estimates, which improve with
+every measurement. Without `corrects` there is no feedback.
 
 The derivatives of the final positions: a step moves robot i by d(heading, u) and turns it by
 w(heading, u). Let g_j be the derivative of the robot's final position with respect to its heading
@@ -18,9 +18,9 @@ before signal j, with g_L = 0. The chain rule backwards in time gives
 
     d end / d u_j = dd/du + g_{j+1} dw/du,      g_j = dd/dheading + g_{j+1} (1 + dw/dheading)
 
-and likewise the derivatives with respect to the robot's a and speed. A step's derivatives with
-respect to heading and signal are those that the optimiser's kernels use; the derivatives with
-respect to a and speed are central differences.
+and likewise the derivatives with respect to the robot's turning rate a and speed. A step's
+derivatives with respect to heading and signal are those that the optimiser's kernels use; those
+with respect to turning rate and speed are central differences.
 """
 
 import math
@@ -45,10 +45,10 @@ class Linear:
     `miss` (N,) is the planned distance of each robot's end to its target. Derivatives of the ends
     are `by_signal` (2N, L), of x_1, y_1, x_2, ... with respect to the signals [1/rad]; `by_heading`
     (L + 1, N, 2), with respect to the heading before each signal and at the end [1/rad]; `by_a` and
-    `by_speed` (L, N, 2), with respect to the logarithms of a and speed during one signal alone.
-    `turn_by_a` (L, N) is the derivative of one signal's turn with respect to ln a [rad]. `onward`
-    (2N, 1) is the displacement of the ends by one more signal of straight motion, and `seconds`
-    (L,) the duration of each signal [s].
+    `by_speed` (L, N, 2), with respect to the logarithms of turning rate and speed during one signal
+    alone. `turn_by_a` (L, N) is the derivative of one signal's turn with respect to ln a [rad].
+    `onward` (2N, 1) is the displacement of the ends by one more signal of straight motion, and
+    `seconds` (L,) the duration of each signal [s].
     """
 
     miss: Floats
@@ -186,7 +186,7 @@ def end_covariance(
     """Return the covariance (2N, 2N) of the ends x_1, y_1, x_2, ... [length unit^2].
 
     `corrects` is whether the controller corrects deviations during the plan, and `identifies`
-    whether it identifies a and speed.
+    whether the controller identifies turning rate a and speed.
     """
     count, length = len(plan.miss), len(plan.seconds)
     size = 2 * count

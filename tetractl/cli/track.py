@@ -63,8 +63,7 @@ def track(
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
     If the field's direction over time is given, it also prints each cell's turning rate a, heading
-    bias, and whether the cell has a magnet. Nothing is steered. Exits with 1 if no cell swims in
-    the film.
+    bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """

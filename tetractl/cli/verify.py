@@ -18,8 +18,7 @@ def verify(
     logs: Logs,
     as_json: AsJson = False,
 ) -> int:
-    """Compute every control decision again from the log alone, and compare it with the logged
-    decision.
+    """Compute every control decision of a log again and compare it with the logged decision.
 
     A simulation is run again as well, and the messages for viewers are compared with the records.
 

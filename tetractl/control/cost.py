@@ -1,4 +1,4 @@
-"""The optimal control problem of one control step: the cost J(u), (7)-(13).
+"""The optimal control problem of one control step: the cost J(u), the paper's equations (7)-(13).
 
     min over u in [-pi, pi]^L   J(u) = f(u) + omega_p P(s(k+1|k), ..., s(k+L|k))            (7)
     f(u) = sum_i || s_i(k+L|k) - tar_i ||                                                   (8)
@@ -105,7 +105,7 @@ def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> No
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:
-    """Evaluate (7)-(9) for B sequences, shape (B, L).
+    """Evaluate the paper's equations (7)-(9) for B sequences, shape (B, L).
 
     Raises ControlError if a cost is not finite, because only finite costs can be compared.
     """
@@ -113,8 +113,8 @@ def evaluate(problem: Problem, signals: Floats) -> Costs:
 
 
 def costs_along(problem: Problem, path: Floats) -> Costs:
-    """Evaluate (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); ControlError if a cost is
-    not finite."""
+    """Evaluate equations (7)-(9) along B predicted paths, shape (L + 1, B, N, 3); ControlError if a
+    cost is not finite."""
     x, y = path[..., 0], path[..., 1]
     if problem.within is None:
         miss = np.hypot(x[-1] - problem.targets[:, 0], y[-1] - problem.targets[:, 1])

@@ -42,8 +42,9 @@ class EnsembleSection(ControllerSection):
     switches_field: ClassVar[bool] = True
     type: Literal["ensemble"]
     rate: Positive = 1.3
-    """Angular velocity of the rotating field, in units of the robots' least a. Up to 1 every robot
-    follows with a constant lag; above 1 the robot with the least a cannot follow.
+    """Angular velocity of the rotating field, in units of the robots' least turning rate. Up to 1
+    every robot follows with a constant lag; above 1 the robot with the least turning rate cannot
+    follow.
     """
     fall: Fraction = 0.3
     """The field is switched off if, over the coming control period, the sum of distances would fall

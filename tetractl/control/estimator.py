@@ -25,10 +25,10 @@ REMEMBERED = SECOND  # time for which commands are kept after they stopped actin
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
-    `problem` has the spec's values of a and speed; with a `prior` both are identified. With
-    `drive_first`, robots drive a square before the first plan, and identification starts when the
-    first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left out of
-    every result.
+    `problem` has the spec's values of turning rate a and speed; with a `prior` both are identified.
+    With `drive_first`, robots drive a square before the first plan, and identification starts when
+    the first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left
+    out of every result.
     """
 
     def __init__(

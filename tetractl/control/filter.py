@@ -25,8 +25,8 @@ The dead time tau, from the sending of a direction to the moment when it acts, i
 robots. A bank has one filter for each tau of a grid, weighted by its likelihood; the grid is
 refined around likely values. The filter uses frames about 30 ms apart, and each control step's
 newest frame: wheels whose lag is not given respond over tens of milliseconds, and at shorter
-intervals the start of the response would bias dead time and a to smaller values. If the lag T is
-given, turning rate and speed approach the commanded ones with the time constant T, and the
+intervals the start of the response would bias dead time and turning rate to smaller values. If the
+lag T is given, turning rate and speed approach the commanded ones with the time constant T, and the
 direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
 """
 

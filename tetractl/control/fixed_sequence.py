@@ -47,7 +47,7 @@ def make_plan(
     foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
 ) -> Plan:
     """Return the plan of a control step from its searches, with the predicted path and the terms of
-    (7).
+    the paper's cost (7).
     """
     best = searches[chosen]
     ahead = foreseen(problem, best.signals)

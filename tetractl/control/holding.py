@@ -1,10 +1,10 @@
 """Searches directions that keep robots near their targets if they cannot stand still.
 
-A field that rotates at W, below the least a, keeps each robot on a circle of radius v / W; a field
-turned by pi makes robots drive back. The search minimises the time that robots spend farther than
-`Problem.within` from their targets. It tries rotations first, and then adds random normal changes
-to the best sequence so far: half of the changes are independent from signal to signal, half
-accumulate along the sequence. The changes become smaller from round to round.
+A field that rotates at W, below the robots' least turning rate a, keeps each robot on a circle of
+radius v / W; a field turned by pi makes robots drive back. The search minimises the time that
+robots spend farther than `Problem.within` from their targets. It tries rotations first, and then
+adds random normal changes to the best sequence so far: half of the changes are independent from
+signal to signal, half accumulate along the sequence. Each round's changes are smaller.
 """
 
 import math

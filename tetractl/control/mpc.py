@@ -363,7 +363,7 @@ class Mpc:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 
-        The last UNSURE signals are not tested; of a plan under way, only the first NEXT count."""
+        The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
         collision = self.section.collision
         under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))

@@ -21,10 +21,10 @@ class Collision(Model):
     """How the planner decides that a robot collides with an obstacle, a wall or another robot."""
 
     test: Literal["samples", "swept"] = "samples"
-    """`samples` tests the predicted positions, as (13) does; `swept` tests the straight segments
-    between them."""
+    """`samples` tests the predicted positions, as the paper's equation (13) does; `swept` tests the
+    straight segments between them."""
     margin: NonNegative = 0.0
-    """Obstacles are grown by this much for the planner [length unit]."""
+    """Distance by which obstacles are grown for the planner [length unit]."""
     walls: bool = False
     """Whether leaving the arena counts as entering an obstacle."""
     radius: NonNegative = 0.0
@@ -53,9 +53,9 @@ class PriorSection(Model):
     """Prior standard deviations of the motion's values in the spec."""
 
     a: Positive = 0.2
-    """Relative standard deviation of each a."""
+    """Relative standard deviation of each robot's turning rate a."""
     speed: Positive = 0.15
-    """Relative standard deviation of each speed."""
+    """Relative standard deviation of each robot's speed."""
     dead_time: Positive = 0.1
     """Standard deviation of the dead time [s]."""
     heading_bias: Positive = 0.05
@@ -102,11 +102,11 @@ class MpcFields(ControllerSection):
     """Number of control periods for which a plan holds each signal. The plan's time grid is `hold`
     times coarser than the control's, and a signal can still be changed at each control step."""
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
-    """Predicted motion: `euler` is (4)-(6); `arc` holds the wheel speeds of (24)-(25) over a
-    period; `exact` is the closed form of (1)-(3) under a held direction."""
+    """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
+    of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = False
-    """Whether a, speed and heading bias of each robot, and their common dead time, are identified
-    while they drive, starting from the spec's values.
+    """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
+    identified while they drive, starting from the spec's values.
     """
     prior: PriorSection = PriorSection()
     """The prior uncertainty of the identified values."""
@@ -114,9 +114,9 @@ class MpcFields(ControllerSection):
     """Total error to accept [length unit]. If no sequence about as long as the present plan ends
     within this error, longer ones (detours) are searched, and the trial ends if stopping leaves at
     most this error and is as good as any plan. A smaller value makes trials longer. Each detour
-    near the end of a plan raises the accepted error by a tenth; after half of the steps it grows up
-    to fourfold; when too few steps for a detour are left, any error is accepted. With 0, as in
-    Algorithm 2, a trial ends only at the end of its sequence."""
+    near the end of a plan raises the accepted error by a tenth; after half of the steps the
+    accepted error grows up to fourfold; when too few steps for a detour are left, any error is
+    accepted. With 0, as in Algorithm 2, a trial ends only at the end of its sequence."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -131,7 +131,7 @@ class MpcFields(ControllerSection):
     some seconds each.
     """
     obstacle_weight: NonNegative = 1000.0
-    """Weight omega_p of the obstacle potential in (7) [length unit]."""
+    """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
     collision: Collision = Collision()
     """How the planner tests for obstacles."""
     evaluations_max: int | None = Field(default=None, ge=1)

@@ -42,10 +42,10 @@ class RrtSection(ControllerSection):
 
     type: Literal["rrt"]
     edge: Positive = 8.0
-    """Length of an edge of the tree [v/a of the robot]."""
+    """Length of an edge of the tree, in units of the robot's v/a (speed over turning rate)."""
     reach: Positive = 2.5
-    """Distance from which a corner of the path counts as passed [v/a of the robot]; at least the
-    distance driven in a control period."""
+    """Distance from which a corner of the path counts as passed, in units of the robot's v/a; at
+    least the distance driven in a control period."""
     goal_bias: Fraction = 0.1
     """Fraction of the draws that give the target instead of a random point."""
     draws_max: int = Field(default=5000, ge=1, le=100_000)

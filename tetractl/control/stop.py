@@ -1,4 +1,4 @@
-"""Criteria by which a search ends: (20) of the paper, and others that need no logarithms."""
+"""Criteria by which a search ends: the paper's equation (20), and others without logarithms."""
 
 from typing import Annotated, Literal
 
@@ -11,8 +11,8 @@ from tetractl.experiment.base import Model, Positive
 
 
 class PaperStop(Model):
-    """Stop criterion (20) as printed: it compares logarithms of lengths, so it depends on the
-    length unit."""
+    """Stop criterion of the paper's equation (20) as printed: it compares logarithms of lengths, so
+    it depends on the length unit."""
 
     type: Literal["paper"]
 
@@ -66,7 +66,7 @@ def stopped(history: Floats, stop: Stop) -> StopReason | None:
 
 
 def paper_criterion(history: Floats) -> bool:
-    """Evaluate (20) as printed, after iteration z = len(history) - 1.
+    """Evaluate the paper's equation (20) as printed, after iteration z = len(history) - 1.
 
     C = sum_{m=z-10}^{z} log J(m) / 2;  Delta = sum_{m=z-9}^{z} log(J(m-1) - J(m)); stop if z > 10
     and Delta < C. An iteration without improvement gives log 0 = -inf, hence a stop; J = 0 gives

@@ -28,9 +28,9 @@ class Command:
     `direction` is the common direction u [rad], None for a stop. It is also None if the field is
     switched off (`field_off`), when robots go straight on. `sent_ns` is the time of sending on the
     trial's clock. `delivered` (N,) is False for a robot that did not receive it, as far as is
-    known. `left`, `right` (N,) are the wheel speeds of (24)-(25) [length unit/s], None for robots
-    without wheels. If `facing` is given, the robots stand and turn on the spot towards this
-    direction [rad]; `direction` is then None.
+    known. `left`, `right` (N,) are the wheel speeds of the paper's equations (24)-(25) [length
+    unit/s], None for robots without wheels. If `facing` is given, the robots stand and turn on the
+    spot towards this direction [rad]; `direction` is then None.
     """
 
     direction: float | None

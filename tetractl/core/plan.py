@@ -95,9 +95,9 @@ class Search:
     """One search of the optimiser: one horizon in one control step.
 
     `length` counts signals; the paper's horizon is h = length - 1. `history[z]` is J(u_gb) after
-    iteration z, and `history[0]` is J(u_gb) before the first (Figure 3). `stopped` is the reason
-    why the search ended, or a text if a log of another version of tetractl gives a reason that is
-    not a StopReason.
+    iteration z, and `history[0]` is J(u_gb) before the first (the paper's Figure 3). `stopped` is
+    the reason why the search ended, or a text if a log of another version of tetractl gives a
+    reason that is not a StopReason.
     """
 
     length: int
@@ -145,15 +145,15 @@ class Estimate:
 class Plan:
     """The decision of one control step: the sequence chosen and how it was found.
 
-    cost = target_cost + obstacle_weight * obstacle_cost, (7). `path` holds the predicted poses
-    (length + 1, N, 3), beginning with those at which the plan starts. `searches` are the searches
-    of all horizons tried, in order; `chosen` is the index of the best. `generator` is the key of
-    all random numbers of this step. `estimate` are the estimates used for the plan, None if the
-    controller estimates nothing. If `field_off`, the field is switched off in this step, signals[0]
-    is not sent, and robots go straight on. If `pauses`, all robots are stopped instead, `delay_ns`
-    after the decision, and stand for PAUSE_S; if `facing` is given, they turn on the spot towards
-    it [rad]. `leg` is the number of way-points passed; while the robots hold, it is one more than
-    the number of way-points.
+    cost = target_cost + obstacle_weight * obstacle_cost, the paper's equation (7). `path` holds the
+    predicted poses (length + 1, N, 3), beginning with those at which the plan starts. `searches`
+    are the searches of all horizons tried, in order; `chosen` is the index of the best. `generator`
+    is the key of all random numbers of this step. `estimate` are the estimates used for the plan,
+    None if the controller estimates nothing. If `field_off`, the field is switched off in this
+    step, signals[0] is not sent, and robots go straight on. If `pauses`, all robots are stopped
+    instead, `delay_ns` after the decision, and stand for PAUSE_S; if `facing` is given, they turn
+    on the spot towards it [rad]. `leg` is the number of way-points passed; while the robots hold,
+    it is one more than the number of way-points.
     """
 
     signals: Floats
@@ -197,10 +197,10 @@ class Plan:
 
 
 class Region(Protocol):
-    """The obstacle region O of (13), including its edge; lengths are in the spec's unit."""
+    """The obstacle region O of the paper's equation (13), with its edge; in the spec's unit."""
 
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point lies in the region, p(s) of (13)."""
+        """Return whether each point lies in the region, p(s) of the paper's equation (13)."""
         ...
 
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
@@ -223,13 +223,13 @@ class Problem:
 
     targets (N, 2); a (N,) rad/s; speed (N,) length unit/s; `motion` names the model of the
     prediction. Signal j is held for `period` seconds, except the first, held for `first_period`.
-    `obstacle_weight` is omega_p of (7). `swept` tests the segments between predicted positions
-    instead of the positions alone. Two robots are to keep `separation` between their centres at the
-    predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added to the direction
-    that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift that carries it;
-    None for no bias or flow. If `within` [length unit] is given, the robots are to stay within that
-    distance of their targets. Problems are compared by identity, so that a problem can be the key
-    of a cache.
+    `obstacle_weight` is omega_p of the paper's equation (7). `swept` tests the segments between
+    predicted positions instead of the positions alone. Two robots are to keep `separation` between
+    their centres at the predicted positions; 0 for robots that may meet. `bias` (N,) [rad] is added
+    to the direction that each robot turns towards, and `flow` (N, 2) [length unit/s] is the drift
+    that carries it; None for no bias or flow. If `within` [length unit] is given, the robots are to
+    stay within that distance of their targets. Problems are compared by identity, so that a problem
+    can be the key of a cache.
     """
 
     poses: Poses

@@ -49,8 +49,8 @@ class Plant(Protocol):
         ...
 
     def turn(self, facing: float) -> Command:
-        """Turn standing robots on the spot towards a direction [rad], by (3) at speed 0; only on
-        plants whose robots have wheels, between two calls of `pause`.
+        """Turn standing robots on the spot towards a direction [rad], by the paper's equation (3)
+        at speed 0; only on plants whose robots have wheels, between two calls of `pause`.
         """
         ...
 
@@ -167,8 +167,8 @@ class Actuator(Device, Protocol):
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Turn robots on the spot towards a direction [rad], by (3) at speed 0; the other arguments
-        are those of `steer`.
+        """Turn robots on the spot towards a direction [rad], by the paper's equation (3) at speed
+        0; the other arguments are those of `steer`.
 
         Raises AbortError if the robots cannot stand still, as `halts` says.
         """

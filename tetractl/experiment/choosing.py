@@ -78,15 +78,16 @@ def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
 
 
 def unlikeness(a: Floats, a_sd: Floats) -> float:
-    """Return the least difference of log(a) between two cells, minus that difference's standard
-    deviation; inf for a single cell."""
+    """Return the least difference between two cells in the logarithm of the turning rate a, minus
+    that difference's standard deviation; inf for a single cell."""
     order = np.argsort(a)
     logs, off = np.log(a[order]), a_sd[order] / a[order]
     return float(np.min(np.diff(logs) - np.hypot(off[1:], off[:-1]), initial=np.inf))
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return (clear of walls, difference of a, least a) of cells; the greatest tuple is best."""
+    """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls,
+    the `unlikeness` of their turning rates a up to UNLIKE, and the least turning rate [rad/s]."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
@@ -97,7 +98,7 @@ def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, flo
 
 
 def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCell | None:
-    """Return the cell whose a and speed are most like a robot's, None if none is similar."""
+    """Return the cell most like a robot in turning rate and speed, None if none is similar."""
     wanted = np.log([setup.a[robot], setup.speed[robot]])
     off = [float(np.abs(np.log([cell.a, cell.speed]) - wanted).max()) for cell in cells]
     best = min(range(len(cells)), key=off.__getitem__, default=None)
@@ -105,7 +106,7 @@ def most_alike(setup: Setup, robot: int, cells: Sequence[FoundCell]) -> FoundCel
 
 
 def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
-    """Return, for each of `choice.wanted` in order, the cell that is nearest in a and speed."""
+    """Return a different cell, similar in turning rate and speed, for each of `choice.wanted`."""
     wanted = np.log([(cell.a, cell.speed) for cell in choice.wanted])
     there = np.log([(cell.a, cell.speed) for cell in cells])
     found = dealt(wanted, there)
@@ -113,7 +114,8 @@ def _found_again(choice: Choice, cells: Sequence[FoundCell]) -> list[FoundCell]:
         if np.abs(want - there[i]).max() > MISSED:
             a, speed = np.exp(want)
             raise AbortError(
-                f"the cell with a = {a:.2f} rad/s, v = {speed:.0f} per second cannot be found",
+                f"the cell with turning rate {a:.2f} rad/s and speed {speed:.0f} "
+                "length units/s cannot be found",
                 "survey the dish again",
             )
     return [cells[i] for i in found]

@@ -26,12 +26,12 @@ class NoWait(Model):
 
 
 class Square(Model):
-    """The robots drive a square while the first plan is computed and return to their start
-    (IV-B.1)."""
+    """The robots drive a square while the first plan is computed and return to their start (the
+    paper's section IV-B.1)."""
 
     type: Literal["square"]
     side: Positive = 2.0
-    """Time spent on each side [s]; it should be several times 1/a, so that the square closes."""
+    """Time for each side [s]: several times 1 over the turning rate, so that the square closes."""
     laps: int = Field(default=1, ge=1, le=100)
     """Number of whole squares to drive; in the lab, at least this number."""
 

@@ -50,7 +50,7 @@ class Disturbance:
     """
 
     def parameters(self, a: Floats, speed: Floats) -> tuple[Floats, Floats]:
-        """Return the true a [rad/s] and speed [length unit/s], (N,) each, given the spec's values.
+        """Return the true turning rates [rad/s] and speeds [length unit/s], (N,), given the spec's.
 
         Called once, before all other methods.
         """
@@ -61,7 +61,7 @@ class Disturbance:
         return poses
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return the true a and speed from `time_s` to the next call, (N,) each.
+        """Return the true turning rates a and speeds from `time_s` to the next call, (N,) each.
 
         `a` and `speed` come from `parameters`, as varied by the disturbances before this one.
         Called before every exposure of a camera frame and before each command acts; a robot with a

@@ -60,7 +60,7 @@ class Arena(Model):
 
 
 class Robot(Model):
-    """One robot: its start, its target, and its motion, (1)-(3)."""
+    """One robot: its start, its target, and its motion by the paper's equations (1)-(3)."""
 
     name: Name
     """Unique name of the robot: letters without accents (a to z, A to Z), digits, spaces, dots,
@@ -77,7 +77,7 @@ class Robot(Model):
     together, so all have the same number of them.
     """
     a: Positive
-    """Turning rate a towards the common direction [rad/s], (3)."""
+    """Turning rate a towards the common direction [rad/s], in the paper's equation (3)."""
     speed: NonNegative
     """Speed v [length unit/s]."""
     color: str | None = Field(default=None, pattern=r"^(#[0-9a-fA-F]{6}|[a-z]{3,20})$")
@@ -182,7 +182,7 @@ class Experiment(Model):
     obstacles: tuple[Obstacle, ...] = Field(default=(), max_length=1000)
     """Obstacles, which no robot may enter."""
     wheels: Wheels | None = None
-    """Wheel geometry; if given, the log holds the wheel speeds (24)-(25) of every command."""
+    """Wheel geometry; if given, the log holds the wheel speeds of every command."""
     controller: Annotated[ControllerSection, _CONTROLLER] = Field(default_factory=_CONTROLLER.make)
     """The controller."""
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
@@ -190,14 +190,14 @@ class Experiment(Model):
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
     """The lab that `--plant lab` takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
-    """File written by `tetractl identify`, relative to the spec: the file's a and speed of each
-    robot and dead time replace the spec's values.
+    """File written by `tetractl identify`, relative to the spec: the turning rate a and speed of
+    each robot and the dead time in the file replace the spec's values.
     """
     trials: Trials = Trials()
     """Number and seed of the trials."""
     error_bound: Positive | None = None
-    """Total error [length unit] above which a trial counts as far off: the tables show the fraction
-    of trials far off. The default is 10 times the batch's median."""
+    """Total error [length unit] above which a trial counts as far off: the tables show how many
+    trials are far off. The default is 10 times the batch's median."""
     reference: Reference | None = None
     """A published result to compare with."""
     scale: Scale | None = None

@@ -86,9 +86,9 @@ def read_identified(path: Path) -> tuple[Identified, str]:
 def merge(document: Document, found: Identified, origin: str) -> None:
     """Replace a spec's values by the identified values; add problems to the document.
 
-    Each robot's a and speed and the controller's dead time are replaced. The dead time counts from
-    sending a command if the controller identifies while driving (`estimate`), otherwise from the
-    exposure of the frame.
+    Each robot's turning rate a and speed, and the controller's dead time, are replaced. The dead
+    time counts from sending a command if the controller identifies while driving (`estimate`),
+    otherwise from the exposure of the frame.
     """
     data = document.data
     place = Place(origin)

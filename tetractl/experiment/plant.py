@@ -82,7 +82,7 @@ class PlantSection(Model):
 
 
 class Wheels(Model):
-    """Geometry of a two-wheeled robot that moves like a cell, (21)-(25)."""
+    """Geometry of a two-wheeled robot that moves like a cell (the paper's equations (21)-(25))."""
 
     radius: Positive
     """Distance r from a wheel to the robot's centre [length unit]."""

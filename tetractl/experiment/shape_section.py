@@ -30,7 +30,7 @@ class ShapeSection(Model):
 
     @abstractmethod
     def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point lies in the shape, p(s) of (13)."""
+        """Return whether each point lies in the shape, p(s) of the paper's equation (13)."""
 
     @abstractmethod
     def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:

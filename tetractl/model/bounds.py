@@ -1,8 +1,9 @@
 """Lower bounds of the total error that hold for every sequence of common directions.
 
-N robots move by (1)-(3) for at most t seconds: theta_i' = a_i sin(u - theta_i), with one u for all.
-Let g_i be the vector from a robot's start to its target, e_i its distance to the target at the end,
-and w_i the integral of its unit heading vector, so that the robot moves by v_i w_i.
+N robots move by the paper's equations (1)-(3) for at most t seconds: theta_i' = a_i sin(u -
+theta_i), one u for all. Let g_i be the vector from a robot's start to its target, e_i its distance
+to the target at the end, and w_i the integral of its unit heading vector, so that the robot moves
+by v_i w_i.
 
 Reach. |w_i| <= t, hence e_i >= |g_i| - v_i t.
 
@@ -22,10 +23,11 @@ hence |w_1 - w_2| <= G(t), the integral of min(D, 2). With p_i = g_i / v_i,
 
     e_1 + e_2 = v_1 |w_1 - p_1| + v_2 |w_2 - p_2| >= min(v_1, v_2) (|p_1 - p_2| - G(t)).
 
-Robots of equal a and start heading have D = 0: their paths have the same shape, and for two such
-robots the bound is exact if t is long enough. The bounds hold for the Euler model (4)-(6) and for
-held wheel speeds (24)-(25) too: the right-hand side of D' grows with D, so a step of length T along
-the tangent stays below D, and a left Riemann sum of a growing function stays below its integral.
+Robots of equal turning rate a and start heading have D = 0: their paths have the same shape, and
+for two such robots the bound is exact if t is long enough. The bounds also hold for the Euler model
+(4)-(6) and held wheel speeds (24)-(25): the right-hand side of D' grows with D, so a step of length
+T along the tangent stays below D, and a left Riemann sum of a growing function stays below its
+integral.
 
 All robots. The total error is at least the minimum of e_1 + ... + e_N under all these inequalities,
 a linear programme.
@@ -70,7 +72,7 @@ def drift(a_1: Floats, a_2: Floats, turned: Floats, seconds: float) -> Floats:
 def least_total_error(setup: Setup, seconds: float, alike: bool = False) -> float:
     """Return a lower bound of the total error of any sequence of directions [length unit].
 
-    With `alike`, the bound is for robots with equal a and equal start headings.
+    With `alike`, the bound is for robots with equal turning rates and equal start headings.
     """
     alone = reach(setup, seconds)
     one, other = np.triu_indices(len(alone), 1)

@@ -1,7 +1,7 @@
 """The model of swimming cells that the simulation and the emulated microscope use.
 
-A cell swims along a helix whose axis follows (1)-(3): (3) turns the axis, not the momentary
-velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.
+A cell swims along a helix whose axis follows the paper's equations (1)-(3): (3) turns the axis, not
+the momentary velocity (Crenshaw). Lengths are in micrometres, independently of a spec's unit.
 docs/explanation/cells.md states the source of each number; `guess` means that no source was found.
 """
 
@@ -177,7 +177,7 @@ class Swimmers:
         return both.joined(daughter)
 
     def _turning(self, field: tuple[float | Floats, float | Floats], heading: Floats) -> Floats:
-        """Return the turning rate [rad/s] at headings (N,): a (field x dipole), as in (3)."""
+        """Return turning rates [rad/s] at headings (N,): a (field x dipole), as in equation (3)."""
         dipole = heading + self.bias
         return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))
 

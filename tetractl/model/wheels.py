@@ -1,4 +1,4 @@
-"""A two-wheeled robot that moves like a cell, (21)-(25), and the counts sent to its wheels.
+"""Two-wheeled robots that move like cells by the paper's equations (21)-(25); their wheel counts.
 
 A wheel runs at gain * (|count| - dead zone) mm/s, and stands within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
@@ -23,7 +23,7 @@ STOP: Counts = (0, 0)
 def wheel_speeds(
     heading: Floats, u: Floats | float, a: Floats, v: Floats, r: Floats | float
 ) -> tuple[Floats, Floats]:
-    """Return (left, right) wheel speeds [length unit/s] that turn a robot like a cell, (24)-(25).
+    """Return left and right wheel speeds [length unit/s] by the paper's equations (24)-(25).
 
     heading, a [rad/s] and v [length unit/s] have shape (N,); r is the distance from a wheel to the
     centre [length unit].
@@ -141,7 +141,7 @@ class LaggingTurns:
 
         theta + T w(s) + integral of c from s to t.
 
-    If (24)-(25) are computed at this heading, robots turn by (3), as if their wheels had no lag.
+    If equations (24)-(25) are computed at this heading, robots turn by (3), as without lag.
     """
 
     def __init__(self, lag_s: float, count: int) -> None:

@@ -15,9 +15,9 @@ STEP_S = 0.005  # largest step of the midpoint rule
 
 
 class CultureSection(Model):
-    """Simulates the robots as swimming cells with the spec's a and speed; their other properties
-    are drawn at random, see docs/explanation/cells.md. Cells turn by (3), and `heading_noise` is
-    the random walk of their heading.
+    """Simulates the robots as swimming cells with the spec's turning rates and speeds; their other
+    properties are drawn at random, see docs/explanation/cells.md. Cells turn by the paper's
+    equation (3), and `heading_noise` is the random walk of their heading.
     """
 
     dipole: NonNegative = DIPOLE_SD_RAD
@@ -85,7 +85,7 @@ class CellDrive:
         return (~self.cells.resting).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true a and speed from now on, (N,) each."""
+        """Change the true turning rates a and speeds from now on, (N,) each."""
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
     def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:

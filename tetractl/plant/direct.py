@@ -1,4 +1,4 @@
-"""Simulates robots that receive the direction itself and turn towards it by (3), like cells."""
+"""Simulates robots that receive the direction itself and turn to it by the paper's equation (3)."""
 
 import numpy as np
 
@@ -38,7 +38,7 @@ class DirectDrive:
         return self._held.moving * self._able
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true a and speed from now on, (N,) each."""
+        """Change the true turning rates a and speeds from now on, (N,) each."""
         self._able = (a > 0) | (speed > 0)
         self._a, self._speed = np.maximum(a, LEAST_A), speed
         self._held.turning = a * self._sine

@@ -49,14 +49,14 @@ class SimSection(PlantSection):
     switches_field: ClassVar[bool] = True
     type: Literal["sim"] = "sim"
     motion: Annotated[str, KindName(MOTIONS)] = "exact"
-    """`exact` follows (1)-(3); `arc` holds the wheel speeds of (24)-(25), computed from the newest
-    frame, between two commands; `euler` moves by (4)-(6), on straight chords. Ignored with
-    `drive`."""
+    """By equations of the paper: `exact` follows (1)-(3); `arc` holds the wheel speeds of
+    (24)-(25), computed from the newest frame, between two commands; `euler` moves by (4)-(6), on
+    straight chords. Ignored with `drive`."""
     drive: WheelDriveSection | None = None
-    """Wheels by which robots turn towards the direction; by default robots turn towards it by (3),
-    without wheels. Needs the experiment's field `wheels`."""
+    """Wheels by which robots turn towards the direction; by default robots turn by the paper's
+    equation (3), without wheels. Needs the experiment's field `wheels`."""
     cells: CultureSection | None = None
-    """Simulates swimming cells instead of points that follow (1)-(3); `motion` is then ignored."""
+    """Simulates swimming cells in place of points that move by `motion`, which is then ignored."""
     camera_rate: float = Field(default=120.0, ge=1, le=10_000, allow_inf_nan=False)
     """Rate of measurements [Hz]."""
     truth_rate: float = Field(default=960.0, ge=1, le=100_000, allow_inf_nan=False)
@@ -73,8 +73,8 @@ class SimSection(PlantSection):
     lost_commands: Fraction = 0.0
     """Probability that a robot does not receive a command and keeps following the previous one."""
     a_error: Fraction = 0.0
-    """The true a is the spec's times 1 + e, with e uniform in [-a_error, a_error], drawn once per
-    trial and robot."""
+    """The true turning rate a is the spec's times 1 + e, with e uniform in [-a_error, a_error],
+    drawn once per trial and robot."""
     speed_error: Fraction = 0.0
     """The true speed is the spec's times 1 + e, with e uniform in [-speed_error, speed_error],
     drawn once per trial and robot.
@@ -143,7 +143,8 @@ class SimSection(PlantSection):
         seed: np.random.SeedSequence,
         supervision: LabSupervision,
     ) -> FoundRobots:
-        """Return random cells, scattered in the arena, with a and speed as measured by a survey."""
+        """Return random cells scattered in the arena, with turning rates and speeds as a survey
+        would measure them."""
         own = np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, FINDING))
         random, arena = np.random.default_rng(own), setup.arena
         count = max(CULTURE, choice.choose)
@@ -213,7 +214,7 @@ class SimPlant:
 
     @property
     def rates(self) -> tuple[Floats, Floats]:
-        """The present true a [rad/s] and speed [length unit/s], (N,) each."""
+        """The present true turning rates [rad/s] and speeds [length unit/s], (N,) each."""
         return self._motion.rates
 
     def open(self) -> PlantInfo:

@@ -126,8 +126,8 @@ class TrueMotion:
         drive.poses = Poses(p.x, p.y, p.heading + walk)
 
     def _disturb(self, now: int) -> None:
-        """Apply the disturbances up to `now` [ns] to the true poses, and vary a and speed from then
-        on."""
+        """Apply the disturbances up to `now` [ns] to the true poses, and vary turning rates and
+        speeds from then on."""
         if now == self._disturbed_ns:
             return
         drive, time_s = self.drive, now / SECOND

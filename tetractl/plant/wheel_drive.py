@@ -1,12 +1,12 @@
-"""Simulates two-wheeled robots whose wheels follow received commands, (21)-(23).
+"""Simulates robots on two wheels that follow commands, by the paper's equations (21)-(23).
 
 Wheels follow commands with a first-order lag. Between two transmissions, wheel speeds, path length
 and heading are known in closed form. The position is the sum of the chords between the successive
 times at which it is computed, each taken as the chord of an arc: exact for settled wheels;
 otherwise the error falls with the square of the time between them.
 
-The host computes wheel speeds by (24)-(25) at the headings of the newest frame received, rounds
-them to wheel counts, and sends them at the radio's rate or once per control step.
+The host computes wheel speeds by equations (24)-(25) at the headings of the newest frame received,
+rounds them to wheel counts, and sends them at the radio's rate or once per control step.
 """
 
 from typing import Annotated
@@ -137,7 +137,7 @@ class WheelHost:
         return self._last
 
     def _computed(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
-        """Return the wheel speeds sent, by (24)-(25), and the true wheel speeds that result."""
+        """Return the wheel speeds sent, by equations (24)-(25), and the resulting true speeds."""
         heading = seen.poses.heading
         u = heading if self.direction is None else np.array(self.direction)
         if self._turns is not None and self._section.lead is not None:
@@ -222,7 +222,7 @@ class WheelDrive:
         return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
 
     def vary(self, a: Floats, speed: Floats) -> None:
-        """Change the true a and speed from now on, (N,) each."""
+        """Change the true turning rates a and speeds from now on, (N,) each."""
         known = self._setup
         # turning rate per difference of wheel speeds
         self._turn_of = a / known.a / (2 * self._radii)

@@ -187,9 +187,8 @@ def _obstacles(log: TrialLog, verdict: Verdict) -> Iterator[Difference]:
     """Check the distances and the entered obstacles in the verdict against the logged path.
 
     The plant of a lab evaluates only the frames between the first step and the stop. A stated
-    distance must therefore lie between the least distance over all frames of the log and the least
-    distance over the evaluated frames. In a damaged log, where frames may be lost, distances are
-    not checked.
+    distance must therefore lie between the least distance in all frames and the least distance in
+    the evaluated frames. In a damaged log, where frames may be lost, distances are not checked.
     """
     path, known = trial_path(log)
     least = most = path_verdict(log, path, known, verdict.final)

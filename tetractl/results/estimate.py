@@ -156,8 +156,7 @@ def known_distribution(n: int, mean: float, std: float, ci95: Interval) -> Distr
 
 
 def _tail(values: Floats, median: float, bound: float | None) -> Tail:
-    """Return the tail of values (n,) above `bound`, or above FAR times the median if `bound` is
-    None."""
+    """Return the tail of values (n,) above `bound`, or if it is None above FAR times the median."""
     limit = FAR * median if bound is None else bound
     n = len(values)
     if not limit > 0:

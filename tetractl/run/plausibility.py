@@ -103,8 +103,7 @@ def angles(spec: CheckContext) -> Iterator[SpecWarning]:
 
 
 def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield location and value of each number in those fields of a section whose description has
-    [rad]."""
+    """Yield location and value of each number in those fields of a section described in [rad]."""
     for name, field in type(part).model_fields.items():
         value = getattr(part, name)
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
@@ -246,8 +245,7 @@ def _and(names: Sequence[str]) -> str:
 
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
-    """Yield groups of robots, each robot similar to the group's first in turning rate a and start
-    heading."""
+    """Yield groups of robots that are like the group's first in turning rate and start heading."""
     left = np.ones(len(setup.a), dtype=np.bool_)
     for i in range(len(setup.a)):
         if not left[i]:

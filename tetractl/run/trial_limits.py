@@ -1,5 +1,4 @@
-"""The limits of an experiment, its checks before a run, and the square of the paper's section
-IV-B.1.
+"""The limits of an experiment, checks before a run, and the square of the paper's section IV-B.1.
 
 On the square all robots get the same four directions, a quarter turn apart, each for the same time.
 A robot whose heading starts a quarter turn behind the first direction follows the same curve on

@@ -85,8 +85,7 @@ class Range(Model):
     high: Finite
     """Upper end of the range."""
     scale: Literal["linear", "log"] = "linear"
-    """`linear` distributes the values evenly over the range, `log` distributes their logarithms
-    evenly."""
+    """`linear` spreads values evenly over the range, `log` spreads their logarithms evenly."""
     whole: bool = False
     """Whether only whole numbers are drawn, both ends included."""
 

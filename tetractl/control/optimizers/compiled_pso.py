@@ -77,7 +77,7 @@ def scatter(
 
 
 def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
-    """Return the parameters of (14)-(20) for the kernel; `spent` evaluations are already done."""
+    """Return the parameters of equations (14)-(20) for the kernel; `spent` evaluations are done."""
     stop, window, decrease, target = _stop(section.stop)
     return kernel.SwarmRules(
         key=np.uint64(mix(key, 1)),

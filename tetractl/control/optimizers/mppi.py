@@ -47,7 +47,7 @@ class Mppi(OptimizerSection):
     cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
     """Factor by which s is multiplied after each iteration."""
     temperature: Positive = 0.02
-    """Temperature lambda, divided by the standard deviation of the costs."""
+    """Temperature lambda, in units of the standard deviation of the iteration's costs."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 

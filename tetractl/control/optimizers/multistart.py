@@ -1,12 +1,12 @@
 """The recommended optimiser: Levenberg-Marquardt polishes the best of many random starts.
 
 A particle swarm needs some ten thousand rollouts because it uses only the cost of a rollout. The
-cost (8) is smooth, its gradient costs about as much as a rollout, and there are far fewer misses
-(two coordinates per robot) than signals: Levenberg-Marquardt (`tetractl.control.kernels.levenberg`)
-reaches the targets from about every third smooth random sequence, in a few dozen steps.
-Global decisions, such as the side on which to pass an obstacle, are made by random starts and
-selection: each round draws many smooth sequences, evaluates them in one vectorised rollout and
-polishes only the best.
+cost, equation (8) of the paper, is smooth, its gradient costs about as much as a rollout, and there
+are far fewer misses (two coordinates per robot) than signals: Levenberg-Marquardt
+(`tetractl.control.kernels.levenberg`) reaches the targets from about every third smooth random
+sequence, in a few dozen steps. Global decisions, such as the side on which to pass an obstacle, are
+made by random starts and selection: each round draws many smooth sequences, evaluates them in one
+vectorised rollout and polishes only the best.
 
 A thorough search hops: it repeatedly moves one of the best few sequences at random, polishes it,
 and keeps it if it is better (basin hopping; Wales and Doye, J. Phys. Chem. A 101 (1997)). For
@@ -99,7 +99,7 @@ class Multistart(OptimizerSection):
 
         A warm start is polished first; if that fails, one round is scattered, half of it around the
         warm start. The history holds J before and after each polish and, in between, the merit of
-        its steps: (8) plus the depths inside obstacles.
+        its steps: f of the paper's equation (8) plus the depths inside obstacles.
         """
         progress = _PolishedProgress(self, problem, length, warm, limits)
         if limits.thorough:
@@ -170,7 +170,7 @@ class _PolishedProgress(Progress):
         return np.ascontiguousarray(self.starts[:, order].T)
 
     def _scatter(self, key: int) -> None:
-        """Draw smooth random sequences, within the bounds of (12).
+        """Draw smooth random sequences, within the bounds of the paper's equation (12).
 
         Each is linear between `knots` directions drawn uniformly within pi of the mean bearing of
         the targets; with a warm start, every second sequence is the warm start plus a curve of this

@@ -1,4 +1,4 @@
-"""Particle swarm optimisation: a readable version of Algorithm 1 with (14)-(20).
+"""Particle swarm optimisation: a readable version of the paper's Algorithm 1, equations (14)-(20).
 
 `pso` is the reference. `Pso.search` runs its compiled twin, `compiled_pso`, which must agree with
 it.
@@ -23,7 +23,7 @@ SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 
 class PsoFields(OptimizerSection):
-    """Fields of the particle swarm of Algorithm 1, (14)-(19)."""
+    """Fields of the particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
 
     type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
@@ -31,11 +31,11 @@ class PsoFields(OptimizerSection):
     iterations: int = Field(default=100, ge=1, le=1_000_000)
     """Largest number of iterations z_max of one search (one horizon)."""
     inertia: float = Field(default=0.7, gt=0, le=2, allow_inf_nan=False)
-    """Momentum omega_v of (14)."""
+    """Momentum omega_v of the paper's equation (14)."""
     cognitive: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
-    """Weight c1 of (14), towards a particle's own best."""
+    """Weight c1 of the paper's equation (14), towards a particle's own best."""
     social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
-    """Weight c2 of (14), towards the swarm's best."""
+    """Weight c2 of the paper's equation (14), towards the swarm's best."""
     stop: Stop = PaperStop(type="paper")
     """Criterion by which a search ends before `iterations`."""
 
@@ -56,7 +56,7 @@ class PsoFields(OptimizerSection):
 
     def contradictions(self, found: Search, warmed: bool, limits: Limits) -> Iterator[str]:
         """Yield "evaluations" if the logged number of evaluations contradicts the logged history,
-        and "stopped" if the logged reason for the end contradicts it."""
+        and "stopped" if the logged reason for the end contradicts that history."""
         if not len(found.history):
             return
         if found.evaluations != self.particles * len(found.history) + warmed:
@@ -107,7 +107,7 @@ class Swarm:
         )
 
     def ask(self) -> Floats:
-        """Move the swarm by (14)-(17) and return the new coordinates (np, L)."""
+        """Move the swarm by equations (14)-(17) and return the new coordinates (np, L)."""
         w, c1, c2 = self.section.inertia, self.section.cognitive, self.section.social
         size, shape = self.u.size, self.u.T.shape
         r1, r2 = (r.reshape(shape).T for r in uniform_pair(self.key, self.z * size, size))
@@ -119,7 +119,7 @@ class Swarm:
         return self.u
 
     def tell(self, costs: Floats) -> None:
-        """Update the bests by (18)-(19) with the costs (np,) of the coordinates from `ask`."""
+        """Update the bests by equations (18)-(19) with the costs (np,) of `ask`'s coordinates."""
         better = costs < self.best_cost
         self.best[better] = self.u[better]  # (18)
         self.best_cost[better] = costs[better]

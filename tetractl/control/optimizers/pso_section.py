@@ -6,7 +6,7 @@ from tetractl.core.poses import Floats
 
 
 class Pso(PsoFields):
-    """Particle swarm of Algorithm 1, (14)-(19)."""
+    """Particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits

@@ -55,7 +55,7 @@ class CameraLatencySection(DisturbanceSection):
     late_share: Fraction = 0.0
     """Fraction of the frames that are late."""
     late_by: float = Field(default=0.0, ge=0, le=10, allow_inf_nan=False)
-    """Largest additional latency of a late frame, uniformly distributed [s]."""
+    """Largest additional latency of a late frame [s]; the addition is uniformly distributed."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "CameraLatency":
         """Return this disturbance for one trial."""
@@ -178,7 +178,7 @@ class StaleCameraSection(SpellsSection):
 
     type: Literal["stale-camera"]
     age: Positive = 0.1
-    """Age of the poses [s]; frames earlier than this in the trial show the first poses."""
+    """Age of the poses shown [s]; frames before this time of the trial show the first poses."""
 
     def build(self, setup: Setup, rng: np.random.Generator) -> "StaleCamera":
         """Return this disturbance for one trial."""

@@ -28,20 +28,20 @@ class BatterySection(DisturbanceSection):
 
 
 class Battery(Disturbance):
-    """Reduces a and speed by a fraction that grows with time."""
+    """Reduces turning rate a and speed by fractions that grow with time."""
 
     def __init__(self, section: BatterySection) -> None:
         self._section = section
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed, reduced by the fractions lost up to this time."""
+        """Return turning rates and speeds, reduced by the fractions lost up to this time."""
         used = min(1.0, time_s / self._section.over)
         return a * (1 - self._section.a * used), speed * (1 - self._section.speed * used)
 
 
 class HeadingDriftSection(DisturbanceSection):
-    """A constant rate is added to the turning rate of (3): the wheels are uneven, or a cell is
-    bent."""
+    """A constant rate is added to the turning rate of the paper's equation (3): the wheels are
+    uneven, or a cell is bent."""
 
     type: Literal["heading-drift"]
     rate: NonNegative
@@ -70,7 +70,7 @@ class StickingSection(DisturbanceSection):
 
     type: Literal["sticking"]
     every: Positive
-    """Mean time between two stops of a robot [s], exponentially distributed."""
+    """Mean time for which a robot moves between two stops [s], exponentially distributed."""
     duration: NonNegative = 0.5
     """Time for which a stuck robot neither moves nor turns [s]."""
 
@@ -87,19 +87,19 @@ class Sticking(Disturbance):
         self._free = ByTurns(robots, lambda: rng.exponential(free_s), lambda: stuck_s)
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed, 0 for the robots that stick."""
+        """Return turning rates and speeds, 0 for the robots that stick."""
         free = self._free.well(time_s)
         return a * free, speed * free
 
 
 class WanderSection(DisturbanceSection):
-    """Relative errors of a and speed that change slowly, independently for each robot and quantity:
-    their logarithms are stationary Ornstein-Uhlenbeck processes.
+    """Relative errors of turning rate a and speed that change slowly, independently for each robot
+    and quantity: their logarithms are stationary Ornstein-Uhlenbeck processes.
     """
 
     type: Literal["wander"]
     a: NonNegative = 0.0
-    """Standard deviation of ln a."""
+    """Standard deviation of ln a, with a the turning rate."""
     speed: NonNegative = 0.0
     """Standard deviation of ln speed."""
     time: Positive = 5.0
@@ -111,7 +111,7 @@ class WanderSection(DisturbanceSection):
 
 
 class Wander(Disturbance):
-    """Draws the errors of a and speed at each time; their statistics do not depend on the rate."""
+    """Draws errors of turning rate and speed, with statistics independent of the rate of calls."""
 
     def __init__(self, section: WanderSection, robots: int, rng: np.random.Generator) -> None:
         self._size = np.array([[section.a], [section.speed]])
@@ -120,7 +120,7 @@ class Wander(Disturbance):
         self._last_s = 0.0
 
     def varied(self, a: Floats, speed: Floats, time_s: float) -> tuple[Floats, Floats]:
-        """Return a and speed with the errors at this time."""
+        """Return turning rates and speeds with the errors at this time."""
         kept = np.exp(-(time_s - self._last_s) / self._time_s)
         self._last_s = time_s
         drawn = self._rng.standard_normal(self._state.shape)

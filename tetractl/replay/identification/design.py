@@ -1,11 +1,10 @@
 """Designs a motion from which robots can be identified accurately: a sequence of directions.
 
 Of many random sequences, the one is taken that minimises the sum of the logarithms of the predicted
-variances of the dead time, each robot's turning rate a and each robot's heading bias (a D-optimal
-design). It is then improved one direction at a time. No robot may come within `margin` of the
-arena's edge or an obstacle, and no two robots within twice `margin` of each other. Variances are
-predicted from the Fisher information of the robots' turns in intervals of SHORTEST_S, with the
-noise NOISE.
+variances of the dead time and of each robot's turning rate and heading bias (a D-optimal design).
+It is then improved one direction at a time. No robot may come within `margin` of the arena's edge
+or an obstacle, and no two robots within twice `margin` of each other. Variances are predicted from
+the Fisher information of the robots' turns in intervals of SHORTEST_S, with the noise NOISE.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -192,8 +191,7 @@ def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
 
 
 def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
-    """Return the predicted standard deviations (1 + 2 N,) of the dead time, the logarithms of the N
-    turning rates, and the N heading biases."""
+    """Return predicted standard deviations (1 + 2 N,): of dead time, log turning rates, biases."""
     n = len(setup.names)
     drives = drives_of([_driven(setup, directions, dead_time)])
     turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))

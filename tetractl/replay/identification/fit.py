@@ -7,8 +7,8 @@ estimates of the run that predicts the turns best. Each of ROUNDS rounds then in
 from the robots' turns, leaves out intervals that deviate from the model by more than OUTLYING
 standard deviations, fits the measurement noise and the random walk of the headings, and fits the
 parameters by Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval contains the
-values for which the deviance, minimised over all other parameters, exceeds its minimum by at most
-LIMIT.
+values for which the deviance, minimised over all other parameters, is at most LIMIT above its
+minimum.
 
 Normal priors around the fit's starting values, with the wide standard deviations WEAK, keep a
 parameter bounded if the data do not determine it.

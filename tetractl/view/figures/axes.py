@@ -122,8 +122,7 @@ def positive(values: Floats) -> Floats:
 
 
 def span(values: Floats) -> tuple[float, float]:
-    """Return limits of an axis for positive values; the upper limit is at least 1.1 times the
-    lower."""
+    """Return limits of an axis for positive values, the upper at least 1.1 times the lower."""
     seen = values[np.isfinite(values)]
     if not len(seen):
         return 0.1, 10.0

@@ -133,8 +133,7 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true turning rates a or speeds (N,) of a simulation, None if the log does not
-    state it."""
+    """Return the true turning rates or speeds (N,) of a simulation, None if the log lacks them."""
     fact = log.start.plant.facts.get(f"true_{what}")
     return None if fact is None else np.array(json.loads(fact), dtype=np.float64)
 

@@ -1,5 +1,4 @@
-"""The paper's Figure 2: the particles of a search as points, with the first two signals of each
-particle's plan as coordinates."""
+"""The paper's Figure 2: a search's particles, each at the first two signals of its sequence."""
 
 from collections.abc import Sequence
 

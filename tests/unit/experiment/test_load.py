@@ -103,7 +103,7 @@ type: rectangle,  -> (nothing)
   s.yaml:7:5: obstacles.0.type: is missing; must be one of rectangle, circle, polygon
 , a: 3 -> (nothing)
   s.yaml:4:5: robots.0.a: is missing; add it: turning rate a towards the common direction
-    [rad/s], (3)
+    [rad/s], in the paper's equation (3)
 obstacles:\n -> plant: {camera_rate: 120, truth_rate: 60}\nobstacles:\n
   s.yaml:6:39: plant.truth_rate: 60: must be at least camera_rate, 120
 obstacles:\n -> plant: {type: sim, truth_rate: 60}\nobstacles:\n

@@ -197,7 +197,7 @@ class EmulatedField(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: FieldSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, FieldSection), "the section's type selects this class"
+        assert isinstance(section, FieldSection), "the actuator's section has the type field"
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = PseudoPort(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(

@@ -257,7 +257,7 @@ class StreamedCamera(ABC):
 
     def __init__(self, stage: Stage, settings: StreamSettings) -> None:
         section = stage.lab.camera
-        assert isinstance(section, PictureSection), "the section's type selects this class"
+        assert isinstance(section, PictureSection), "the camera searches pictures"
         if not isinstance(section.source, MjpegSource):
             raise SpecError(
                 f"a source of type {section.source.type} cannot be emulated",

@@ -273,7 +273,7 @@ class Guard:
         return Ruling(self.state, moving, accepted, "", warnings)
 
     def _behind(self) -> str:
-        return f"exposed {self._behind_ns / SECOND:.2f} s before the newest"
+        return f"exposed {self._behind_ns / SECOND:.2f} s before the newest frame"
 
     @property
     def _active(self) -> bool:

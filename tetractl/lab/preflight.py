@@ -129,7 +129,7 @@ def unplaced(rig: Rig) -> list[str]:
 
 def dropped(outdated: int) -> str:
     """Return a warning about the number of frames dropped because they were outdated."""
-    return f"camera frames dropped because later ones had come: {outdated}"
+    return f"camera frames dropped because later frames had come: {outdated}"
 
 
 def _robot(
@@ -211,8 +211,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
             problems = (findings or inspect(rig)).all_problems
             raise AbortError(
                 "; ".join(dict.fromkeys((*problems, *lines))),
-                "find the cause with `tetractl lab check`; limits.placing waits for robots "
-                "to be placed",
+                "find the cause with `tetractl lab check`; with a larger limits.placing the run "
+                "waits longer for robots to be placed",
             )
         clock.sleep_until(clock.now() + PLACES_NS)
 

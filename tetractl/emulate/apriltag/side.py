@@ -293,7 +293,7 @@ class EmulatedAprilTag(StreamedCamera):
     def __init__(self, stage: Stage, settings: AprilTagSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, AprilTagSection), "the section's type selects this class"
+        assert isinstance(section, AprilTagSection), "the camera's section has the type apriltag"
         self._bodies, self._section = bodies, section
         metres = stage.setup.metres
         optics = replace(

@@ -115,7 +115,7 @@ class EmulatedMicroscope(StreamedCamera):
     def __init__(self, stage: Stage, settings: MicroscopeSettings, bodies: Sequence[Body]) -> None:
         super().__init__(stage, settings)
         section = stage.lab.camera
-        assert isinstance(section, CellsSection), "the section's type selects this class"
+        assert isinstance(section, CellsSection), "the camera's section has the type cells"
         if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
             raise SpecError(
                 "the emulated microscope shows only cells, and cannot be rotated",

@@ -193,7 +193,7 @@ class EmulatedM3pi(PluggedDevice):
 
     def __init__(self, stage: Stage, settings: M3piSettings) -> None:
         section = stage.lab.actuator
-        assert isinstance(section, M3piSection), "the section's type selects this class"
+        assert isinstance(section, M3piSection), "the actuator's section has the type m3pi-xbee"
         truths = {truth.name: truth for truth in settings.robots}
         self.robots = [
             _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
@@ -250,7 +250,7 @@ class EmulatedM3pi(PluggedDevice):
 def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
     radius = truth.radius_mm or robot.radius_mm
     if radius is None:
-        assert stage.setup.wheel_radius is not None, "the spec gives the radius"
+        assert stage.setup.wheel_radius is not None, "without radius_mm, the spec has wheels.radius"
         radius = stage.setup.wheel_radius * stage.mm
     fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
     given = {name: value for name, value in fields.items() if value is not None}

@@ -232,7 +232,7 @@ class EmulatedOptitrack:
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
-        assert isinstance(section, OptitrackSection), "the section's type selects this class"
+        assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
         self.swapped: set[int] = set()
         hidden = {robot.name for robot in settings.robots if not robot.streamed}
         self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))

@@ -251,7 +251,7 @@ class _Bench:
             raise AbortError(
                 f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
                 f"{self.limit} counts",
-                "is its battery charged and the motor connected? If so, raise --limit",
+                "is the robot's battery charged and the motor connected? If so, raise --limit",
             )
         counts, rates = np.array(points).T
         slope, start = np.polyfit(counts, rates, 1)

@@ -140,7 +140,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     if radio.baud == 115_200 and family(hardware) is SERIES_1:
         raise AbortError(
             f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
-            "use 57600 (BD=6) and set lab.actuator.baud to it",
+            "set the module (BD=6) and lab.actuator.baud to 57600",
         )
     if runs is None:
         reported = version.hex().upper() or "not reported"

@@ -48,7 +48,7 @@ class RobotTag(RobotPart):
     height_mm: NonNegative
     """Height of the tag above the floor [mm]."""
     heading_offset: Finite = 0.0
-    """Added to the heading of the tag, the direction in which the upright tag is read [rad]."""
+    """Angle from the direction in which the upright tag is read to the robot's front [rad]."""
 
 
 class FloorTag(Model):

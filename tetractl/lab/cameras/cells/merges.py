@@ -74,7 +74,7 @@ class Merges:
         a new cell that separated from the blob of `cell`. An open question about `cell` is closed
         first; `cells` are all cells.
         """
-        assert cell.alone is not None, "the cell was watched before"
+        assert cell.alone is not None, "watch() has copied the cell's filter row"
         if cell.question is not None:
             self._close(cell.question, cells)
         new_row = self._bank.copied(new.row)

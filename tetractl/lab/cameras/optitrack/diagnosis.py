@@ -71,7 +71,10 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
     if own > NEWEST:
         hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
     else:
-        hint = "in unicast, set lab.camera.version to that protocol; otherwise restart Motive"
+        hint = (
+            "in unicast, set lab.camera.version to the protocol that fits the frames; otherwise "
+            "restart Motive"
+        )
     return AbortError(
         f"{server} and reports protocol {own}, but its frames cannot be read: {came}", hint
     )

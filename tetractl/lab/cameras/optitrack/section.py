@@ -43,7 +43,7 @@ class TrackedRobot(RobotPart):
     body: str | int
     """Name or id of the robot's rigid body in the camera system."""
     heading_offset: Finite = 0.0
-    """Added to the rigid body's heading [rad]."""
+    """Angle added to the rigid body's heading to give the robot's heading [rad]."""
 
 
 class OptitrackSection(CameraSection):

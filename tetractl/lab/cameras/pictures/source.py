@@ -95,8 +95,8 @@ class DeviceFeed:
         if not capture.isOpened():
             raise AbortError(
                 f"{self._name} cannot be opened",
-                "is it plugged in, is lab.camera.source.index its number, does another program "
-                "use it?",
+                "is the camera plugged in, is lab.camera.source.index its number, does another "
+                "program use it?",
             )
         capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*source.format))
         capture.set(cv2.CAP_PROP_FRAME_WIDTH, source.width)
@@ -208,7 +208,7 @@ class MjpegFeed:
             self.close()
             raise AbortError(
                 f"{source.url} is not an MJPEG stream: it answers {self._answer.status}, {kind}",
-                "the answer must be multipart/x-mixed-replace with a boundary",
+                "the camera's answer must be multipart/x-mixed-replace with a boundary",
             )
         self.emulated = EMULATED_NAME in self._answer.getheader("Server", "")
         self._socket.settimeout(None)  # from now on, closing the socket interrupts the reader

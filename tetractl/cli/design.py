@@ -120,7 +120,7 @@ def _show(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
         "or more from edges and obstacles, computed with the spec's values"
     )
     print("  " + ", ".join(f"{design.directions[i]:.3f}" for i in knots) + " rad")
-    print("predicted standard deviations of the values identified from it:")
+    print("predicted standard deviations of the values identified from this motion:")
     print(f"  dead time {design.dead_time_std:.5f} s")
     for name, a, bias in zip(setup.names, design.a_std, design.heading_bias_std, strict=True):
         print(f"  {name}: a {100 * a:.2f} %, heading bias {bias:.4f} rad")

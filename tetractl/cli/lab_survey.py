@@ -68,7 +68,7 @@ def survey(
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
         raise UsageError(
-            f"{spec}: lists its robots, so a survey has no cells to choose",
+            f"{spec}: the spec lists its robots, so a survey has no cells to choose",
             "a survey needs `robots: {choose: N, ...}` in the spec",
         )
     refuse_existing(output)

@@ -107,9 +107,12 @@ def compare(log: Path, again: Path) -> int:
     if first.recovered or not first.outcome.complete:
         print(f"  {log} is damaged, or its trial did not run to its end", file=sys.stderr)
     if first.experiment.controller.deadline is not None:
-        print("  its spec sets a deadline: plans depend on how fast the host is", file=sys.stderr)
+        print(
+            "  the log's spec sets a deadline: plans depend on how fast the host is",
+            file=sys.stderr,
+        )
     if was.start.resolved != is_now.start.resolved:
-        print("  its spec uses names or fields of an earlier tetractl", file=sys.stderr)
+        print("  the log's spec uses names or fields of an earlier tetractl", file=sys.stderr)
     for line in host_differences(was):
         print(printable(f"  {line}"), file=sys.stderr)
     return Exit.FAILED

@@ -64,7 +64,7 @@ class RrtSection(ControllerSection):
             message = f"steers one robot, but there are {len(setup.names)}; use mpc for several"
             yield ("type",), message
         if not setup.speed.all():
-            yield ("type",), "needs a robot that moves, but its speed is 0"
+            yield ("type",), "needs a robot that moves, but the robot's speed is 0"
 
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for the robot at its start."""

@@ -79,7 +79,7 @@ class Registry:
             text = str(error).partition("\n")[0]
             raise self._unusable(point, f"{type(error).__name__}: {text}") from error
         if self.base and not (isinstance(found, type) and issubclass(found, imported(self.base))):
-            raise self._unusable(point, f"it is not a class derived from {self.base}")
+            raise self._unusable(point, f"the object is not a class derived from {self.base}")
         return found
 
     def usable(self) -> dict[str, Any]:
@@ -95,7 +95,7 @@ class Registry:
         where = f"{point.name} = {point.value} of {self.group}"
         return PluginError(
             f"{package} {version}: the {self.what} '{point.name}' cannot be used: {why}",
-            f"its entry point is '{where}'; update or uninstall the package",
+            f"the kind's entry point is '{where}'; update or uninstall the package",
         )
 
     def files(self) -> Iterator[Path]:

@@ -233,7 +233,7 @@ class LabSection(PlantSection):
             **self.camera.bounds(),
             **self.actuator.bounds(),
             "all robots stop": f"{limits.stale:g} s after the last camera frame",
-            "a robot stops": f"{limits.untracked_stop:g} s after it was last tracked",
+            "a robot stops": f"{limits.untracked_stop:g} s after the robot was last tracked",
             "the trial aborts": (
                 f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s "
                 f"after a robot was last tracked, or {limits.late_steps} late control steps in "

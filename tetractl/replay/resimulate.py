@@ -42,7 +42,7 @@ def resimulate(log: TrialLog, same_host: bool) -> Difference | None:
     if not plant.simulated or log.damage or log.stop is None:
         return None
     if _samples(log) > limits.simulation_limit():
-        text = "not simulated again: it has too many samples of robots and obstacles"
+        text = "not simulated again: the trial has too many samples of robots and obstacles"
         return Difference(None, "plant", f"{text}; {limits.FACTOR}=2 allows twice as many")
     try:
         recorder = _repeat(log, log.stop)

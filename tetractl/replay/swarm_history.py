@@ -122,7 +122,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
         controller.plan(step.observation)
     if step.k != 0 or len(asked) <= step.plan.chosen:
         raise LogError(
-            f"{log.path}: its first search cannot be run again",
+            f"{log.path}: the first search of the trial cannot be run again",
             "tetractl verify prints the difference",
         )
     return asked[step.plan.chosen]
@@ -150,7 +150,7 @@ def _run(
         if z:
             kernel.iterate(rollout, swarm, rules, z - 1, z)
         if rerun.expired():
-            raise LogError(f"{log.path}: its search takes too long to run again")
+            raise LogError(f"{log.path}: the first search of the trial takes too long to run again")
         seen = swarm.u[SEEN].T.copy()
         path.append(seen[0])
         if z in wanted:

@@ -197,7 +197,9 @@ def _add_unlogged(
                 trials.append(row)
                 for log in logged:
                     trials.remove(log)
-                    damaged.append(Damaged(log.path, f"its end is lost; read from {row.path}"))
+                    damaged.append(
+                        Damaged(log.path, f"the log's end is lost; result read from {row.path}")
+                    )
         if lost:
             problem = f"{lost} trials have neither a readable log nor a readable row"
             damaged.append(Damaged(str(file), f"{problem}; the study runs them again"))

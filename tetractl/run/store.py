@@ -163,7 +163,8 @@ class LogStore:
             same = same.model_copy(update=own)
         if found.seed != experiment.trials.seed or spec_hash(found.experiment) != spec_hash(same):
             raise UsageError(
-                f"{path}: was run with another spec or seed", "resume with its spec and seed"
+                f"{path}: was run with another spec or seed",
+                "resume with the spec and seed of this log",
             )
         return found.outcome.complete and not found.recovered
 

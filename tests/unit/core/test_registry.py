@@ -66,8 +66,8 @@ def test_an_unknown_name_is_a_key_error():
         ("broken_one:x", "1 / 0", "ZeroDivisionError: division by zero"),
         ("broken_one:x", "x: (", "SyntaxError: '(' was never closed"),
         ("broken_one:x", "", "AttributeError: module 'broken_one' has no attribute 'x'"),
-        ("broken_one:x", "x = 3", "it is not a class derived from builtins:dict"),
-        ("broken_one:x", "class x: pass", "it is not a class derived from builtins:dict"),
+        ("broken_one:x", "x = 3", "the object is not a class derived from builtins:dict"),
+        ("broken_one:x", "class x: pass", "the object is not a class derived from builtins:dict"),
     ],
 )
 def test_a_broken_package_is_named_with_its_entry_point(site, monkeypatch, target, code, why):

@@ -209,8 +209,6 @@ def read_file(path: Path) -> tuple[bytes, int, str | None]:
         raise LogError(f"{path}: the file is empty")
     problem = None
     if size > len(data) == limit:
-        problem = (
-            f"only the first {limit} of its {size} bytes are read; {FACTOR}=2 reads twice that"
-        )
+        problem = f"only the first {limit} of {size} bytes are read; {FACTOR}=2 reads twice that"
     used = len(data.rstrip(b"\0")) + _END
     return data[:used] if used < len(data) else data, size, problem

@@ -159,7 +159,9 @@ def path_verdict(trial: TrialLog, path: Floats, known: Bools, final: Poses) -> V
     setup = trial.start.setup
     samples, robots = path.shape[:2]
     if samples * robots * (len(setup.obstacles) + robots) > limits.path_limit():
-        raise LogError(f"{trial.path}: {TooMuchError('it contains very many poses and obstacles')}")
+        raise LogError(
+            f"{trial.path}: {TooMuchError('the log contains very many poses and obstacles')}"
+        )
     return check_path(setup, path, known, final)
 
 

@@ -154,7 +154,7 @@ class _Scan:
         self._summary = offset
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
-            self._spend(limits.RECORD_COST, "very many records in its index")
+            self._spend(limits.RECORD_COST, "very many records in the file's index")
             if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._channels[channel.id] = channel  # the chunk with this record may be lost
@@ -245,7 +245,7 @@ class _Scan:
             attachment = Attachment.read(stream)
             stated = int.from_bytes(self._data[end - 4 : end], "little")
             if stated != self._crc(offset + _HEAD, end - 4):
-                raise ValueError("its checksum does not match")
+                raise ValueError("the attachment's checksum does not match")
             self._spend(size, "very large attachments")
             self._found[offset] = attachment
         elif opcode == Opcode.METADATA:
@@ -254,9 +254,9 @@ class _Scan:
                 raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
             items = metadata.metadata
             if len(items) > limits.KEYS or max(map(len, [metadata.name, *items])) > limits.KEY:
-                raise ValueError("its metadata have more or longer keys than tetractl reads")
+                raise ValueError("metadata have more or longer keys than tetractl reads")
             if metadata.name.startswith("tetractl.") and not checksum_ok(items):
-                raise ValueError("its checksum does not match")
+                raise ValueError("the metadata's checksum does not match")
             self._spend(size, "very large metadata")
             self._found[offset] = metadata
 
@@ -265,16 +265,16 @@ class _Scan:
         if chunk.compression == "zstd":  # zstd ignores a limit if the frame states its size
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
-            raise ValueError(f"its compression {chunk.compression[:20]!r} is not known")
+            raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
         if size > limits.CHUNK:
-            raise ValueError(f"it claims to unpack to {size} bytes")
+            raise ValueError(f"the chunk claims to unpack to {size} bytes")
         if chunk.uncompressed_crc == 0:
-            raise ValueError("it has no checksum")
+            raise ValueError("the chunk has no checksum")
         data = chunk.data
         if chunk.compression:
             data = zstandard.decompress(data, max_output_size=max(size, 1))
         if len(data) != chunk.uncompressed_size or zlib.crc32(data) != chunk.uncompressed_crc:
-            raise ValueError("its checksum does not match")
+            raise ValueError("the chunk's checksum does not match")
         schemas, channels, messages = _inside(data)
         self._spend(len(data), "chunks that unpack to very many bytes")
         self._spend(limits.RECORD_COST * (len(schemas) + len(channels)), "very many channels")
@@ -333,7 +333,7 @@ def _inside(data: bytes) -> Inside:
         body = offset + _HEAD
         offset = body + int.from_bytes(data[offset + 1 : body], "little")
         if offset > end or opcode == 0:
-            raise ValueError("it contains an invalid record")
+            raise ValueError("the chunk contains an invalid record")
         if opcode == Opcode.MESSAGE:
             channel, _, log_ns, publish_ns = _MESSAGE.unpack_from(data, body)
             messages.append((channel, log_ns, publish_ns, data[body + _MESSAGE.size : offset]))

@@ -249,7 +249,7 @@ def _owned(path: Path) -> BinaryIO:
         file.truncate(0)
     except BlockingIOError:
         file.close()
-        raise OSError(errno.EBUSY, "another process is writing it") from None
+        raise OSError(errno.EBUSY, "another process is writing this log") from None
     return file
 
 

@@ -77,7 +77,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
         if count < LEAST:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames",
-                f"{LEAST} are needed; `tetractl design` proposes a motion",
+                f"{LEAST} intervals are needed; `tetractl design` proposes a motion",
             )
     fitted = fit(tracks, drives, _prior(drives, a, dead_time))
     missed, by = fitted.turns.missed(fitted.best), fitted.turns.derivatives(fitted.best)

@@ -136,7 +136,7 @@ def test_what_a_killed_recovery_left_is_replaced(log, tmp_path):
 def test_a_recovery_that_is_under_way_is_left_alone(log, tmp_path):
     source = torn(log, tmp_path)
     sink = Sink(recovered_path(source), PART_SUFFIX)
-    with pytest.raises(LogError, match="another process is writing it"):
+    with pytest.raises(LogError, match="another process is writing this log"):
         recover(source)
     sink.discard()
     assert recover(source).whole

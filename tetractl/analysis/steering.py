@@ -35,8 +35,8 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the section of the model predictive control by which an experiment is analysed.
 
-    It is the spec's `controller` if that is of type mpc, otherwise the default section with the
-    spec's period and number of steps. Its optimiser is multistart, which has a tolerance, and a
+    This is the spec's `controller` if its type is mpc, otherwise the default section with the
+    spec's period and number of steps. The optimiser is multistart, which has a tolerance, and a
     step's evaluations and time are not limited.
     """
     control = experiment.controller

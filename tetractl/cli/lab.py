@@ -144,9 +144,10 @@ def calibrate(
     """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
 
     It measures wheel speeds, wheel distance and heading offset of m3pi robots. Robots move one
-    after another, each within about 0.3 m; space or Esc stops them. A microscope is calibrated from
-    two places in its picture: two marks of a stage micrometer, or one speck before and after the
-    stage was moved; no device is opened. Enter the file's name in the spec as `lab.calibration`.
+    after another, each within about 0.3 m; space or Esc stops all robots. A microscope is
+    calibrated from two places in its picture: two marks of a stage micrometer, or one speck before
+    and after the stage was moved; no device is opened. Enter the file's name in the spec as
+    `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """

@@ -37,8 +37,8 @@ def redrive(
 ) -> int:
     """Drive a plant with the recorded commands of a log, open loop, in a new trial.
 
-    It prints the distance between the recorded and the new path of each robot. In the lab the
-    robots have to stand on their starts, and all checks of a run apply.
+    Prints the distance between the recorded and the new path of each robot. In the lab the robots
+    have to stand on their starts, and all checks of a run apply.
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """

@@ -176,7 +176,7 @@ def settle() -> None:
 def first_signal_callback(text: bytes) -> Callable[[], None]:
     """Return the callback for the first signal: prints `text` and shortens the output timeout.
 
-    It takes no lock and does not wait.
+    The callback takes no lock and does not wait.
     """
     results, messages = sys.stdout, sys.stderr  # bound now, because a live view replaces them later
 

@@ -89,8 +89,9 @@ def way_out(
     """Return signals (OUT_SIGNALS,) that lead standing robots away from obstacles and walls, with
     at least the distance `apart` between two robots; None if none was found.
 
-    Sequences whose direction changes at a constant rate are tried; targets are ignored. Robots keep
-    the clearance that they drive in `keep_s` [s], or OUT_SHARE of the present one if it is less.
+    Sequences whose direction changes at a constant rate are tried; targets are ignored. The
+    clearance is at least the way that the fastest robot drives in `keep_s` [s], or the fraction
+    OUT_SHARE of the present clearance if that is less.
     """
     signals, least, _ = _roomiest(problem, margins, apart, keep_s)
     return signals if least > -np.inf else None

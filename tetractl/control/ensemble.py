@@ -71,7 +71,7 @@ class EnsembleSection(ControllerSection):
 
 
 class Ensemble:
-    """The controller of one trial. It draws no random numbers; `key` is only used for the log."""
+    """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key

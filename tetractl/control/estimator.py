@@ -1,8 +1,8 @@
 """Estimates the robots' state at a control step from frames and commands.
 
-It predicts the poses that the robots will have when the direction decided now begins to act. The
-prediction starts at the newest frame. It uses the spec's values of the motion, or the values that a
-bank of filters identifies from all frames and commands while the robots drive.
+The estimate is the poses that the robots will have when the direction decided now begins to act.
+The prediction starts at the newest frame and uses the spec's values of the motion, or the values
+that a bank of filters identifies from all frames and commands while the robots drive.
 """
 
 from collections.abc import Iterable, Sequence

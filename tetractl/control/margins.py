@@ -86,8 +86,8 @@ class Margins:
 
         path (L, N, 3) are the poses before each of the signals (L,).
 
-        Robots are clear if they keep `margin` from obstacles, or their distance at the start if it
-        is less, and `apart` from each other, or the problem's separation if it is less.
+        Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
+        that is less, and `apart` from each other, or the problem's separation if that is less.
         """
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
         bias = 0.0 if problem.bias is None else problem.bias
@@ -123,8 +123,8 @@ class Margins:
         return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
 
     def separation(self, poses: Poses, wanted: float) -> float:
-        """Return the separation to keep: `wanted`, or the present distance of two robots or of two
-        targets if that is less.
+        """Return the separation to keep: `wanted`, or the least present distance between two robots
+        or two targets if that is less.
         """
         if not self._one.size or wanted <= 0:
             return 0.0

@@ -31,7 +31,7 @@ class Collision(Model):
     """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
     separation: NonNegative = 0.0
     """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
-    meet. It is tested at the predicted positions."""
+    meet. The distance is tested at the predicted positions."""
     adaptive: bool = False
     """Whether the margin grows by a robot's greatest deviation from its course before the next
     command acts, given the uncertainty of its motion. If a robot or target is within the margin,

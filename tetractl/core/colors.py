@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 GREEN, BLUE, RED = "#009E73", "#0072B2", "#D55E00"
 PALETTE = (GREEN, BLUE, RED, "#CC79A7", "#E69F00", "#56B4E9", "#8C564B", "#6F4E9C")
-"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two more."""
+"""The colour-blind safe colours of Okabe and Ito (2008) without yellow and black, and two further
+colours."""
 NAMED = {"green": GREEN, "blue": BLUE, "red": RED}
 """The paper's colours by name, in shades that colour-blind readers can distinguish."""
 

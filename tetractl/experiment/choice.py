@@ -53,8 +53,8 @@ class Choice(Model):
     choose: int = Field(ge=1, le=20)
     """Number of robots to choose."""
     targets: tuple[Point, ...] = Field(default=(), max_length=1000)
-    """Targets [x, y] [length unit], at least as many as robots. They are assigned so that the sum
-    of the squared distances from start to target is least.
+    """Targets [x, y] [length unit], at least as many as robots. Targets are assigned so that the
+    sum of the squared distances from start to target is least.
     """
     ring: Ring | None = None
     """Targets on a circle, in place of `targets`."""

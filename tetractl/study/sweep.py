@@ -67,7 +67,7 @@ class Points(Sweep):
 
     type: Literal["list"]
     points: tuple[Point, ...] = Field(min_length=1, max_length=100_000)
-    """Each a mapping of paths, such as `plant.dead_time`, to values."""
+    """The points, each a mapping of paths, such as `plant.dead_time`, to values."""
 
     def draw(self, rng: np.random.Generator) -> list[Mapping[str, Setting]]:
         """Return the listed points in order."""

@@ -172,9 +172,9 @@ class _PolishedProgress(Progress):
     def _scatter(self, key: int) -> None:
         """Draw smooth random sequences, within the bounds of the paper's equation (12).
 
-        Each is linear between `knots` directions drawn uniformly within pi of the mean bearing of
-        the targets; with a warm start, every second sequence is the warm start plus a curve of this
-        kind with values within half a radian of 0.
+        Each sequence is linear between `knots` directions drawn uniformly within pi of the mean
+        bearing of the targets; with a warm start, every second sequence is the warm start plus a
+        curve of this kind with values within half a radian of 0.
         """
         warm = np.empty(0) if self.warm is None else self.warm
         self.kernels.scatter(

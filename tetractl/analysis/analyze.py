@@ -16,7 +16,7 @@ from tetractl.experiment.experiment import Experiment
 GAPS = (0.02, 0.05, 0.1, 0.2, 0.35, 0.5)
 """Errors are predicted for turning rates that each exceed the next lower one by these fractions."""
 TOO_ALIKE = 0.2
-"""If two robots' turning rates differ by a smaller fraction, other rates are tried for them."""
+"""If two robots' turning rates differ by less than this fraction, other rates are tried."""
 STEPS = (0.1, 0.15, 0.2, 0.3, 0.4, 0.5)
 """Relative differences of turning rate that are tried for the two robots most alike in it."""
 WORTH = 0.8

@@ -56,8 +56,8 @@ def run(
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
 
-    In the lab a person at the terminal is shown where robots must stand and starts them by Enter;
-    without a terminal, give --yes.
+    In the lab a person at the terminal is shown where robots must stand and starts the robots by
+    Enter; without a terminal, give --yes.
 
     With --serve a simulated trial takes as long as a real one.
 

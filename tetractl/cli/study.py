@@ -77,7 +77,7 @@ def study(
         str | None,
         typer.Option(
             metavar="ARM/N",
-            help="Run one trial again, write its log, and check the log against the row.",
+            help="Run one trial again, write its log, and compare the log with the trial's row.",
         ),
     ] = None,
     slurm: Annotated[

@@ -235,7 +235,7 @@ class Mpc:
         self, problem: Problem, found: Plan | None = None, facing: float | None = None
     ) -> Plan:
         """Return the plan that stops all robots, or turns them on the spot to `facing` [rad]; the
-        searches of the plan `found` are logged with it. The next plan is for standing robots."""
+        searches of the plan `found` are logged too. The next plan is for standing robots."""
         if found is None:
             stand = given_search(problem, np.zeros(1))
             found = make_plan(problem, [stand], 0, mix(self.key, self.k))

@@ -59,8 +59,8 @@ class PriorSection(Model):
     dead_time: Positive = 0.1
     """Standard deviation of the dead time [s]."""
     heading_bias: Positive = 0.05
-    """Standard deviation of the angle between the direction sent and the one that a robot turns
-    towards [rad]."""
+    """Standard deviation of the angle between the direction sent and the direction that a robot
+    turns towards [rad]."""
     marker_bias: NonNegative = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
     flow: NonNegative = 0.0

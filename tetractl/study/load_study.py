@@ -256,7 +256,7 @@ def _disagreements(arms: list[Arm], document: Document) -> Iterable[SpecProblem]
 
 
 def _with_unique_names(arms: list[Arm]) -> Iterable[Arm]:
-    """Yield the arms; if several have the same name, a part of the hash is added to it."""
+    """Yield the arms; if several have the same name, a part of the arm's hash is added."""
     names = Counter(arm.name.lower() for arm in arms)  # some file systems ignore case
     for arm in arms:
         several = names[arm.name.lower()] > 1

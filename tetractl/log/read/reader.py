@@ -237,7 +237,7 @@ def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots; true poses are NaN if a damaged log lost them."""
     if contents.run.version == 1:
         if contents.by_topic[channels.FRAMES]:
-            raise ValueError(f"format 1 has no {channels.FRAMES}")
+            raise ValueError(f"log format 1 has no {channels.FRAMES}")
         found = _frames_1(contents, robots)
     else:
         parts = [Frames.of((), robots)]

@@ -76,7 +76,7 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
     if not found:
         raise UsageError(
             "the robots have no room to drive for that long",
-            "shorten --seconds, or start them further from edges, obstacles and each other",
+            "shorten --seconds, or start the robots further from edges, obstacles and each other",
         )
     best, knots = min(found, key=lambda one: one[0])
     for _ in range(CHANGES):

@@ -29,8 +29,8 @@ from tetractl.view.figures.labels import separated
 
 
 def convergence_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the best cost J(u_gb) over the iterations at step 0 (Figure 3), and by how much and in
-    how many iterations the search of each step lowered it.
+    """Draw the best cost J(u_gb) over the iterations at step 0 (the paper's Figure 3), and by how
+    much and in how many iterations the search of each step lowered it.
     """
     log = one_trial(logs)
     need_steps(log)

@@ -22,7 +22,7 @@ SHARES = (0.0, 0.25, 1.0)
 
 
 def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the particle swarm of the first plan's search at three iterations, as in Figure 2.
+    """Draw the particle swarm of the first plan's search at three iterations.
 
     The axes are the first two signals of the sequence. The background shows the cost J as a
     function of these two; the other signals are those of the best sequence found. The last panel

@@ -159,7 +159,7 @@ class EmulatedRobot:
 
     `boot` starts the robot's program when the robot is switched on. `x`, `y` [mm] and `heading`
     [rad] are in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm]
-    is r of equation (23), the distance from a wheel to the centre; `lag_s` [s] is the wheels' time
+    is the distance from a wheel to the centre, r of equation (23); `lag_s` [s] is the wheels' time
     constant. Faults set `powered`, `stuck` (left and right wheel) and `veer`.
     """
 

@@ -250,7 +250,7 @@ class HelixFilter:
 
 
 def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return the turning rate (R,) by equation (3) with a = 1, for dipoles with directions (R,)
+    """Return the turning rate (R,) for a = 1 by equation (3), for dipoles with directions (R,)
     [rad] in the field (ux, uy), and its derivative with respect to the direction.
     """
     cos, sin = np.cos(dipole), np.sin(dipole)

@@ -140,8 +140,8 @@ def _moved(before: Pose, pose: Pose) -> Floats:
 
 
 def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
-    """Return the fault text for a motion `way` (3,), along, across and around, that is out of the
-    bounds `least` and `most` (3,).
+    """Return the fault text for a motion `way` (3,), along, across and around, that is below
+    `least` (3,) or above `most` (3,) by more than `slack` (3,).
     """
     along, across, around = (way < least - slack) | (way > most + slack)
     meant = (least + most) / 2

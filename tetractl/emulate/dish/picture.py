@@ -133,9 +133,9 @@ class DishPainter:
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
     ) -> Grey:
-        """Return a grey picture (height, width) taken at a time [s].
+        """Return a grey picture (height, width) of N `cells`, taken at a time [s].
 
-        `moments` are the bodies of the N cells at times spread evenly over the exposure; `shown`
+        `moments` are the bodies of the cells at times spread evenly over the exposure; `shown`
         (N,) is True for the cells to be drawn.
         """
         look = self.look

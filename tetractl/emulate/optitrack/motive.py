@@ -195,7 +195,7 @@ class Motive:
 
 
 def mangle(datagram: bytes, chance: random.Random) -> bytes:
-    """Return a datagram with random damage: cut, extended, with a wrong size field, or noise."""
+    """Return a datagram with damage drawn by `chance`: cut, extended, a wrong field, or noise."""
     match chance.randrange(5):
         case 0:
             return datagram[: chance.randrange(len(datagram))]

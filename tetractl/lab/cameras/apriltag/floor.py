@@ -164,7 +164,8 @@ def _posed(matrix: Floats, distortion: Floats, points: Floats, spots: Floats) ->
 def _fitted(
     points: Floats, spots: Floats, width: int, middle: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Return the most probable log(f / width) and k1 (2,), and their standard deviations (2, 2).
+    """Return the most probable log(f / width) and k1 (2,), and their standard deviations (2, 2),
+    for a camera that sees floor positions `spots` (M, 2) [m] in pixels `points` (M, 2).
 
     All are divided by the priors' standard deviations. Each row of the second array is one standard
     deviation along an axis of the error ellipse.

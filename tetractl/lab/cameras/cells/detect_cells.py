@@ -247,7 +247,8 @@ def _blob(
 def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:
     """Blur a picture by two box filters, which take a quarter of the time of a Gaussian filter.
 
-    The result, in `into`, is nearly that of a Gaussian with a standard deviation of 1.15 px.
+    The result, written to `into`, is nearly that of a Gaussian with a standard deviation of 1.15
+    px; `between` is a buffer.
     """
     cv2.blur(picture, (3, 3), dst=between)
     cv2.blur(between, (3, 3), dst=into)

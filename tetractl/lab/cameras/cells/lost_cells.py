@@ -68,8 +68,9 @@ class LostCells:
         size: Floats,
         now: float,
     ) -> float:
-        """Return the probability density [1/um^2] that a lost cell reappears at the position
-        `place`, with the length and width `size` [um].
+        """Return the probability density [1/um^2] that a cell, lost at the time `lost_s` [s] at
+        the position `last` [um], reappears at the time `now` at `place`, with the length and width
+        `size` [um].
         """
         off = place - self.bank.mean[cell.row, :2]
         spread = self.bank.covariance[cell.row, :2, :2] + PLACE_UM**2 * np.eye(2)

@@ -112,7 +112,7 @@ class TourMeasure:
     @property
     def passed(self) -> tuple[float, ...]:
         """The sum of the robots' observed distances to each way-point, at the control step in which
-        it counts as passed [length unit]."""
+        the way-point counts as passed [length unit]."""
         return tuple(self._passed)
 
     @property

@@ -49,7 +49,7 @@ class Step:
     """One control step k: observation, plan and command.
 
     `solve_ns` is the wall time of planning; `deadline_missed` is True if it exceeds the control
-    period. Both differ from run to run on the same seed.
+    period. Both values differ from run to run on the same seed.
     """
 
     k: int

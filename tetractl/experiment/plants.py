@@ -106,7 +106,8 @@ def _calibration(text: str, origin: str) -> Document:
         document = None
     if document is None or "measured" not in document.data:
         raise SpecError(
-            f"{printable(origin)}: is not a calibration file", "`tetractl lab calibrate` writes one"
+            f"{printable(origin)}: is not a calibration file",
+            "`tetractl lab calibrate` writes a calibration file",
         )
     return document
 

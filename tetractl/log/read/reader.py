@@ -178,8 +178,8 @@ def trial_path(trial: TrialLog) -> tuple[Floats, Bools]:
 def content_digest(path: Path) -> str:
     """Return the SHA-256 over all records of a log except its host records.
 
-    A simulated trial that is run again has the same digest. A complete log states it in its result
-    record.
+    A simulated trial that is run again has the same digest. A complete log states this digest in
+    its result record.
     """
     return scan(Path(path)).digest
 
@@ -203,7 +203,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         ]
         raise LogError(
             f"{contents.path}: the record of the run cannot be read: {error}",
-            f"it was written with {', '.join(used)}: install this version" if used else None,
+            f"the log was written with {', '.join(used)}: install this version" if used else None,
         ) from None
     return experiment, Start(
         setup=experiment.setup,

@@ -215,7 +215,7 @@ class InnerLoop:
         self._let, self._new = ruling.moving, False
 
     def _pass_on(self, sent: Transmission) -> None:
-        """Report a transmission to the camera, if it identifies robots by their response."""
+        """Report a transmission to a camera that identifies robots by their response."""
         if self._on_signal is not None:
             self._on_signal(sent.direction, sent.sent_ns)
 

@@ -102,7 +102,7 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
         (["lab.type=sim"], "lab.type: must be one of lab"),
         (["lab.actuator.protocol.type=slave"], "protocol.accept_no_watchdog: is missing"),
-        ([SLAVE], "lab.actuator.protocol: these robots do not stop without commands"),
+        ([SLAVE], "lab.actuator.protocol: serial slaves do not stop without commands"),
         ([SLAVE], "lab.actuator.robots.1.address: is missing; the slave protocol addresses"),
         (
             ["lab.actuator.protocol={type: slave, accept_no_watchdog: false}"],

@@ -99,7 +99,7 @@ class M3piSection(XbeeSection, ActuatorSection):
             message = "cannot send to a single robot, which the slave protocol needs; use api2"
             yield ("mode",), message
         if slave and setup.watchdog_s < math.inf:
-            message = "these robots do not stop without commands; leave out wheels.watchdog"
+            message = "serial slaves do not stop without commands; leave out wheels.watchdog"
             yield ("protocol",), message
         for i, robot in enumerate(self.robots):
             if setup.wheel_radius is None and robot.radius_mm is None:

@@ -155,7 +155,7 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     pairs = zip(names, stream.robots, strict=True)
     lines = [_lacking(stream, stream.model, *pair) for pair in pairs if pair[1].body in missing]
     if not stream.model.complete:
-        lines.append("the list of their rigid bodies could not be read to its end: give ids")
+        lines.append("the list of the cameras' rigid bodies could not be read to its end: give ids")
     return lines
 
 

@@ -150,7 +150,7 @@ def check_motion(motion: Motion) -> Findings:
     if motion.strides is not None:
         parts = motion.strides(heading, u, a, v, t)
         added = (_add(x, parts[0]), _add(y, parts[1]), heading + parts[2])
-        yield _same("strides: add up to the result of step", added, moved)
+        yield _same("strides: their sum is the result of step", added, moved)
     held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
     whole = np.full(COUNT, t)
     driven = motion.hold(x, y, heading, held, a, v, whole)

@@ -251,8 +251,8 @@ class Mpc:
         return replace(plan, estimate=self.estimator.estimate)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins: adaptive ones grow obstacles and separation by the
-        greatest deviation of a robot for the estimate `known`, None if the motion is certain."""
+        """Return the problem with its margins. Adaptive margins grow by the distance that robots
+        may leave their course, given the estimate `known`, which is None for a certain motion."""
         collision = self.section.collision
         if not collision.adaptive:
             return problem

@@ -131,8 +131,8 @@ def follow(
 
 
 def _sample(film: FilmPictures) -> list[Grey]:
-    """Return BACKGROUND to 2 BACKGROUND pictures, spread evenly over the film's first BACKGROUND_S;
-    all of them if there are fewer.
+    """Return pictures spread evenly over the film's first BACKGROUND_S, at least BACKGROUND and at
+    most twice as many; all pictures if there are fewer.
     """
     count = 0
     for count, _ in enumerate(film, 1):

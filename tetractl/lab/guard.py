@@ -179,8 +179,8 @@ class Guard:
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
         """Check one camera frame; return it with the poses that are accepted.
 
-        Returns None for a frame that was not exposed after all earlier frames; such a frame is
-        dropped and counted.
+        Returns None for a frame that was exposed before, or together with, a frame already checked;
+        such a frame is dropped and counted.
         """
         if frame.fault:
             self.abort(frame.fault)

@@ -88,9 +88,8 @@ def _repeat(log: TrialLog, stop: Command) -> "_Recorder":
 
 
 def _without_last_bits(ours: TrialRecords, log: TrialLog) -> TrialRecords:
-    """Return a repeated trial in which the values that one last bit may change are replaced by the
-    log's: the plant's facts, which are text, and whether a robot at the edge of an obstacle entered
-    it.
+    """Return a repeated trial in which values that may differ because of rounding are replaced by
+    the log's: the plant's facts, which are text, and whether a robot at an obstacle's edge entered.
     """
     assert ours.result
     assert log.result

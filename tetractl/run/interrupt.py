@@ -47,10 +47,10 @@ class Interrupt:
 
     @contextmanager
     def watch(self, robots: bool = False) -> Iterator[None]:
-        """Count signals as requests inside the block; main thread only.
+        """Count signals inside the block as requests to stop the run; main thread only.
 
-        If `robots` move, the process must not be suspended, as it could then not stop them: Ctrl-Z
-        is a request too, and the process may use its terminal from the background.
+        If `robots` move, the process must not be suspended, since it could not stop them then: so
+        Ctrl-Z is a request too, and using the terminal from the background suspends nothing.
         """
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}

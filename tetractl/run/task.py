@@ -271,5 +271,7 @@ def _built(
 def _unix_ns() -> int:
     """Return the Unix time [ns]; TetractlError before 1970, which logs cannot hold."""
     if (now := time.time_ns()) < 0:
-        raise TetractlError("this computer's clock is before 1970", "set its date, then run again")
+        raise TetractlError(
+            "this computer's clock is before 1970", "set the computer's date, then run again"
+        )
     return now

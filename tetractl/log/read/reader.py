@@ -190,7 +190,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     if resolved is None:
         raise LogError(f"{contents.path}: damaged: the resolved spec is lost")
     if len(resolved) > MAX_BYTES:
-        raise LogError(f"{contents.path}: its resolved spec has {len(resolved)} characters")
+        raise LogError(f"{contents.path}: its resolved spec is longer than {MAX_BYTES} characters")
     try:
         experiment, own_hash = _resolved(resolved)
         hashed = run.items["spec_hash"] if own_hash is None else own_hash

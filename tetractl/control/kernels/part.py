@@ -6,9 +6,9 @@ into the kernels.
 """
 
 import ctypes
-from typing import Any
+from typing import Any, Literal
 
-from numba import _dynfunc
+from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.compiler_machinery import register_pass
@@ -31,7 +31,7 @@ class _PartLowering(NativeLowering):
 
     _name = "part_lowering"
 
-    def run_pass(self, state: Any) -> bool:
+    def run_pass(self, state: Any) -> Literal[True]:
         name, target = state.func_id.func_qualname, state.targetctx
         state.library = _PartLibrary(target.codegen(), name)
         super().run_pass(state)

@@ -1,10 +1,13 @@
 """`tetractl kinds --check`: every kind there is passes, and each thing wrong with one is found."""
 
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import count
 from typing import ClassVar, Literal
 
 import numpy as np
 import pytest
+from pydantic import PrivateAttr
 from support.cli import tetractl
 
 from tetractl.cli.init import template
@@ -169,10 +172,11 @@ class Other(Mppi):
     """An optimiser that is one with a fault."""
 
     fault: str = ""
+    _calls: Iterator[int] = PrivateAttr(default_factory=count)
 
     def search(self, problem, length, warm, key, limits):
         if self.fault == "key":
-            key = int(np.random.default_rng().integers(2**32))
+            key += next(self._calls)
         if self.fault == "warm" and warm is not None:
             warm[0] = 0.5
         if self.fault == "budget":

@@ -7,8 +7,8 @@
 Section I of the paper: Feedback Ensemble Control needs a rotating field, a large space, and leaves
 large errors. So for each trial: the error a robot; the area of the box round all paths, in that of
 the box round all starts and targets; the time until the robots stop; the time during which the
-field turns in one sense through a whole turn or more; and how fast it turns while it is
-on. Everything is simulated.
+field turns in one sense through a whole turn or more; and how fast it turns while it is on.
+Everything is simulated.
 """
 
 import argparse

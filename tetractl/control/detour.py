@@ -4,9 +4,9 @@ Algorithm 2 shortens its sequence from step to step. The few signals left near i
 correct the 2N coordinates of N robots. If no sequence of length H - 1, H or H + 1, with H the
 length of the present plan, ends within the accepted total error, longer sequences are searched from
 scratch; these lead the robots away from their targets and back. The trial ends if stopping at the
-best moment of the coming control period is as good as any plan. If a standing robot is about to
-enter an obstacle, and the search found neither a collision-free plan nor a way out, all robots turn
-on the spot until there is a way out; if no direction gives one, the trial ends.
+best moment of the coming control period is as good as any plan. If every plan for standing robots
+touches an obstacle, they drive along a way out of the corner; if none keeps clear, they first turn
+on the spot. If that gives none either and a robot is about to enter an obstacle, the trial ends.
 """
 
 from collections.abc import Iterator
@@ -118,14 +118,14 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
     for facing in TURN_TO.tolist():
         towards = facing + bias + np.zeros_like(heading)
         turned = Poses(x, y, exact(x, y, heading, towards, problem.a, problem.speed, TURN_S)[2])
-        _, *room = _roomiest(replace(problem, poses=turned), margins, apart)
+        _, *room = _roomiest(replace(problem, poses=turned), margins, apart, OUT_ROOM_S)
         found.append((*room, facing))
     least, _, facing = max(found)
     return facing if least > -np.inf else None
 
 
 def _roomiest(
-    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT_ROOM_S
+    problem: Problem, margins: Margins, apart: float, keep_s: float
 ) -> tuple[Floats, float, float]:
     """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
     for an unsafe path; and that clearance plus FINAL_ROOM times the clearance at the path's end."""

@@ -29,7 +29,7 @@ from tetractl.control.build import build_controller
 from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, PlantInfo
+from tetractl.core.commands import Command, PlantInfo, Verdict
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, LabSupervision, Plant
@@ -50,7 +50,7 @@ WORLD = (
     "plant.lost_commands=0.05",
 )
 FAR_MM = 100.0
-NEAR_MM = 95.0  # between the centres of two m3pi that touch
+BODY_MM = 47.0  # radius of an m3pi, in every row, also of controllers that are not given it
 RATES = {
     5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=800"),
     20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=3200"),
@@ -230,10 +230,19 @@ HEAD = (
     "p95",
     "worst",
     "above 100 mm",
-    "entered / left the arena / within 95 mm",
+    "centres in an obstacle / over the edge",
+    f"bodies of {BODY_MM:g} mm in an obstacle / over the edge / touching",
     "trial [s]",
     "step p50 / p99 / max [ms]",
 )
+
+
+def unsafe(
+    results: list[Result], *of: Callable[[Verdict, float], list[bool]], radius: float = 0.0
+) -> str:
+    """In how many trials a robot of some radius did each of some things."""
+    found = (sum(any(one(result.verdict, radius)) for result in results) for one in of)
+    return f"{' / '.join(map(str, found))} of {len(results)}"
 
 
 def row(name: str, results: list[Result]) -> str:
@@ -241,12 +250,6 @@ def row(name: str, results: list[Result]) -> str:
     errors = np.array([result.total_error for result in results])
     (described,) = distributions(errors[None], FAR_MM)
     steps = np.concatenate([result.solve_ns[1:] for result in results]) / 1e6
-    verdicts = [result.verdict for result in results]
-    unsafe = (
-        sum(result.entered_obstacle for result in results),
-        sum(result.left_arena for result in results),
-        sum(min(verdict.apart) < NEAR_MM for verdict in verdicts),
-    )
     cells = (
         name,
         f"{errors.mean():.1f} [{described.ci95.low:.1f}, {described.ci95.high:.1f}]",
@@ -254,7 +257,8 @@ def row(name: str, results: list[Result]) -> str:
         f"{np.quantile(errors, 0.95):.1f}",
         f"{errors.max():.1f}",
         f"{described.tail.above}{percent(described.tail.ci95)}",
-        f"{' / '.join(map(str, unsafe))} of {len(errors)}",
+        unsafe(results, Verdict.in_obstacle, Verdict.over_edge),
+        unsafe(results, Verdict.in_obstacle, Verdict.over_edge, Verdict.touched, radius=BODY_MM),
         f"{np.mean([result.duration_s for result in results]):.1f}",
         " / ".join(f"{x:.1f}" for x in (*np.quantile(steps, [0.5, 0.99]), steps.max())),
     )

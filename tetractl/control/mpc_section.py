@@ -154,6 +154,11 @@ class MpcFields(ControllerSection):
         """Largest number of iterations of one search."""
         return self.optimizer.iterations_max
 
+    @property
+    def body_radius(self) -> float:
+        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        return self.collision.radius
+
     def bounds(self) -> dict[str, str]:
         """Return the limits of horizons and evaluations as texts to display, {name: text}."""
         found = {"horizons at step 0": f"1 ... {self.horizon_max} signals"}

@@ -76,7 +76,8 @@ class Verdict:
     robots that did not stand still after the stop, "" if all stood still. `edge` (N,) is the least
     distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
     the least distance of each robot to another robot, inf for a single robot; both are empty in
-    older logs. All distances are measured from the robots' centres.
+    older logs. All distances are measured from the robots' centres; the methods count bodies of a
+    `radius` [length unit], by default the centres.
     """
 
     final: Poses
@@ -85,6 +86,19 @@ class Verdict:
     not_at_rest: str = ""
     edge: tuple[float, ...] = ()
     apart: tuple[float, ...] = ()
+
+    def in_obstacle(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) entered an obstacle."""
+        pairs = zip(self.entered, self.clearance, strict=True)
+        return [entered or clearance < radius for entered, clearance in pairs]
+
+    def over_edge(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) left the arena; empty if the log does not record it."""
+        return [edge < radius for edge in self.edge]
+
+    def touched(self, radius: float = 0.0) -> list[bool]:
+        """Return which robots (N,) touched another one; empty if the log does not record it."""
+        return [apart < 2 * radius for apart in self.apart]
 
 
 EMULATED = "emulated"

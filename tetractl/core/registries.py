@@ -127,6 +127,7 @@ STATISTICS = Registry(  # in the order in which tables show them
         "arrived": "tetractl.results.outcomes:ARRIVED",
         "obstacle_violations": "tetractl.results.outcomes:OBSTACLE_VIOLATIONS",
         "left_arena": "tetractl.results.outcomes:LEFT_ARENA",
+        "bodies_touch": "tetractl.results.outcomes:TOUCHED",
         "clearance": "tetractl.results.outcomes:CLEARANCE",
         "edge": "tetractl.results.outcomes:EDGE",
         "apart": "tetractl.results.outcomes:APART",

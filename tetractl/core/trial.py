@@ -125,13 +125,13 @@ class Result:
 
     @property
     def entered_obstacle(self) -> bool:
-        """Whether the path of any robot touched an obstacle."""
-        return any(self.verdict.entered)
+        """Whether the centre of any robot entered an obstacle."""
+        return any(self.verdict.in_obstacle())
 
     @property
     def left_arena(self) -> bool:
-        """Whether the path of any robot left the arena; False if the log does not record it."""
-        return any(edge < 0 for edge in self.verdict.edge)
+        """Whether the centre of any robot left the arena; False if the log does not record it."""
+        return any(self.verdict.over_edge())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

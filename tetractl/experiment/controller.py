@@ -121,6 +121,11 @@ class ControllerSection(Model):
         """Largest number of iterations of one search, 0 if the controller does not search."""
         return 0
 
+    @property
+    def body_radius(self) -> float:
+        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        return 0.0
+
     def arrived(self, gaps: Floats) -> bool:
         """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived."""
         return self.arrival_tolerance > 0 and bool((gaps <= self.arrival_tolerance).all())

@@ -13,6 +13,7 @@ from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.results.estimate import Distribution, Interval, distributions
 from tetractl.results.mean_difference import MeanDifference, welch
 from tetractl.results.open_batch import Batch, counts, experiment_of
+from tetractl.results.outcomes import SAFETY
 from tetractl.results.statistic import Value, statistics
 
 
@@ -152,9 +153,9 @@ class Flagged:
 def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
-    A trial is flagged if it is not in the means, its log is damaged, a robot entered an obstacle or
-    was lost, or the trial ended at `steps max`. Warnings flag trials in a lab only, since in a
-    simulation the spec requests the disturbances.
+    A trial is flagged if it is not in the means, its log is damaged, a robot entered an obstacle,
+    left the arena, touched another one or was lost, or the trial ended at `steps max`. Warnings
+    flag trials in a lab only, since in a simulation the spec requests the disturbances.
     """
     found = []
     for trial in batch.trials:
@@ -172,11 +173,12 @@ def flagged(batch: Batch) -> list[Flagged]:
 
 def _notes(trial: ResultSummary) -> list[str]:
     """Return the reasons to flag a trial."""
-    notes = []
-    if trial.result.entered_obstacle:
-        names = (robot.name for robot in trial.experiment.robots)
-        inside = [n for n, e in zip(names, trial.result.verdict.entered, strict=True) if e]
-        notes.append(f"{', '.join(inside)} entered an obstacle")
+    names = [robot.name for robot in trial.experiment.robots]
+    notes = [
+        f"{', '.join(name for name, one in zip(names, found, strict=True) if one)} {what}"
+        for what, of in SAFETY.items()
+        if any(found := of(trial.result.verdict, trial.experiment.body_radius))
+    ]
     if gone := sum(trial.result.lost):
         notes.append(f"{gone} robot{'s' * (gone > 1)} lost")
     if trial.outcome is Outcome.STEPS_MAX:

@@ -2,7 +2,8 @@
 edge and to one another, and solve times.
 
 Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
-in a lab; percentiles of solve times are over all steps of all trials.
+in a lab. What must not happen is counted of the robots' bodies if the spec gives their radius, and
+of their centres. Percentiles of solve times are over all steps of all trials.
 """
 
 from collections import Counter
@@ -15,13 +16,11 @@ from tetractl.core.clock import MILLISECOND
 from tetractl.core.commands import Verdict
 from tetractl.core.plan import Outcome
 from tetractl.core.table.table import NONE, digits, lengths
+from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import ResultSummary
-from tetractl.results.statistic import Statistic, Value, count, share
+from tetractl.results.statistic import Statistic, Value, count, fraction, share
 
 _ARRIVED = share("arrived", "arrived", lambda trial: trial.outcome is Outcome.ARRIVED)
-_ENTERED = share(
-    "obstacle_violations", "entered an obstacle", lambda trial: trial.result.entered_obstacle
-)
 
 
 def _arrived(trials: Sequence[ResultSummary]) -> Value:
@@ -40,9 +39,6 @@ def _outcomes(trials: Sequence[ResultSummary]) -> Value:
 
 OUTCOMES = Statistic(_outcomes)
 ARRIVED = Statistic(_arrived)
-OBSTACLE_VIOLATIONS = Statistic(
-    _ENTERED.of_batch, lambda trial: {"entered_obstacle": trial.result.entered_obstacle}
-)
 ABORTED = count("aborted", "aborted", lambda trial: trial.outcome is Outcome.ABORTED)
 INTERRUPTED = count(
     "interrupted", "interrupted", lambda trial: trial.outcome is Outcome.INTERRUPTED
@@ -79,11 +75,57 @@ def least(key: str, label: str, of: Distances) -> Statistic:
     return Statistic(of_batch, of_trial)
 
 
-_LEFT = share("left_arena", "left the arena", lambda trial: trial.result.left_arena)
-LEFT_ARENA = Statistic(_LEFT.of_batch, lambda trial: {"outside_arena": trial.result.left_arena})
-CLEARANCE = least("clearance", "nearest to an obstacle", lambda verdict: verdict.clearance)
-EDGE = least("edge", "nearest to the arena's edge", lambda verdict: verdict.edge)
-APART = least("apart", "nearest to one another", lambda verdict: verdict.apart)
+CLEARANCE = least("clearance", "centre nearest to an obstacle", lambda verdict: verdict.clearance)
+EDGE = least("edge", "centre nearest to the arena's edge", lambda verdict: verdict.edge)
+APART = least("apart", "centres nearest to one another", lambda verdict: verdict.apart)
+
+
+SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
+    "entered an obstacle": Verdict.in_obstacle,
+    "left the arena": Verdict.over_edge,
+    "touched one another": Verdict.touched,
+}
+"""What must not happen, with a function that returns which robots of a given radius did it."""
+
+
+def counted_by(experiment: Experiment) -> str:
+    """Return text that states whether bodies or centres are counted."""
+    radius = experiment.body_radius
+    return f"bodies of radius {radius:g} {experiment.units.length}" if radius else "centres"
+
+
+def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Statistic:
+    """Return a statistic: the number of trials in which a robot did what `label` in SAFETY says.
+
+    `body` is the key of the count of bodies, which is None without a radius, and `centre` the keys
+    of a batch and of a trial of the count of centres.
+    """
+    of = SAFETY[label]
+
+    def of_trial(trial: ResultSummary) -> dict[str, Any]:
+        verdict, radius = trial.result.verdict, trial.experiment.body_radius
+        found = {centre[1]: any(of(verdict, 0.0))} if centre else {}
+        return found | {body: any(of(verdict, radius)) if radius else None}
+
+    def of_batch(trials: Sequence[ResultSummary]) -> Value:
+        columns = [of_trial(trial) for trial in trials]
+        items: dict[str, Any] = {body: None, f"{body}_ci95": None}
+        text = f"{NONE} (no radius)"
+        keys = [centre] if centre else []
+        for key, column in keys + [(body, body)] * (trials[0].experiment.body_radius > 0):
+            found, text = fraction(key, [one[column] for one in columns])
+            items |= found
+            text += f", {counted_by(trials[0].experiment)}"
+        return Value(items, ((f"{label}, 95 % interval", text),))
+
+    return Statistic(of_batch, of_trial)
+
+
+OBSTACLE_VIOLATIONS = safety(
+    "entered an obstacle", "body_in_obstacle", ("obstacle_violations", "entered_obstacle")
+)
+LEFT_ARENA = safety("left the arena", "body_over_edge", ("left_arena", "outside_arena"))
+TOUCHED = safety("touched one another", "bodies_touch")
 
 
 def _way_points(trial: ResultSummary) -> dict[str, Any]:

@@ -77,18 +77,23 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
     return Statistic(of_batch)
 
 
+def fraction(key: str, holds: Sequence[bool]) -> tuple[dict[str, Any], str]:
+    """Return how many values are true, with Wilson's 95 % interval of their fraction: as items of
+    JSON, and as text.
+    """
+    found, interval = sum(holds), proportion_interval(sum(holds), len(holds))
+    items = {key: found, f"{key}_ci95": interval.ends}
+    return items, f"{found} of {len(holds)}{percent(interval)}"
+
+
 def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Statistic:
     """Return a statistic: the number of trials for which the condition `holds` is true, with
     Wilson's 95 % interval of their fraction.
     """
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        found = sum(map(holds, trials))
-        interval = proportion_interval(found, len(trials))
-        text = f"{found} of {len(trials)}{percent(interval)}"
-        return Value(
-            {key: found, f"{key}_ci95": interval.ends}, ((f"{label}, 95 % interval", text),)
-        )
+        items, text = fraction(key, [holds(trial) for trial in trials])
+        return Value(items, ((f"{label}, 95 % interval", text),))
 
     return Statistic(of_batch)
 

@@ -1,16 +1,18 @@
 from dataclasses import replace
 
 import numpy as np
-from support.batches import batch, group
+from support.batches import batch, experiment, group
 
 from tetractl.core.commands import Verdict
 from tetractl.core.poses import Poses
+from tetractl.results.describe import flagged
+from tetractl.results.items import group_items, trials_table
 
 INF = float("inf")
 
 
-def judged(index, edge=(), apart=(), clearance=(50.0, 60.0)):
-    (trial,) = batch([[1.0, 2.0]])
+def judged(index, edge=(), apart=(), clearance=(50.0, 60.0), spec=None):
+    (trial,) = batch([[1.0, 2.0]], spec)
     verdict = Verdict(Poses.of(np.zeros((2, 3))), (False, False), clearance, "", edge, apart)
     return replace(trial, trial=index, result=replace(trial.result, verdict=verdict))
 
@@ -31,3 +33,36 @@ def test_logs_without_those_distances_are_left_out():
     assert (items["left_arena"], items["edge"], items["apart"]) == (0, 4.0, 80.0)
     alone = group([judged(0, clearance=(INF, INF))]).items
     assert alone["clearance"] is alone["edge"] is alone["apart"] is None
+
+
+def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside_them():
+    spec = experiment(2, controller={"type": "mpc", "collision": {"radius": 47}})
+    trials = [
+        judged(0, (46.0, 60.0), (93.0, 93.0), (46.9, 60.0), spec),  # bodies alone
+        judged(1, (-1.0, 60.0), (95.0, 95.0), (47.0, 60.0), spec),  # a centre, thus its body
+        judged(2, (48.0, 60.0), (95.0, 95.0), (48.0, 60.0), spec),
+    ]
+    found = group(trials)
+    items = group_items(found)
+    assert items["body_radius"] == 47
+    assert (items["obstacle_violations"], items["left_arena"]) == (0, 1)
+    assert (items["body_in_obstacle"], items["body_over_edge"], items["bodies_touch"]) == (1, 2, 1)
+    rows = dict(row for value in found.statistics for row in value.rows)
+    assert rows["left the arena, 95 % interval"] == "2 of 3 (21 to 94 %), bodies of radius 47 mm"
+    assert rows["touched one another, 95 % interval"].startswith("1 of 3")
+    columns = trials_table(found.batch).as_dict()
+    assert columns["outside_arena"] == [False, True, False]
+    assert columns["body_over_edge"] == [True, True, False]
+    assert flagged(found.batch)[0].notes[1:] == (
+        "green entered an obstacle",
+        "green left the arena",
+        "green, blue touched one another",
+    )
+
+
+def test_without_a_radius_centres_are_counted_and_said_to_be():
+    found = group([judged(0, (-1.0, 5.0), (200.0, 200.0))])
+    rows = dict(row for value in found.statistics for row in value.rows)
+    assert rows["left the arena, 95 % interval"] == "1 of 1 (21 to 100 %), centres"
+    assert rows["touched one another, 95 % interval"] == "- (no radius)"
+    assert found.items["body_over_edge"] is found.items["bodies_touch"] is None

@@ -3,12 +3,10 @@
 import gc
 import time
 from collections.abc import Callable
-from threading import Timer
 
+from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
-
-ANNOUNCE_AFTER_S = 1.0  # compiling is announced after this time; loading takes less [s]
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
@@ -19,26 +17,25 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     """Compile the functions that the controller runs, or load them from the cache.
 
-    If that takes longer than ANNOUNCE_AFTER_S seconds, `announce` is called with one message at
-    that moment and another at the end. Compiled code is cached on disk, for all specs with the same
-    kinds of controller, optimiser, motion and obstacles. Python's garbage collection is off
-    meanwhile: the compiler makes so many objects that searching them takes a fifth of its time.
+    If anything is compiled, `announce` is called with one message before and another at the end.
+    Compiled code is cached on disk, for all specs with the same kinds of controller, optimiser,
+    motion and obstacles. Python's garbage collection is off meanwhile: the compiler makes so many
+    objects that searching them takes a fifth of its time.
     """
     collects = gc.isenabled()
     began_s, said = time.monotonic(), list[str]()
 
     def say() -> None:
-        said.append(compiled_for(experiment))
-        announce(f"compiling for {said[0]}: 10 to 40 s, cached for later runs ...")
+        if not said:
+            said.append(compiled_for(experiment))
+            announce(f"compiling for {said[0]}: 10 to 40 s, cached for later runs ...")
 
-    notice = Timer(ANNOUNCE_AFTER_S, say)
-    notice.daemon = True
-    notice.start()
+    compiling.append(say)
     gc.disable()
     try:
         experiment.controller.warm_up(experiment.setup)
     finally:
-        notice.cancel()
+        compiling.remove(say)
         if collects:
             gc.enable()
     if said:

@@ -14,12 +14,15 @@ import shutil
 import stat
 import sys
 import tempfile
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 
 FOLDER = "TETRACTL_CACHE_DIR"
 """Environment variable that names the cache folder; worker processes inherit it."""
+
+compiling: list[Callable[[], None]] = []
+"""Functions to call before a kernel is compiled because the cache does not contain it."""
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 

@@ -1,12 +1,12 @@
 import subprocess
 import sys
-from threading import Event
 from types import SimpleNamespace
 
 import pytest
 from support.running import QUICK
 
 from tetractl.control import build
+from tetractl.control.kernels.cache import compiled
 from tetractl.experiment.load import parse_spec
 
 WATCH = """
@@ -47,26 +47,20 @@ def test_warming_up_leaves_nothing_to_compile(name):
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr
 
 
-def test_compiling_says_for_what_and_how_long_it_took(monkeypatch):
-    monkeypatch.setattr(build, "ANNOUNCE_AFTER_S", 0.0)
-    spec = parse_spec(QUICK, "spec").experiment
-    said, heard = [], Event()
+def test_only_compiling_is_announced_with_for_what_and_how_long_it_took():
+    spec, said = parse_spec(QUICK, "spec").experiment, []
 
-    def announce(text):
-        said.append(text)
-        heard.set()
-
-    class Slow:
+    class New:
         type, motion, optimizer = "mpc", "exact", spec.controller.optimizer
 
         def warm_up(self, setup):
-            assert heard.wait(60)
+            spec.controller.warm_up(spec.setup)  # from the cache, however long that takes
+            assert said == []
+            compiled(nogil=True)(lambda x: 2 * x)(21)
 
-    build.warm_up(SimpleNamespace(controller=Slow(), obstacles=(), setup=None), announce)
+    build.warm_up(spec, lambda text: None)
+    build.warm_up(SimpleNamespace(controller=New(), obstacles=(), setup=None), said.append)
     assert said == [
         "compiling for mpc, pso, exact: 10 to 40 s, cached for later runs ...",
         "compiled in 0 s",
     ]
-    monkeypatch.setattr(build, "ANNOUNCE_AFTER_S", 3600.0)
-    build.warm_up(spec, said.append)
-    assert len(said) == 2  # loaded from the cache, and not worth a word

@@ -17,10 +17,18 @@ from typing import Any
 
 import numba
 from numba import njit
+from numba.core import event
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from tetractl.core.cache import cache_folder, claim, compiler_settings, digest, say_once
+from tetractl.core.cache import (
+    cache_folder,
+    claim,
+    compiler_settings,
+    compiling,
+    digest,
+    say_once,
+)
 from tetractl.core.registries import MOTIONS, SHAPES
 
 _SUM = hashlib.sha256().digest_size
@@ -62,6 +70,20 @@ def folder() -> Path | None:
         why = error.strerror or str(error)
     say_once(f"compiled code is not kept: {why}")
     return None
+
+
+class _Compiling(event.Listener):
+    """Calls the functions in `compiling` when numba starts to compile."""
+
+    def on_start(self, event: Any) -> None:
+        for call in tuple(compiling):
+            call()
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+event.register("numba:compile", _Compiling())
 
 
 class KernelCache:

@@ -75,7 +75,7 @@ def processor(host: Mapping[str, str]) -> str:
     facts in `host`.
 
     It is LLVM's name and six digits that identify the instruction sets in use: results of code
-    compiled for two types may differ in the last bits.
+    compiled for two types differ in the last bits, from which other trials may follow.
     """
     if not (name := host.get("cpu_target")):
         return ""

@@ -99,14 +99,15 @@ def _errors(groups: Sequence[Group]) -> Table:
 def processors_note(types: Iterable[str]) -> str:
     """Return a note if trials were simulated on several types of processor, otherwise "".
 
-    Results of the same trial may differ in their last bits between two types.
+    Sums round differently on two types, and a trial with disturbances may then take another course.
     """
     found = Counter(filter(None, types))
     if len(found) < 2:
         return ""
     listed = ", ".join(f"{name} ({count})" for name, count in found.most_common(4))
     more = f" and {len(found) - 4} more" if len(found) > 4 else ""
-    return f"trials of {len(found)} types of processor, which may differ slightly: {listed}{more}"
+    what = "types of processor, on which the same seed may give another trial"
+    return f"trials of {len(found)} {what}: {listed}{more}"
 
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:

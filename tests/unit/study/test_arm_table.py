@@ -76,8 +76,8 @@ def test_rows_of_several_types_of_processor_are_marked(ran):
     ran.store.rows[arm][0] = replace(own, processor="other-123456")
     try:
         assert arms_table(ran.loaded, ran.store).note.startswith(
-            f"trials of 2 types of processor, which may differ slightly: {own.processor} (39),"
-            " other-123456 (1); "
+            "trials of 2 types of processor, on which the same seed may give another trial: "
+            f"{own.processor} (39), other-123456 (1); "
         )
     finally:
         ran.store.rows[arm][0] = own

@@ -30,24 +30,43 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
     return logs[0]
 
 
-def by_folder(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
-    """Return the complete trials of each folder; the key is the folder's name, or its path if two
-    folders have the same name.
+PANELS = 12  # largest number of folders with a panel each
 
-    Raises UsageError if the trials' errors are in different units, LogError if none is complete.
+
+def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
+    """Return the trials of each folder, only the `complete` ones or all; the key is the folder's
+    name, or its path if two folders have the same name.
+
+    Raises UsageError if the trials' errors are in different units, LogError if there is no trial.
     """
     units = {log.start.setup.unit for log in logs}
     if len(units) > 1:
         raise UsageError(f"errors in {' and '.join(sorted(units))} cannot share an axis")
     found: dict[str, list[TrialLog]] = {}
     for log in logs:
-        if log.result is not None and log.result.outcome.complete:
+        if not complete or not unfinished(log):
             found.setdefault(log.path.rpartition("/")[0], []).append(log)
     if not found:
         raise LogError("no complete trial to plot")
     names = [folder.rpartition("/")[2] or "trials" for folder in found]
     labels = names if len(set(names)) == len(names) else list(found)
     return dict(zip(labels, found.values(), strict=True))
+
+
+def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
+    """Return the trials of each folder, for a panel each; a single folder has the name "".
+
+    Raises UsageError for too many folders, and for trials of unlike robots in a folder.
+    """
+    found = by_folder(logs, complete=False)
+    if len(found) > PANELS:
+        raise UsageError(
+            f"{len(found)} folders: this figure has a panel for each of at most {PANELS}",
+            "give fewer folders, or use --kind arms or ecdf",
+        )
+    for arm in found.values():
+        check_alike(arm)
+    return found if len(found) > 1 else {"": list(logs)}
 
 
 def robot_labels(names: Sequence[str]) -> list[str]:

@@ -22,8 +22,8 @@ from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
     by_folder,
-    check_alike,
     one_trial,
+    panels_of,
     robot_labels,
     unfinished,
 )
@@ -125,7 +125,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
     ends = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
     show = lengths(float(ends.sum()))
     with style.styled():
-        figure, total, each = _panels(setup, 1.9, 1.6, max(float(time_s[-1]), 1e-9))
+        figure, [(total, each)] = _panels([setup], 1.9, 1.6, max(float(time_s[-1]), 1e-9))
         whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
         robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
         draw_curves(total, time_s, [whole])
@@ -147,50 +147,69 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw the total error of every trial over time, and the median of each robot's error.
+    """Draw the total error of every trial over time, and the median of each robot's error, in two
+    panels for each folder.
 
     Bands contain the middle half of the trials. After its end, a trial keeps its final error.
     Incomplete trials are drawn, but not counted in medians and bands.
     """
-    check_alike(logs)
+    arms = panels_of(logs)
     time_s = _common_times(logs)
+    with style.styled():
+        setups = [found[0].start.setup for found in arms.values()]
+        figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
+        signs: dict[str, Artist] = {}
+        drawn = list[tuple[Axes, list[Curve]]]()
+        for (name, found), pair in zip(arms.items(), panels, strict=True):
+            median, robots, more = _arm_errors(found, time_s, *pair)
+            drawn += [(pair[0], [median]), (pair[1], robots)]
+            signs |= more
+            trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
+            what = f"total error of {trials}, the sum over the robots"
+            each = "distance of each robot to its target, median of the trials"
+            for axes, text in zip(pair, (what, each), strict=True):
+                letter = chr(ord("a") + list(figure.axes).index(axes))
+                style.panel(axes, letter, f"{name}: {text}" if name else text)
+            pair[0].set_ylim(bottom=0)
+            pair[1].set_ylim(bottom=0)
+        figure.legend(handles=list(signs.values()), loc="outside lower center", ncols=5)
+        for axes, curves in drawn:  # the limits are set
+            name_curves(axes, curves)
+    return figure
+
+
+def _arm_errors(
+    logs: Sequence[TrialLog], time_s: Floats, total: Axes, each: Axes
+) -> tuple[Curve, list[Curve], dict[str, Artist]]:
+    """Draw the errors of one folder's trials; return the median of the total error, those of the
+    robots, and the signs of the legend by their texts.
+    """
     setup = logs[0].start.setup
-    unit = unit_of(setup.unit)
     errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, POINTS, N)
     whole = np.array([not unfinished(log) for log in logs])
     counted = errors[whole] if whole.any() else errors
-    with style.styled():
-        figure, total, each = _panels(setup, 2.4, 1.8, time_s[-1])
-        for values, complete in zip(errors.sum(axis=2), whole, strict=True):
-            color = style.GREY if complete else style.ALARM
-            total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
-        low, middle, high = np.nanpercentile(counted.sum(axis=2), QUARTILES, axis=0)
-        name = f"median {middle[-1]:.3g} {unit}"
-        median = Curve(middle, BLUE, name, "median", low, high, "median", 1.5)
-        draw_curves(total, time_s, [median])
-        low, middle, high = np.nanpercentile(counted, QUARTILES, axis=0)
-        robots = robot_curves(setup, middle, low, high, "{:.3g}".format)
-        draw_curves(each, time_s, robots)
-        signs: list[Artist] = [
-            Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),
-            *total.get_legend_handles_labels()[0],
-            _middle_half(BLUE),
-        ]
-        if not whole.all():
-            label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
-            signs.append(Line2D([], [], color=style.ALARM, lw=0.5, label=label))
-        if reference := logs[0].experiment.reference:
-            label = "published mean at the end"
-            signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
-        for axes in (total, each):
-            axes.set_ylim(bottom=0)
-        trials = f"{len(logs)} trial{'s' * (len(logs) > 1)}"
-        style.panel(total, "a", f"total error of {trials}, the sum over the robots")
-        style.panel(each, "b", "distance of each robot to its target, median of the trials")
-        figure.legend(handles=signs, loc="outside lower center", ncols=5)
-        name_curves(total, [median])
-        name_curves(each, robots)
-    return figure
+    for values, complete in zip(errors.sum(axis=2), whole, strict=True):
+        color = style.GREY if complete else style.ALARM
+        total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
+    low, middle, high = np.nanpercentile(counted.sum(axis=2), QUARTILES, axis=0)
+    name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
+    median = Curve(middle, BLUE, name, "median", low, high, "median", 1.5)
+    draw_curves(total, time_s, [median])
+    low, middle, high = np.nanpercentile(counted, QUARTILES, axis=0)
+    robots = robot_curves(setup, middle, low, high, "{:.3g}".format)
+    draw_curves(each, time_s, robots)
+    signs: list[Artist] = [
+        Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),
+        *total.get_legend_handles_labels()[0],
+        _middle_half(BLUE),
+    ]
+    if not whole.all():
+        label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
+        signs.append(Line2D([], [], color=style.ALARM, lw=0.5, label=label))
+    if reference := logs[0].experiment.reference:
+        label = "published mean at the end"
+        signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
+    return median, robots, {str(sign.get_label()): sign for sign in signs}
 
 
 def arms_figure(logs: Sequence[TrialLog]) -> Figure:
@@ -224,19 +243,21 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
 
 
 def _panels(
-    setup: Setup, top_in: float, least_in: float, end_s: float
-) -> tuple[Figure, Axes, Axes]:
-    """Return a figure with axes for the total error and, below, for the robots' errors, both from 0
-    to `end_s` [s].
+    setups: Sequence[Setup], top_in: float, least_in: float, end_s: float
+) -> tuple[Figure, list[tuple[Axes, Axes]]]:
+    """Return a figure with two axes for each batch: for the total error and, below, for the robots'
+    errors, all from 0 to `end_s` [s] and of the same scale.
     """
-    each_in = max(least_in, LINE_IN * len(setup.names))
-    figure = style.figure(style.PAGE_IN, top_in + each_in)
-    total, each = figure.subplots(2, 1, sharex=True, height_ratios=[0.7 * top_in, each_in])
-    for axes in (total, each):
-        axes.set_ylabel(f"error [{unit_of(setup.unit)}]")
+    each_in = max(least_in, *(LINE_IN * len(setup.names) for setup in setups))
+    figure = style.figure(style.PAGE_IN, (top_in + each_in) * len(setups))
+    ratios = [0.7 * top_in, each_in] * len(setups)
+    panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
+    for i, axes in enumerate(panels):
+        axes.sharey(panels[i % 2])
+        axes.set_ylabel(f"error [{unit_of(setups[0].unit)}]")
         axes.set_xlim(0, end_s)
-    each.set_xlabel(SINCE)
-    return figure, total, each
+    panels[-1].set_xlabel(SINCE)
+    return figure, list(zip(panels[::2], panels[1::2], strict=True))
 
 
 def _need_frames(logs: Sequence[TrialLog]) -> None:

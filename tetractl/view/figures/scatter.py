@@ -15,8 +15,8 @@ from tetractl.core.poses import DEVIATIONS, INSIDE, Floats, ellipse
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
 from tetractl.view.figures.axes import (
-    check_alike,
     final_poses,
+    panels_of,
     robot_labels,
     unfinished,
 )
@@ -26,49 +26,60 @@ FEWEST = 3  # least number of trials for an ellipse
 
 
 def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
-    """Draw each robot's final position relative to its target, a dot for each trial.
+    """Draw each robot's final position relative to its target, a dot for each trial, in a panel for
+    each robot of each folder.
 
     The dashed ellipse contains 95 % of a normal distribution with the mean and covariance (n - 1)
-    of the complete trials. All panels have the same scale.
+    of the complete trials. All panels of a folder have the same scale.
     """
-    check_alike(logs)
     for log in logs:
         if log.result is None and not len(log.mocap_ns):
             raise LogError(f"{log.path}: contains no camera frames to plot")
+    arms = panels_of(logs)
+    counts = [len(found[0].start.setup.names) for found in arms.values()]
+    columns = min(max(counts), COLUMNS)
+    rows = [-(-count // columns) for count in counts]
+    whole = [not unfinished(log) for log in logs]
+    with style.styled():
+        side_in = style.PAGE_IN / max(columns, 3)
+        figure = style.figure(columns * side_in, sum(rows) * (side_in + 0.2) + 0.6)
+        panels = figure.subplots(sum(rows), columns, squeeze=False)
+        ends = np.cumsum(rows)
+        drawn = [
+            _arm(list(panels[end - of : end].flat), name, found, columns)
+            for (name, found), end, of in zip(arms.items(), ends, rows, strict=True)
+        ]
+        figure.legend(handles=_key(drawn, not all(whole)), loc="outside lower center", ncols=5)
+    return figure
+
+
+def _arm(panels: Sequence[Axes], name: str, logs: Sequence[TrialLog], columns: int) -> int:
+    """Draw the panels of one folder's robots; return the number of trials in the means."""
     setup = logs[0].start.setup
-    unit = unit_of(setup.unit)
+    unit, colors = unit_of(setup.unit), robot_colors(setup.names, setup.colors)
     gaps = np.array([final_poses(log)[:, :2] for log in logs]) - setup.targets
     whole = np.array([not unfinished(log) for log in logs])
     counted = gaps[whole] if whole.any() else gaps
-    colors = robot_colors(setup.names, setup.colors)
-    columns = min(len(colors), COLUMNS)
-    rows = -(-len(colors) // columns)
-    with style.styled():
-        side_in = style.PAGE_IN / max(columns, 3)
-        figure = style.figure(columns * side_in, rows * (side_in + 0.2) + 0.6)
-        panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-        reach = 0.0
-        for robot, axes in enumerate(panels.ravel()):
-            if robot >= len(colors):
-                axes.set_visible(False)
-                continue
-            reach = max(reach, _panel(axes, counted[:, robot], gaps[~whole, robot], colors[robot]))
-            name = robot_labels(setup.names)[robot]
-            mean = float(np.linalg.norm(counted[:, robot], axis=1).mean())
-            title = f"{name}\nmean error {mean:.3g} {unit}"
-            axes.set_title(title, loc="left", color=colors[robot], fontsize=7)
-        limit = 1.08 * reach or 1.0
-        panels[0, 0].set_xlim(-limit, limit)
-        panels[0, 0].set_ylim(-limit, limit)
-        for column in range(columns):  # the lowest panel of the column
-            axes = panels[(len(colors) - 1 - column) // columns, column]
-            axes.tick_params(labelbottom=True)
-            axes.set_xlabel(f"x error [{unit}]")
-        for axes in panels[:, 0]:
-            axes.set_ylabel(f"y error [{unit}]")
-        figure.legend(handles=_key(len(counted), bool((~whole).any())), loc="outside lower center",
-                      ncols=5)  # fmt: skip
-    return figure
+    reach = 0.0
+    for robot, axes in enumerate(panels):
+        if robot >= len(colors):
+            axes.set_visible(False)
+            continue
+        axes.sharex(panels[0])
+        axes.sharey(panels[0])
+        reach = max(reach, _panel(axes, counted[:, robot], gaps[~whole, robot], colors[robot]))
+        mean = float(np.linalg.norm(counted[:, robot], axis=1).mean())
+        who = f"{name}: " * bool(name) + robot_labels(setup.names)[robot]
+        title = f"{who}\nmean error {mean:.3g} {unit}"
+        axes.set_title(title, loc="left", color=colors[robot], fontsize=7)
+        lowest, first = robot + columns >= len(colors), robot % columns == 0
+        axes.tick_params(labelbottom=lowest, labelleft=first)
+        axes.set_xlabel(f"x error [{unit}]" * lowest)
+        axes.set_ylabel(f"y error [{unit}]" * first)
+    limit = 1.08 * reach or 1.0
+    panels[0].set_xlim(-limit, limit)
+    panels[0].set_ylim(-limit, limit)
+    return len(counted)
 
 
 def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
@@ -98,16 +109,19 @@ def _panel(axes: Axes, gaps: Floats, cut: Floats, color: str) -> float:
     return max(reach, float((np.abs(mean) + span).max()))
 
 
-def _key(counted: int, cut: bool) -> list[Line2D]:
+def _key(counted: Sequence[int], cut: bool) -> list[Line2D]:
+    """Return the signs of the legend; `counted` are the numbers of trials in the means."""
+    numbers = " to ".join(map(str, sorted({min(counted), max(counted)})))
+
     def key(label: str, **look: object) -> Line2D:
         return Line2D([], [], **{"ls": "none", "color": style.GREY, "label": label, **look})  # pyright: ignore[reportArgumentType]
 
     signs = [
         key("target", marker="s", ms=6, mfc="none"),
         key("one trial", marker="o", ms=4),
-        key(f"mean of {counted}", marker="+", ms=8, color=style.INK),
+        key(f"mean of {numbers}", marker="+", ms=8, color=style.INK),
     ]
-    if counted >= FEWEST:
+    if max(counted) >= FEWEST:
         label = f"covariance, {100 * INSIDE:g} % of a normal distribution"
         signs.append(key(label, ls="--", lw=0.8, color=style.INK))
     if cut:

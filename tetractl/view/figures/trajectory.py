@@ -249,7 +249,7 @@ class _Key:
 def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key:
     """Return the legend of the robots' names and their `errors` (trials, N).
 
-    Means over several trials leave out incomplete ones.
+    Means over several trials leave out incomplete ones; trials of several folders have no means.
     """
     setup = logs[0].start.setup
     unit = unit_of(setup.unit)
@@ -257,6 +257,8 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
         show = lengths(float(errors.sum()))
         words = [show(error) for error in errors[0]]
         title = f"error at the end [{unit}], total {show(errors.sum())}"
+    elif (folders := len({log.path.rpartition("/")[0] for log in logs})) > 1:
+        title, words = f"{len(logs)} trials of {folders} folders", [""] * len(colors)
     else:
         whole = np.array([not unfinished(log) for log in logs])
         counted = errors[whole] if whole.any() else errors
@@ -264,7 +266,7 @@ def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key
         title = f"{len(logs)} trials, error at the end [{unit}], total "
         title += _spread(counted.sum(axis=1))
     handles = [
-        Line2D([], [], color=color, label=f"{name}: {word}")
+        Line2D([], [], color=color, label=": ".join(filter(None, (name, word))))
         for name, color, word in zip(robot_labels(setup.names), colors, words, strict=True)
     ][: KEYED if len(colors) <= KEYED else 0]
     longest = max((len(str(handle.get_label())) for handle in handles), default=0)

@@ -421,6 +421,61 @@ def test_aborted_trials_are_not_in_the_band_nor_in_the_means(log):
     assert "1 of 3 trials did not run to their end, not in the means" in text
 
 
+def two_arms(log):
+    """A batch that ended near the targets and one that did not, in two folders."""
+    assert log.result
+    return [
+        replace(
+            log,
+            path=f"{folder}/trial-{i}.mcap",
+            result=replace(
+                log.result,
+                robot_errors=(end + i, 0.0, 0.0),
+                total_error=end + i,
+                verdict=replace(
+                    log.result.verdict,
+                    final=Poses.of(
+                        np.column_stack([log.start.setup.targets + [end + i, i % 2], [0.0] * 3])
+                    ),
+                ),
+            ),
+        )
+        for folder, end in (("ours", 5.0), ("paper", 140.0))
+        for i in range(3)
+    ]
+
+
+def test_each_folder_has_panels_of_its_own_errors(log):
+    logs = two_arms(log)
+    figure = draw("errors", logs)
+    text = words(figure)
+    for part in (
+        "(a) ours: total error of 3 trials",
+        "(c) paper: total error of 3 trials",
+        "median 6 mm",
+        "median 141 mm",
+    ):
+        assert part in text
+    assert figure.axes[0].get_ylim() == figure.axes[2].get_ylim()
+    assert overlapping(figure) == []
+    figure = draw("scatter", logs)
+    text = words(figure)
+    assert "ours: green\nmean error 6.03 mm" in text
+    assert "paper: green\nmean error 141 mm" in text
+    assert figure.axes[0].get_xlim()[1] < 15 < 140 < figure.axes[3].get_xlim()[1]
+    assert overlapping(figure) == []
+    text = words(draw("trajectory", logs))
+    assert "6 trials of 2 folders" in text
+    assert "total" not in text  # no mean over both
+
+
+def test_more_folders_than_panels_fit_are_refused(log):
+    logs = [replace(log, path=f"arm-{i}/trial-000.mcap") for i in range(13)]
+    for kind in ("errors", "scatter"):
+        with pytest.raises(UsageError, match="13 folders: this figure has a panel for each"):
+            draw(kind, logs)
+
+
 def test_the_scatter_shows_mean_and_covariance_of_each_robot(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     figure = draw("scatter", logs)

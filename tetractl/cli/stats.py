@@ -23,8 +23,8 @@ def stats(
         list[str],
         typer.Argument(
             metavar="PATH",
-            help="Logs, folders or globs: one batch. Several folders, or the folder of a study, are"
-            " several batches.",
+            help="Logs, folders or globs: one batch. Several folders, or one of several"
+            " folders such as a study, are several batches.",
         ),
     ],
     form: Annotated[Format, typer.Option("--format", help="Output format.")] = "table",

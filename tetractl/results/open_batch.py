@@ -110,15 +110,16 @@ class Source:
         return cls(name + more, logs, [file for found in kept.values() for file in found])
 
     def by_arm(self, folder: Path) -> "list[Source]":
-        """Return a source per arm if `folder` contains only a study of several arms, otherwise this
-        source.
+        """Return a source per folder in `folder` if all trials are in several of these, such as the
+        arms of a study, otherwise this source.
         """
-        logs: dict[Path, list[Path]] = {rows.parent: [] for rows in self.rows}
+        rows = {file.parent: [file] for file in self.rows}
+        logs: dict[Path, list[Path]] = {arm: [] for arm in rows}
         for log in self.logs:
             logs.setdefault(log.parent, []).append(log)
-        if not 1 < len(logs) == len(self.rows) or any(arm.parent != folder for arm in logs):
+        if len(logs) < 2 or any(arm.parent != folder for arm in logs):
             return [self]
-        return [Source(rows.parent.name, logs[rows.parent], [rows]) for rows in self.rows]
+        return [Source(arm.name, found, rows.get(arm, ())) for arm, found in logs.items()]
 
     def read(self, on_log: OnLog = lambda done, count: None) -> Batch:
         """Read every result; `on_log` is called with the numbers of logs read and of all logs."""
@@ -145,7 +146,8 @@ def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
 
 def sources(paths: Sequence[str]) -> list[Source]:
     """Return the files of each batch: of each folder, if the paths are several folders; of each
-    arm, if the only path is a study's folder; otherwise of all paths together.
+    folder in it, if the only path is a folder of folders, such as a study's; otherwise of all paths
+    together.
     """
     paths = [str(path) for path in without_others(paths)]
     if len(paths) > 1 and all(Path(path).is_dir() for path in paths):
@@ -157,14 +159,14 @@ def sources(paths: Sequence[str]) -> list[Source]:
 
 
 def one_source(paths: Sequence[str]) -> Source:
-    """Return the files of all paths as one batch; UsageError if a path is a study with several
-    arms.
+    """Return the files of all paths as one batch; UsageError if a path is a folder of
+    several batches.
     """
     source = Source.of(paths)
     for folder in filter(Path.is_dir, map(Path, paths)):
         listed = source if len(paths) == 1 else Source.of([folder])
-        if len(listed.by_arm(folder)) > 1:
-            raise UsageError(f"{folder}: is the folder of a study", "name the folders of its arms")
+        if (count := len(listed.by_arm(folder))) > 1:
+            raise UsageError(f"{folder}: holds {count} batches", "name the folder of each")
     return source
 
 

@@ -120,7 +120,7 @@ def test_the_folder_of_a_study_is_a_batch_per_arm_listed_once(tmp_path):
         ("dead_time=0.1", 1, 1),
     ]
     assert [len(one.read().trials) for one in found] == [3, 3]
-    with pytest.raises(UsageError, match="is the folder of a study"):
+    with pytest.raises(UsageError, match="holds 2 batches"):
         sources([str(study), str(arm)])
     (study / "trial-000.mcap").write_bytes(b"of no arm")
     assert len(sources([str(study)])) == 1
@@ -134,3 +134,17 @@ def test_batches_are_called_by_their_folders_and_by_their_paths_where_those_are_
     assert [one.name for one in sources([x, y])] == ["x", "y"]
     assert [one.name for one in sources([x, also_x])] == [x, also_x]
     assert Source.of([f"{x}/*.mcap", y]).name == f"{x}/*.mcap and 1 more"
+
+
+def test_a_folder_of_folders_with_logs_is_a_batch_for_each(tmp_path):
+    for name in ("demo/ours", "demo/paper", "other"):
+        (tmp_path / name).mkdir(parents=True)
+        (tmp_path / name / "trial-000.mcap").write_bytes(b"")
+    demo = tmp_path / "demo"
+    assert [(one.name, len(one.logs)) for one in sources([str(demo)])] == [
+        ("ours", 1),
+        ("paper", 1),
+    ]
+    assert len(sources([f"{demo}/*/*.mcap"])) == 1  # a pattern pools
+    with pytest.raises(UsageError, match="holds 2 batches"):
+        sources([str(demo), str(tmp_path / "other")])

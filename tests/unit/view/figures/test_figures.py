@@ -435,7 +435,9 @@ def two_arms(log):
                 verdict=replace(
                     log.result.verdict,
                     final=Poses.of(
-                        np.column_stack([log.start.setup.targets + [end + i, i % 2], [0.0] * 3])
+                        np.column_stack(
+                            [log.start.setup.targets + np.array([end + i, i % 2]), [0.0] * 3]
+                        )
                     ),
                 ),
             ),

@@ -83,8 +83,8 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
         ".map((dot) => dot.getAttribute('xlink:href'))"
     )
     assert links == ["#trial-1", "#trial-2", "#trial-3"]
-    mean = page.run("document.querySelector('.figures b').textContent")
-    assert float(mean.split()[0]) == pytest.approx(statistics["total_error"]["mean"], abs=0.06)
+    mean = page.run("document.querySelector('.top tbody').rows[0].cells[2].textContent")
+    assert float(mean) == pytest.approx(statistics["total_error"]["mean"], abs=0.06)
     for trial in range(3):
         page.key("End")
         shown = float(text(page, "total"))
@@ -94,7 +94,8 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
 
 @needs_chromium
 def test_it_plays_and_scrubs_and_steps(page):
-    assert text(page, "step") in ("–", "0")
+    assert page.run("player.time === player.trial.end")  # opens at the result
+    assert text(page, "outcome").startswith("sequence completed: ")
     page.run(
         "document.getElementById('rate').value = '10';"
         "document.getElementById('rate').dispatchEvent(new Event('change'))"
@@ -118,7 +119,7 @@ def test_it_plays_and_scrubs_and_steps(page):
     said = page.run("document.getElementById('scrub').getAttribute('aria-valuetext')")
     assert said.startswith("0.40 s, step 2, total error ")
     page.key("Home")
-    assert page.run("player.time === player.trial.start")
+    assert text(page, "time").startswith("0.00 s of ")
     page.run("location.hash = '#trial-3'")
     page.run("new Promise((done) => setTimeout(done))")
     assert page.run("player.index") == 2
@@ -128,11 +129,21 @@ def test_it_plays_and_scrubs_and_steps(page):
 @needs_chromium
 def test_what_is_drawn_moves_with_the_time(page):
     shot = "document.getElementById('scene').toDataURL()"
+    page.key("Home")
     start = page.run(shot)
     page.key("End")
     assert page.run(shot) != start
     page.key("Home")
     assert page.run(shot) == start
+
+
+@needs_chromium
+def test_the_whole_player_fits_a_laptops_screen_in_two_columns(folder, page):
+    page.open(folder / "report.html", 1280, 900)
+    box = "document.querySelector('{}').getBoundingClientRect()"
+    player = box.format("#player .player")
+    assert page.run(f"{player}.bottom - {box.format('#player')}.top") <= 900
+    assert page.run(f"{box.format('#robots')}.left > {box.format('#scene')}.right")
 
 
 @needs_chromium
@@ -173,7 +184,7 @@ def test_the_folder_of_a_study_is_a_page_of_its_arms_called_after_it(tmp_path):
         for arm, value in enumerate(("0", "0.1"))
         for trial in range(2)
     ]
-    head = html[html.index("<header>") : html.index('<section id="player"')]
+    head = html[html.index("<header>") : html.index("Comparison of")]
     assert re.findall(r'<th scope="row">([^<]*)', head) == ["dead_time=0", "dead_time=0.1"]
     assert "sum over the robots" in head
-    assert "<b>" not in head  # no cards
+    assert html.index("verdict on the mean error") < html.index('<section id="player"')

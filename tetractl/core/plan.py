@@ -16,12 +16,24 @@ from tetractl.core.setup import Shape
 class Outcome(StrEnum):
     """How a trial ended."""
 
-    ARRIVED = "arrived"  # every robot is within the arrival tolerance of its target
-    SEQUENCE_COMPLETED = "sequence completed"  # the whole sequence was applied: normal completion
-    NOTHING_BETTER = "nothing better"  # stopping is as good as any plan
-    STEPS_MAX = "steps max"  # the limit of control steps, k_max, was reached
-    INTERRUPTED = "interrupted"  # the user ended the trial, by Ctrl-C or another signal
-    ABORTED = "aborted"  # a fault or an error ended the trial
+    ARRIVED = "arrived"
+    SEQUENCE_COMPLETED = "sequence completed"
+    NOTHING_BETTER = "nothing better"
+    STEPS_MAX = "steps max"
+    INTERRUPTED = "interrupted"
+    ABORTED = "aborted"
+
+    @property
+    def meaning(self) -> str:
+        """What the outcome means, for readers."""
+        return {
+            Outcome.ARRIVED: "every robot is within the arrival tolerance of its target",
+            Outcome.SEQUENCE_COMPLETED: "every signal of the plan was sent, as is normal",
+            Outcome.NOTHING_BETTER: "the controller stopped, as no plan it found ends nearer",
+            Outcome.STEPS_MAX: "the largest number of control steps was reached",
+            Outcome.INTERRUPTED: "the user ended the trial",
+            Outcome.ABORTED: "a fault or an error ended the trial",
+        }[self]
 
     @classmethod
     def _missing_(cls, value: object) -> "Outcome | None":

@@ -23,6 +23,7 @@ from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
 from tetractl.results.items import as_items
 from tetractl.results.open_batch import sources
+from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"
@@ -66,7 +67,10 @@ def report(
         drawn.append(of_batch(group.name if len(groups) > 1 else "", logs))
     numbers = {path: number for number, (path, _, _) in enumerate(shown, 1)}
     name = title or _title(paths, groups)
-    body = [_header(name, groups), _errors(groups, numbers, drawn), _statistics(groups, numbers)]
+    compared = contrast(groups)
+    body = [_header(name, compared, numbers), _statistics(compared, numbers)]
+    if any(drawn):
+        body.insert(1, f"<section><h2>Errors</h2>{''.join(drawn)}</section>")
     if first is not None:
         body.insert(1, _player([trial for _, *trial in shown], groups[0].unit))
         body.append(f"<section><h2>Figures of the first trial</h2>{of_trial(first)}</section>")
@@ -116,35 +120,30 @@ def _page(title: str, body: str, scripts: str) -> str:
     )
 
 
-def _header(title: str, groups: Sequence[Group]) -> str:
-    about = escape(groups[0].experiment.description)
+def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> str:
+    """Return the HTML of what a reader wants to know first: each group's result, the verdicts, and
+    every total error.
+    """
+    about = escape(found.groups[0].experiment.description)
+    compared = [one for one in tables(found) if one.title.startswith("Comparison")]
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'
-        + (_cards(groups[0]) if len(groups) == 1 else html([_overview(groups)]))
-    )
-
-
-def _cards(group: Group) -> str:
-    """Return the HTML of a group's mean total error and the number of its trials that entered an
-    obstacle.
-    """
-    total, show = group.total, lengths(group.total.mean)
-    interval = f"95 % {total.ci95.text(show)}, " if total.ci95.known else ""
-    return (
-        f'<div class="figures"><div>mean total error<b>{show(total.mean)} {unit_of(group.unit)}</b>'
-        f'<span class="quiet">{TOTAL}<br>{interval}n {total.n}, {group.origin}</span></div>'
-        f"<div>entered an obstacle<b>{_entered(group)}</b>"
-        '<span class="quiet">trials</span></div></div>'
+        f'<div class="top">{_tables([_overview(found.groups), *compared])}'
+        f"{of_groups(found.groups, numbers)}</div>"
     )
 
 
 def _overview(groups: Sequence[Group]) -> Table:
-    """Return a table with each group's mean total error and the number of its trials that entered
-    an obstacle.
-    """
+    """Return a table with each group's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
+    rows = [{k: v for value in one.statistics for k, v in value.rows} for one in groups]
+    counts = {
+        label: [texts[f"{label}, 95 % interval"].partition(" (")[0] for texts in rows]
+        for label in SAFETY
+    }
+    known = "; ".join(f"{one.name}: {one.origin}, {counted_by(one.experiment)}" for one in groups)
     return Table(
         "",
         (
@@ -152,16 +151,10 @@ def _overview(groups: Sequence[Group]) -> Table:
             Column("n", [total.n for total in totals]),
             Column("mean total error", [t.mean for t in totals], unit_of(groups[0].unit), show),
             Column("95 % interval", [t.ci95.text(show) if t.ci95.known else NONE for t in totals]),
-            Column("entered an obstacle", [_entered(group) for group in groups]),
-            Column("plant", [group.origin.value for group in groups]),
+            *(Column(label, texts) for label, texts in counts.items()),
         ),
-        f"Mean total error: {TOTAL}.",
+        f"Mean total error: {TOTAL}. Plants, and what was checked: {known}.",
     )
-
-
-def _entered(group: Group) -> str:
-    trials = group.batch.trials
-    return f"{sum(trial.result.entered_obstacle for trial in trials)} of {len(trials)}"
 
 
 def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
@@ -185,21 +178,12 @@ def _json(value: Any) -> str:
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")
 
 
-def _errors(groups: Sequence[Group], numbers: Mapping[str, int], drawn: Sequence[str]) -> str:
-    """Return the section of errors: a dot per total error, linked to its trial, and the figures in
-    `drawn`.
-    """
-    picture = of_groups(groups, numbers) + "".join(drawn)
-    return f"<section><h2>Errors</h2>{picture}</section>" if picture else ""
-
-
-def _statistics(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
+def _statistics(found: GroupComparison, numbers: Mapping[str, int]) -> str:
     """Return the tables of each group and of their comparison, and the same data as JSON."""
-    found = contrast(groups)
     links = {str(number): f"#trial-{number}" for number in numbers.values()}
     parts = []
-    for group in groups:
-        name = f": {escape(group.name)}" if len(groups) > 1 else ""
+    for group in found.groups:
+        name = f": {escape(group.name)}" if len(found.groups) > 1 else ""
         parts.append(
             f"<section><h2>Statistics{name}</h2>{_tables(tables(GroupComparison((group,))))}"
             "<details open><summary>All trials</summary>"
@@ -255,7 +239,7 @@ def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
         return ""
     where = f": {name}" if name else ""
     drawn = [_figure(kind, seen, text + where) for kind, text in OF_A_BATCH.items()]
-    return _row("paper wide", drawn)
+    return _row("paper", drawn)
 
 
 def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
@@ -274,7 +258,7 @@ def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
     text = "Every total error, a dot per trial, and the errors of each robot"
-    return _row("paper wide", [f"<figure>{drawing}<figcaption>{text}</figcaption></figure>"])
+    return _row("paper", [f"<figure>{drawing}<figcaption>{text}</figcaption></figure>"])
 
 
 def _row(kind: str, figures: Sequence[str]) -> str:

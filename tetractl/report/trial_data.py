@@ -119,11 +119,10 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "dish": _dish(log) if plans else None,
         "events": [{"t": e.time_s, "level": e.level, "text": e.text} for e in log.events],
         "outcome": result.outcome.value if result else "the log ends early",
-        "reason": result.reason if result else "",
+        "reason": result and (result.reason or result.outcome.meaning),
         "total": result.total_error if result else None,
         "errors": list(result.robot_errors) if result else None,
         "duration_s": result.duration_s if result else None,
-        "entered": result.entered_obstacle if result else None,
     }
 
 

@@ -88,6 +88,12 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
 """What must not happen, with a function that returns which robots of a given radius did it."""
 
 
+def unsafe(trial: ResultSummary) -> list[str]:
+    """Return the labels in SAFETY of what any robot of a trial did."""
+    verdict, radius = trial.result.verdict, trial.experiment.body_radius
+    return [label for label, of in SAFETY.items() if any(of(verdict, radius))]
+
+
 def counted_by(experiment: Experiment) -> str:
     """Return text that states whether bodies or centres are counted."""
     radius = experiment.body_radius

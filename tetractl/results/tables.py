@@ -12,6 +12,7 @@ from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, flagged
 from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
 from tetractl.results.open_batch import listing
+from tetractl.results.outcomes import unsafe
 
 _SHOWN = 20  # largest number of flagged trials in a table
 _OTHER_SCALE = 100.0  # an error above this multiple of the smallest mean is shown with six digits
@@ -270,7 +271,8 @@ def page_trials(group: Group, numbers: Mapping[str, int]) -> Table:
             Column("total error", [t.result.total_error for t in trials], group.unit, show),
             Column("duration", [t.result.duration_s for t in trials], "s", fixed(2)),
             Column("steps", [trial.result.steps for trial in trials]),
-            Column("entered", [("no", "yes")[t.result.entered_obstacle] for t in trials]),
+            Column("unsafe", [", ".join(unsafe(trial)) or "no" for trial in trials]),
             Column("outcome", [trial.outcome.value for trial in trials]),
         ),
+        "; ".join(f"{one.value}: {one.meaning}" for one in {t.outcome: 0 for t in trials}),
     )

@@ -22,7 +22,7 @@ function readTrial(index) {
     if (trial[part]) trial[part] = unpackAll(trial[part]);
   const last = (times) => (times.length ? times[times.length - 1] : 0);
   trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s ?? 0);
-  trial.start = Math.min(0, trial.frames.t.length ? trial.frames.t[0] : 0);
+  trial.start = 0;  // frames before the first direction give the poses there
   return trial;
 }
 

@@ -93,7 +93,7 @@ class Player {
     this.scene.show(this.trial, () => this.draw());
     this.tables();
     this.lines();
-    this.time = this.trial.start;
+    this.time = this.trial.end;
     this.draw();
   }
 

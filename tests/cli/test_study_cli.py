@@ -33,14 +33,15 @@ def whole(tmp_path_factory):
     return folder, done
 
 
-def test_a_study_leaves_a_folder_an_arm_a_table_and_a_figure_a_field(whole):
+def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
     folder, done = whole
     out = folder / "out"
     arms = sorted(path.name for path in out.iterdir() if path.is_dir())
     assert len(arms) == 8
     assert "few-dead_time=0.1-a=3" in arms
     assert {path.name for path in out.iterdir() if path.is_file()} == {
-        "trials.csv", "times.csv", "error-plant.dead_time.png", "error-robots.r.a.png"
+        "trials.csv", "times.csv", "error-arms.png", "error-plant.dead_time.png",
+        "error-robots.r.a.png",
     }  # fmt: skip
     found = table(out)
     assert len(found) == 40

@@ -88,7 +88,7 @@ def study(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")] = False,
 ) -> int:
-    """Run every arm of a study with the same seeds; write a table, and a figure per swept field.
+    """Run every arm of a study with the same seeds; write a table, and figures.
 
     If a study was interrupted, the same command runs the missing trials. A trial that fails does
     not stop the others; the exit code is then 1.

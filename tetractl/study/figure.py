@@ -1,4 +1,6 @@
-"""One figure per swept field: total error against the field's value, one line per controller."""
+"""The figures of a study: total error by arm and, for each swept field, against its value, in the
+colours of the controllers.
+"""
 
 import re
 from collections.abc import Sequence
@@ -11,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import unit_of
-from tetractl.study.arm_table import FieldValue, field_values, numeric, origins
+from tetractl.study.arm_table import MOST, FieldValue, error_of, field_values, numeric, origins
 from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
@@ -20,12 +22,16 @@ DECADES = 1.5  # least span of positive values for a logarithmic axis [decades]
 TICKS = 8  # largest number of values for which each value has a tick
 ASIDE_IN = 0.06  # horizontal distance between two controllers at the same value [inches]
 LABEL = 24  # largest length of a value's text [characters]
+CHARACTER_IN = 0.05  # width of a character of an arm's name [inches]
+ARMS = "arms"  # in place of a field: the figure by arm
 
 
 def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
-    """Write error-FIELD.png for every swept field; the same rows give the same bytes."""
+    """Write error-arms.png, and error-FIELD.png for every swept field; the same rows give the same
+    bytes.
+    """
     paths = []
-    for field in loaded.paths:
+    for field in (ARMS, *loaded.paths):
         drawing = error_figure(loaded, store, field)
         if drawing is not None:
             name = re.sub(r"[^A-Za-z0-9._+-]+", "_", field)
@@ -35,27 +41,27 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
-    """Draw the mean total error with its 95 % interval against a field; None if no trial has an
-    error.
+    """Draw the mean total error with its 95 % interval against a field, or by arm for the field
+    ARMS, at most MOST arms; None if no trial has an error.
 
     If several arms share a value, each trial is represented by its mean over these arms.
     """
-    names = dict.fromkeys(arm.controller for arm in loaded.arms)
-    curves = {
-        name: [
-            group
-            for group in field_values(
-                loaded, store, field, (arm for arm in loaded.arms if arm.controller == name)
-            )
-            if group.error.n > 0
-        ]
-        for name in names
-    }
+    by_arm = field == ARMS
+    shown = loaded.arms[:MOST] if by_arm else loaded.arms
+    names = dict.fromkeys(arm.controller for arm in shown)
+    curves = dict[str, list[FieldValue]]()
+    for name in names:
+        arms = [arm for arm in shown if arm.controller == name]
+        groups = field_values(loaded, store, field, arms)
+        if by_arm:
+            groups = [FieldValue(arm.name, 1, error_of(loaded, store, [arm])) for arm in arms]
+        curves[name] = [group for group in groups if group.error.n > 0]
     every = [group for found in curves.values() for group in found]
     if not every:
         return None
     with style.styled():
-        figure = style.figure(style.PAGE_IN, 2.8)
+        longest = max(len(str(group.value)) for group in every) if by_arm else 0
+        figure = style.figure(style.PAGE_IN, 2.8 + CHARACTER_IN * longest)
         axes = figure.subplots()
         places = _places(axes, every)
         for number, (name, found) in enumerate(curves.items()):
@@ -63,12 +69,15 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
             # shifted sideways, so that no curve hides another
-            aside_in = ASIDE_IN * (number - (len(curves) - 1) / 2)
+            aside_in = 0 if by_arm else ASIDE_IN * (number - (len(curves) - 1) / 2)
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
             )
             _draw(axes, x, found, "-o" if joined else "o", name, look)
-        axes.set_xlabel(field)
+        if by_arm:
+            axes.set_xticks(list(places.values()), [str(group.value) for group in every])
+            axes.tick_params(axis="x", rotation=90, labelsize=6 if len(every) < MOST / 2 else 4)
+        axes.set_xlabel("" if by_arm else field)
         axes.set_ylabel(f"total error [{unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)
         axes.grid(axis="y", color=style.FAINT, linewidth=0.6)

@@ -85,7 +85,9 @@ def test_rows_of_several_types_of_processor_are_marked(ran):
 
 def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
     paths = write_figures(ran.loaded, ran.store)
-    assert [path.name for path in paths] == ["error-plant.dead_time.png", "error-robots.r.a.png"]
+    assert [path.name for path in paths] == [
+        "error-arms.png", "error-plant.dead_time.png", "error-robots.r.a.png"
+    ]  # fmt: skip
     before = [path.read_bytes() for path in paths]
     assert [path.read_bytes() for path in write_figures(ran.loaded, ran.store)] == before
     figure = error_figure(ran.loaded, ran.store, "plant.dead_time")
@@ -97,6 +99,19 @@ def test_there_is_a_figure_for_each_field_with_a_line_for_each_controller(ran):
         "quick, disturbed simulation: mean over the other fields and its 95 % interval,"
         " n = 5 trials"
     )
+
+
+def test_a_study_without_a_sweep_has_a_figure_of_its_arms(tmp_path):
+    study = (
+        "name: q\nbase: spec.yaml\ntrials: {count: 5}\n"
+        "controllers:\n  ours: {controller.period: 0.1}\n  theirs: {controller.period: 0.2}\n"
+    )
+    ran = run(tmp_path, study)
+    assert [path.name for path in write_figures(ran.loaded, ran.store)] == ["error-arms.png"]
+    (axes,) = error_figure(ran.loaded, ran.store, "arms").axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["ours", "theirs"]
+    means = [float(line.get_ydata()[0]) for line in axes.get_lines()]
+    assert means == pytest.approx([np.mean(errors(ran, arm)) for arm in ran.loaded.arms])
 
 
 def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):

@@ -21,14 +21,7 @@ from numba.core import event
 from numba.core.compiler import CompileResult
 from numba.core.serialize import dumps
 
-from tetractl.core.cache import (
-    cache_folder,
-    claim,
-    compiler_settings,
-    compiling,
-    digest,
-    say_once,
-)
+from tetractl.core.cache import cache_folder, claim, compiler_settings, compiling, digest, say_once
 from tetractl.core.registries import MOTIONS, SHAPES
 
 _SUM = hashlib.sha256().digest_size

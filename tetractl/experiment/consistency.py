@@ -15,12 +15,22 @@ MEMORY_MAX = 1_000_000_000
 """Largest memory that a control step may need [bytes]."""
 
 
-def contradictions(
+def same_names(robots: Mapping[int, Robot]) -> Iterator[tuple[Loc, str]]:
+    """Yield location and text of each name that an earlier robot has already."""
+    first: dict[str, int] = {}
+    for i, robot in robots.items():
+        if first.setdefault(robot.name, i) != i:
+            message = f"robots.{first[robot.name]} has this name already; names must differ"
+            yield ("robots", i, "name"), message
+
+
+def misplaced(
     arena: Arena | None, robots: Mapping[int, Robot], obstacles: Mapping[int, ShapeSection]
 ) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text of each contradiction between arena, robots and obstacles.
+    """Yield location and text of each contradiction between the places in a person's spec.
 
-    `robots` and `obstacles` hold the valid entries of these lists by their index in the spec.
+    `robots` and `obstacles` hold the valid entries of these lists by their index in the spec. A
+    spec in a log may have such places: there, starts may have been measured.
     """
     places: list[tuple[int, Loc, Point]] = [
         (i, loc, point)
@@ -33,11 +43,6 @@ def contradictions(
     ]
     points = np.array([point for _, _, point in places], dtype=float).reshape(-1, 2)
     inside = {j: _inside(obstacle, points) for j, obstacle in obstacles.items()}
-    first: dict[str, int] = {}
-    for i, robot in robots.items():
-        if first.setdefault(robot.name, i) != i:
-            message = f"robots.{first[robot.name]} has this name already; names must differ"
-            yield ("robots", i, "name"), message
     for row, (i, field, point) in enumerate(places):
         loc: Loc = ("robots", i, *field)
         if arena is not None and not arena.contains(*point):

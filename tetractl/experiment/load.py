@@ -13,7 +13,12 @@ from pydantic import TypeAdapter, ValidationError
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
-from tetractl.experiment.consistency import contradictions, section_contradictions, too_large
+from tetractl.experiment.consistency import (
+    misplaced,
+    same_names,
+    section_contradictions,
+    too_large,
+)
 from tetractl.experiment.experiment import Arena, Experiment, Obstacle, Robot
 from tetractl.experiment.identified import Identified, merge, read_identified
 from tetractl.experiment.registry_fields import STRICT, packages
@@ -139,12 +144,14 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     return LoadedSpec(experiment, text, printable(path.name), path, attached, notices)
 
 
-def parse_spec(text: str, name: str, sets: Sequence[str] = ()) -> LoadedSpec:
+def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = False) -> LoadedSpec:
     """Check the text of a spec, as `load_spec` does; `name` is its name in error messages.
 
-    The spec must not name a file of identified values, as there is no folder to find it in.
+    The spec must not name a file of identified values, as there is no folder to find it in. The
+    places of a resolved spec that tetractl has `written` are not checked: a trial may have measured
+    them.
     """
-    experiment, notices, _ = _experiment(text, name, sets, None)
+    experiment, notices, _ = _experiment(text, name, sets, None, written)
     return LoadedSpec(experiment, text, name, notices=notices)
 
 
@@ -215,7 +222,7 @@ def document_of(
 
 
 def _experiment(
-    text: str, origin: str, sets: Sequence[str], folder: Path | None
+    text: str, origin: str, sets: Sequence[str], folder: Path | None, written: bool = False
 ) -> tuple[Experiment, tuple[str, ...], Attached]:
     """Return the experiment, notices of renamed keys, and the texts of files in `folder` that the
     spec names."""
@@ -240,7 +247,10 @@ def _experiment(
         experiment = Experiment.model_validate(frozen(document.data), strict=True, context=STRICT)
     except ValidationError as error:
         document.problems.extend(explain(error, document))
-    found = list(contradictions(*_valid_parts(document.data)))
+    arena, robots, obstacles = _valid_parts(document.data)
+    found = list(same_names(robots))
+    if not written:
+        found += misplaced(arena, robots, obstacles)
     if experiment is not None:
         found += [*section_contradictions(experiment), *too_large(experiment)]
     for loc, message in found:

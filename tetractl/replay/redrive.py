@@ -61,7 +61,7 @@ def sequence_spec(spec: LoadedSpec, directions: Floats, remainder: float) -> Loa
     )
     experiment = spec.experiment.model_copy(update={"controller": controller})
     text = resolved_yaml(experiment)
-    made = parse_spec(text, spec.name)
+    made = parse_spec(text, spec.name, written=True)
     return replace(spec, experiment=made.experiment, text=text, path=None)
 
 

@@ -75,7 +75,7 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
                 f"--set {setting}: only fields of 'controller' can be replaced in a log",
                 "to change the plant or the robots, run the spec again",
             )
-    other = parse_spec(log.start.resolved, "the log's spec", sets).experiment
+    other = parse_spec(log.start.resolved, "the log's spec", sets, written=True).experiment
     period, recorded = other.controller.period, log.experiment.controller.period
     if period != recorded:
         raise UsageError(

@@ -229,7 +229,7 @@ def _resolved(text: str) -> tuple[Experiment, str | None]:
 
     The logged hash of such a spec covers the old names, so it cannot be compared.
     """
-    spec = parse_spec(text, channels.RESOLVED_SPEC)
+    spec = parse_spec(text, channels.RESOLVED_SPEC, written=True)
     return spec.experiment, None if spec.notices else spec_hash(spec.experiment)
 
 

@@ -166,7 +166,7 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
     """
     beside = path.with_name(SPEC)
     try:
-        spec = parse_spec(read_text(beside), str(beside))
+        spec = parse_spec(read_text(beside), str(beside), written=True)
     except SpecError as error:
         raise LogError(str(error)) from None
     # a spec with names of an earlier tetractl has another hash

@@ -1,0 +1,71 @@
+"""What tetractl wrote is always read: the checks of a spec's places are for people's specs."""
+
+from dataclasses import replace
+
+import pytest
+from mcap.records import Attachment
+from support.cli import tetractl
+from support.mutate import rewrite
+from support.tampering import SIM
+
+from tetractl.experiment.load import LoadedSpec, parse_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.log.format.channels import RESOLVED_SPEC
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.reader import read_trial
+from tetractl.log.read.salvage import scan
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
+
+MEASURED = {"outside": (-2.694, 264.5), "in an obstacle": (250.0, 410.0)}
+
+
+@pytest.fixture(scope="module", params=MEASURED.values(), ids=MEASURED)
+def log(request, tmp_path_factory):
+    """The log of a trial whose robot was measured where no spec may place it, as a cell may be."""
+    given = parse_spec(SIM, "measured.yaml").experiment
+    moved = given.robots[0].model_copy(update={"start": request.param})
+    spec = given.model_copy(update={"robots": (moved, *given.robots[1:])})
+    vars(spec).pop("setup", None)  # that of the robots where the spec places them
+    folder = tmp_path_factory.mktemp("measured")
+    run_trial(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1, (), Interrupt())
+    return log_path(folder, 1)
+
+
+READERS = {
+    "info": "info {log}",
+    "stats": "stats {log}",
+    "verify": "verify {log}",
+    "recover": "recover {log} -o recovered.mcap",
+    "report": "report {log} -o report.html",
+    "plot": "plot {log} -o plot.svg",
+    "export": "export {log} -o tables",
+    "what-if": "what-if {log} --set controller.optimizer.particles=9",
+    "rerun": "rerun {log} --out again",
+    "redrive": "redrive {log} --out driven",
+}
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_a_trial_that_began_anywhere_is_read(log, tmp_path, command):
+    done = tetractl(tmp_path, *READERS[command].format(log=log).split())
+    assert done.returncode == 0, done.stderr
+
+
+def test_a_person_may_not_place_a_robot_there(log):
+    with pytest.raises(InvalidSpecError, match=r"robots\.0\.start"):
+        parse_spec(read_trial(log).start.resolved, "copied.yaml")
+
+
+def test_verify_still_notices_a_start_that_was_changed(log, tmp_path):
+    contents = scan(log)
+    records = [
+        replace(record, data=record.data.replace(b"start: [100.0,", b"start: [-90.0,"))
+        if isinstance(record, Attachment) and record.name == RESOLVED_SPEC
+        else record
+        for record in contents.records
+    ]
+    changed = RawLog(log, records=records, channels=contents.channels)
+    done = tetractl(tmp_path, "verify", rewrite(changed, tmp_path / "changed.mcap", {}))
+    assert done.returncode == 1
+    assert "spec" in done.stdout + done.stderr

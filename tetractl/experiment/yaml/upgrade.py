@@ -28,6 +28,10 @@ REVALUED = (
 REMOVED = {
     "controller.losses": "lost commands are always detected with 'estimate'",
     "controller.optimizer.precision": "particles always have double precision",
+    **{
+        f"{plant}.camera.source.adapters": "adapters are taken from the installed Micro-Manager"
+        for plant in ("plant", "lab")
+    },
 }
 """{path of a key that is no longer needed: reason}."""
 

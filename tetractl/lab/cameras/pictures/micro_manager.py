@@ -6,6 +6,9 @@ taken. This feed removes each picture at once, so that no picture waits in the b
 `PictureCamera` skips and counts the pictures for which its search is too slow.
 """
 
+import glob
+import os
+import re
 import threading
 from pathlib import Path
 from typing import Any
@@ -19,6 +22,48 @@ from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
 
 WAIT_NS = SECOND // 500
 SILENT_NS = 10 * SECOND
+FOLDER = "MICROMANAGER_PATH"
+"""Environment variable that names the folder where Micro-Manager is installed."""
+INSTALLED = (
+    "/usr/lib/micro-manager",
+    "/usr/local/lib/micro-manager",
+    "/Applications/Micro-Manager*",
+    "C:/Program Files/Micro-Manager*",
+)
+CONFIG_MAX = 1 << 24  # largest size of a configuration [bytes]
+LIBRARIES = ("mmgr_dal_{}.dll", "libmmgr_dal_{}", "libmmgr_dal_{}.so.0")
+_DEVICE = re.compile(r"^\s*Device\s*,[^,\n]*,([^,\n]*)", re.MULTILINE)
+
+
+def adapter_folder() -> Path:
+    """Return the folder of Micro-Manager's device adapters, whose libraries the core runs.
+
+    No spec can name this folder. AbortError if Micro-Manager is not installed.
+    """
+    named = [os.environ[FOLDER]] if os.environ.get(FOLDER) else INSTALLED
+    found = [path for pattern in named for path in sorted(glob.glob(pattern))]  # noqa: PTH207
+    # a pattern for another system would be relative, and find a folder beside the spec
+    folders = [Path(path) for path in found if named is not INSTALLED or Path(path).is_absolute()]
+    if not folders:
+        raise AbortError(
+            f"Micro-Manager is not installed in {' or '.join(named)}",
+            f"name its folder: {FOLDER}=FOLDER tetractl ...",
+        )
+    return folders[-1].resolve()
+
+
+def require_adapters(config: str, folder: Path) -> None:
+    """Raise AbortError if a configuration names a device adapter that the folder lacks.
+
+    The core would let the operating system search for its library, also beside the spec.
+    """
+    path = Path(config)
+    if not path.is_file() or path.stat().st_size > CONFIG_MAX:
+        raise AbortError(f"{config}: is not a file of at most {CONFIG_MAX >> 20} MiB")
+    for library in map(str.strip, _DEVICE.findall(path.read_text(errors="replace"))):
+        known = re.fullmatch(r"[\w-]+", library)
+        if not known or not any((folder / name.format(library)).is_file() for name in LIBRARIES):
+            raise AbortError(f"{config}: {folder} contains no device adapter {library!r}")
 
 
 class MicroManagerFeed:
@@ -40,10 +85,11 @@ class MicroManagerFeed:
                 "pip install 'tetractl[microscope]'",
             ) from error
         self._clock, self._closing = clock, threading.Event()
-        folders = source.adapters or (str(Path(source.config).resolve().parent),)
+        folder = adapter_folder()
+        require_adapters(source.config, folder)
         self._core: Any = CMMCore()
         try:
-            self._core.setDeviceAdapterSearchPaths(list(folders))
+            self._core.setDeviceAdapterSearchPaths([str(folder)])
             self._core.loadSystemConfiguration(source.config)
             self._shift = max(0, self._core.getImageBitDepth() - 8)
             self._core.startContinuousSequenceAcquisition(0.0)

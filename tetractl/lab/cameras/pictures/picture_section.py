@@ -56,9 +56,10 @@ class MicroManagerSource(Model):
 
     type: Literal["micromanager"]
     config: str = Field(min_length=1, max_length=500)
-    """The configuration file that Micro-Manager's wizard wrote."""
-    adapters: tuple[str, ...] = Field(default=(), max_length=20)
-    """Folders with Micro-Manager's device adapters; by default the folder of `config`."""
+    """The configuration file that Micro-Manager's wizard wrote. Its device adapters are taken from
+    the folder where Micro-Manager is installed; the environment variable MICROMANAGER_PATH names
+    another.
+    """
 
 
 Source = Annotated[

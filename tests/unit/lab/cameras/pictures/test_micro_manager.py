@@ -1,20 +1,23 @@
 """The source by Micro-Manager, against a stand-in for pymmcore's CMMCore as it is documented."""
 
 import sys
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 
 pytest.importorskip("cv2")
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.experiment.load import load_spec
 from tetractl.lab.cameras.pictures.feed import SourceEndedError
 from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
 from tetractl.lab.cameras.pictures.source import open_feed
 
-SOURCE = MicroManagerSource(type="micromanager", config="scope.cfg")
+CONFIG = "# a microscope\nDevice,Camera,DemoCamera,DCam\nProperty,Core,Camera,Camera\n"
 DEEP = np.array([[0, 0x0FFF, 0x0800]], np.uint16)
 COLOUR = np.array([[0x00102030]], np.uint32)  # a byte each: blue, green, red, none
 
@@ -56,19 +59,29 @@ class Core:
         self.done.append("reset")
 
 
-def feed(monkeypatch, **facts):
-    made = type("Core", (Core,), facts)
-    monkeypatch.setitem(sys.modules, "pymmcore", SimpleNamespace(CMMCore=made))
-    return open_feed(SOURCE, VirtualClock(), 1.0)
+@pytest.fixture
+def feed(monkeypatch, tmp_path):
+    """A function that opens the source; Micro-Manager is installed in `tmp_path`/installed."""
+    installed = tmp_path / "installed"
+    installed.mkdir()
+    (installed / "libmmgr_dal_DemoCamera.so.0").touch()
+    monkeypatch.setenv("MICROMANAGER_PATH", str(installed))
+
+    def opened(text=CONFIG, **facts):
+        made = type("Core", (Core,), facts)
+        monkeypatch.setitem(sys.modules, "pymmcore", SimpleNamespace(CMMCore=made))
+        (tmp_path / "scope.cfg").write_text(text)
+        source = MicroManagerSource(type="micromanager", config=str(tmp_path / "scope.cfg"))
+        return open_feed(source, VirtualClock(), 1.0)
+
+    return opened
 
 
 @pytest.mark.parametrize(
     ("depth", "pixels", "grey"), [(12, DEEP, [[0, 255, 128]]), (8, COLOUR, [[0x20]])]
 )
-def test_pictures_come_one_by_one_as_eight_bits_and_a_silent_camera_ends(
-    depth, pixels, grey, monkeypatch
-):
-    opened = feed(monkeypatch, depth=depth, waiting=(pixels, pixels))
+def test_pictures_come_one_by_one_as_eight_bits_and_a_silent_camera_ends(depth, pixels, grey, feed):
+    opened = feed(depth=depth, waiting=(pixels, pixels))
     assert opened.live
     assert [opened.read().content.tolist() for _ in range(2)] == [grey, grey]
     with pytest.raises(SourceEndedError, match="delivers no more"):
@@ -81,10 +94,36 @@ def test_pictures_come_one_by_one_as_eight_bits_and_a_silent_camera_ends(
     assert opened._core.done == ["stopped", "reset"]
 
 
-def test_what_keeps_it_from_opening_is_one_line(monkeypatch):
+def test_what_keeps_it_from_opening_is_one_line(feed, monkeypatch):
     with pytest.raises(AbortError, match=r"scope.cfg: no such camera"):
-        feed(monkeypatch, fails="no such camera")
+        feed(fails="no such camera")
+    opened = sys.modules["pymmcore"]
     monkeypatch.setitem(sys.modules, "pymmcore", None)
     with pytest.raises(AbortError, match="pymmcore") as caught:
-        open_feed(SOURCE, VirtualClock(), 1.0)
+        open_feed(MicroManagerSource(type="micromanager", config="scope.cfg"), VirtualClock(), 1.0)
     assert "tetractl[microscope]" in caught.value.hint
+    monkeypatch.setitem(sys.modules, "pymmcore", opened)
+    monkeypatch.delenv("MICROMANAGER_PATH")
+    with pytest.raises(AbortError, match="not installed") as caught:
+        feed()
+    assert "MICROMANAGER_PATH=" in caught.value.hint
+
+
+@pytest.mark.parametrize("library", ["Planted", "../Planted", "x/Planted", "", "DemoCamera.so"])
+def test_only_libraries_of_the_installed_folder_are_run(library, feed, tmp_path, monkeypatch):
+    """Regression: those in the folder of the configuration were."""
+    monkeypatch.chdir(tmp_path)
+    for place in (tmp_path, tmp_path / "libmmgr_dal_x"):
+        place.mkdir(exist_ok=True)
+        (place / "libmmgr_dal_Planted.so.0").touch()
+    with pytest.raises(AbortError, match=r"scope.cfg: .* device adapter"):
+        feed(f"Device,Camera,DemoCamera,DCam\nDevice, Evil,{library},E\n")
+    assert feed()._core.folders == [str(tmp_path / "installed")]
+
+
+def test_no_spec_names_the_folder_of_the_libraries():
+    camera = "{type: cells, um_px: 2, source: {type: micromanager, config: a, adapters: [/tmp]}}"
+    dish = Path("experiments/tetrahymena_dish.yaml")
+    loaded = load_spec(ROOT / dish, [f"lab.camera={camera}"])
+    assert "adapters" not in loaded.resolved
+    assert "adapters is left out" in loaded.notices[0]

@@ -112,7 +112,12 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
     # the first request may be lost behind an incomplete frame
     hardware = link.ask(b"HV") or link.ask(b"HV")
     if hardware is None:
-        raise _silent(link, radio)
+        silent = _silent(link, radio)
+        # a module that wakes late answers all requests at once, also those at another baud rate
+        link.set_baud(radio.baud)
+        hardware = link.ask(b"HV")
+        if hardware is None:
+            raise silent
     version = link.ask(b"VR") or b""
     runs = protocol(hardware, version)
     if runs not in (RIGHT, None):

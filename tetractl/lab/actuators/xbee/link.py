@@ -94,7 +94,8 @@ class Link:
         self._port.write(self.packed(AtCommand(wanted, command)))
 
         def answer() -> AtResponse | None:
-            return next((a for a in self._answers if a.frame_id == wanted), None)
+            asked = (wanted, command)
+            return next((a for a in self._answers if (a.frame_id, a.command) == asked), None)
 
         self._wait(lambda: answer() is not None, timeout_s)
         found = answer()

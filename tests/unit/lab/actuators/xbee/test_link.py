@@ -105,6 +105,38 @@ def test_a_port_without_a_module_is_told():
         Module({}).opened()
 
 
+class Sleepy(Module):
+    """A module that wakes once it has received some requests, and then answers all of them."""
+
+    def __init__(self, wakes_after):
+        super().__init__()
+        self.wakes_after, self.held = wakes_after, []
+
+    def say(self, frame):
+        self.held.append(frame)
+        if len(self.held) >= self.wakes_after:
+            for one in self.held:
+                super().say(one)
+            self.held.clear()
+            self.wakes_after = 0
+
+
+@pytest.mark.parametrize("wakes_after", range(1, 7))
+def test_a_late_answer_is_not_one_at_the_next_baud_rate(wakes_after):
+    """Regression: "the module answers at 38400 baud, not the spec's 57600"."""
+    radio = Sleepy(wakes_after)
+    link = radio.opened()
+    assert link._port.bits_a_second == 57600
+    assert link.ask(b"AP") == b"\x02"
+
+
+def test_an_answer_to_another_question_is_dropped():
+    radio = Module()
+    link = radio.opened()
+    radio.port.written = lambda: radio.say(AtResponse(link._frame_id, b"BD", 0, b"\x07"))
+    assert link.ask(b"AP") is None
+
+
 @pytest.mark.parametrize(
     ("hardware", "version", "runs"),
     [

@@ -54,11 +54,10 @@ class LoopbackServer:
         self.page, self.layout, self.logs = page, layout, dict(logs or {})
         self.live, self.viewer = live, viewer
         try:
-            self._http = ThreadingHTTPServer((ADDRESS, port), partial(_Handler, self))
+            self._http = _Server((ADDRESS, port), partial(_Handler, self))
         except OSError as error:
             why = f"port {port}: cannot be used: {error.strerror}"
             raise UsageError(why, "try --port 0") from error
-        self._http.daemon_threads = True
         self.port: int = self._http.server_address[1]
         self._thread = threading.Thread(
             target=self._http.serve_forever, args=(0.05,), name="viewers", daemon=True
@@ -97,6 +96,13 @@ class LoopbackServer:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+
+    def handle_error(self, *request: object) -> None:
+        """Do nothing: no request may print on the operator's terminal."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -174,7 +180,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _wanted(self) -> bytes | Path | None:
         """Return the page, the layout or a log's file; None for any other address."""
-        _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
+        try:
+            _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
+        except ValueError:  # a target without a path, such as *
+            return None
         if not self._let_in(token):
             return None
         if rest == [""]:
@@ -235,7 +244,10 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
     """
     if origin is None or origin in (FOXGLOVE, "file://"):
         return True
-    where = urlsplit(origin)
+    try:
+        where = urlsplit(origin)
+    except ValueError:
+        return False
     if where.scheme in ("http", "https") and where.hostname in (ADDRESS, "localhost"):
         return True
     return bool(where.netloc) and where[:2] == urlsplit(viewer)[:2]

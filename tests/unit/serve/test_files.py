@@ -1,11 +1,14 @@
 import http.client
+import socket
+import struct
+import threading
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.serve.server import LoopbackServer, byte_range
+from tetractl.serve.server import LoopbackServer, byte_range, is_viewers_origin
 
 DATA = bytes(range(256)) * 1000
 
@@ -105,3 +108,41 @@ def test_any_header_gives_a_range_inside_the_file_or_none(text, size):
     for asked in (text, f"bytes={text}"):
         found = byte_range(asked, size)
         assert found is None or 0 <= found[0] <= found[1] < size
+
+
+ODD = (
+    "GET * HTTP/1.1",
+    "GET http://[ HTTP/1.1",
+    "OPTIONS * HTTP/1.1",
+    "HEAD * HTTP/1.1",
+    "GET / HTTP/1.1\r\nOrigin: http://[",
+)
+
+
+@pytest.mark.parametrize("line", ODD)
+def test_a_strange_request_prints_nothing(server, line, capfd):
+    """Regression: a traceback on the operator's terminal."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=10) as door:
+        door.sendall(f"{line}\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
+        assert door.makefile("rb").read().startswith(b"HTTP/1.1 404 ")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_origin_that_is_no_address_is_no_viewers():
+    assert not is_viewers_origin("http://[")
+
+
+def test_a_viewer_that_leaves_prints_nothing(server, capfd):
+    """Regression: a traceback, too."""
+    path = server.log_url("trial-000.mcap").partition(str(server.port))[2]
+    server.logs["trial-000.mcap"].write_bytes(bytes(30_000_000))
+    door = socket.create_connection(("127.0.0.1", server.port), timeout=10)
+    door.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    door.sendall(f"GET {path} HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+    assert door.recv(12) == b"HTTP/1.1 200"
+    door.close()
+    server.close()
+    for thread in threading.enumerate():
+        if "process_request" in thread.name:
+            thread.join(10)
+    assert capfd.readouterr() == ("", "")

@@ -23,9 +23,9 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
     if isinstance(value, Fault):
         return value
     kinds = _sides(info).faults
-    name = value.get("fault") if isinstance(value, dict) else None
+    name = str(value.get("fault")) if isinstance(value, dict) else ""
     if name not in kinds:
-        text = f"fault must be one of {', '.join(kinds)}{did_you_mean(str(name), list(kinds))}"
+        text = f"fault must be one of {', '.join(kinds)}{did_you_mean(name, list(kinds))}"
         raise PydanticCustomError("fault", "{text}", {"text": text})
     return kinds[name].model_validate(value, strict=True)
 

@@ -91,7 +91,7 @@ def _names(folder: Path) -> list[Path]:
 
     def order(path: Path) -> list[tuple[int, int, str]]:
         parts = _DIGITS.split(path.name)
-        return [(1, int(p), "") if p.isdigit() else (0, 0, p) for p in parts]
+        return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
 
     found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
     return sorted(found, key=order)

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.experiment.yaml.problems import did_you_mean
 from tetractl.log.format.metadata import result_metadata
 from tetractl.log.format.trial_digest import trial_digest
@@ -124,6 +124,9 @@ wait $!
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
     """Return the script of a Slurm job array that runs the shares of a study; each share has its
     own folder next to `folder`."""
+    for path in (study, folder):
+        if not str(path).isprintable():  # in a comment, a line break would begin a command
+            raise UsageError(f"{printable(str(path))}: has control characters", "rename it")
     part = shlex.quote(f"{folder}-shard")
     file, out = shlex.quote(str(study)), shlex.quote(str(folder))
     task = "$SLURM_ARRAY_TASK_ID"

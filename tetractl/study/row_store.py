@@ -11,7 +11,7 @@ from tetractl.core.plan import Outcome
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format.channels import TEXT
 from tetractl.log.read.find import ROWS
-from tetractl.log.read.rows import SPEC, Row, read_rows
+from tetractl.log.read.rows import SPEC, Row, check_rows, read_rows
 from tetractl.run.store import made_and_locked, make_folder, set_aside
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
@@ -143,6 +143,7 @@ def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:
     path = folder / arm.name / ROWS
     if not path.exists():
         return {}
+    check_rows(path)
     if mend:
         _cut_to_lines(path)
     found = read_rows(path, arm.spec.experiment)

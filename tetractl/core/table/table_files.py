@@ -6,7 +6,9 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, is_dataclass
+from functools import partial
 from importlib.util import find_spec
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, Protocol, Self, TextIO
 
@@ -16,6 +18,10 @@ from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Column, Table
 
 PART = ".part"
+CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
+"""Largest size of a CSV file to read, its largest number of rows, and their largest length."""
+UNSIGNED = ("seed",)
+"""Columns of integers from 0 to 2**64 - 1."""
 
 
 class TableFile(Protocol):
@@ -74,13 +80,29 @@ def _cells(values: list[Any]) -> list[Any]:
 
 
 def read_csv(path: Path) -> Iterator[dict[str, str]]:
-    """Yield each row of a CSV file as {column: text}; raises UsageError if the file is not CSV."""
+    """Yield each row of a CSV file as {column: text}; empty lines are left out.
+
+    Raises UsageError if the file is not CSV, or larger than the limits above.
+    """
     if path.exists() and not path.is_file():
         raise UsageError(f"{path}: is not a regular file")
+    most = f"{CSV_BYTES >> 20} MiB, {CSV_ROWS} rows or {CSV_LINE} characters in a row"
+    too_large = UsageError(f"{path}: has more than {most}", "split it into several files")
+    if path.stat().st_size > CSV_BYTES:
+        raise too_large
+    header: list[str] = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            for row in csv.DictReader(stream):
-                yield {key: value or "" for key, value in row.items() if key}
+            for number, line in enumerate(iter(partial(stream.readline, CSV_LINE), "")):
+                if number > CSV_ROWS or len(line) == CSV_LINE:
+                    raise too_large
+                # line by line, since a quoted field with line breaks may have any length
+                cells = next(csv.reader([line]), [])
+                if number == 0:
+                    header = cells
+                elif cells:
+                    found = zip(header, chain(cells, repeat("")), strict=False)
+                    yield {key: value for key, value in found if key}
     except (UnicodeDecodeError, csv.Error) as error:
         raise UsageError(f"{path}: is not a CSV file: {error}") from None
 
@@ -116,6 +138,8 @@ def _typed(column: Column) -> Any:
     import pyarrow
 
     values = column.known
+    if column.key in UNSIGNED:
+        return pyarrow.array(values, pyarrow.uint64())
     if any(value is not None for value in values):
         return pyarrow.array(values)
     return pyarrow.array(values, pyarrow.string() if column.words else pyarrow.float64())

@@ -68,11 +68,13 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
 def find_rows(path: Path) -> list[Path]:
     """Return a study's files of rows in a folder, or in the folders that a pattern matches.
 
-    Sub-folders are searched too; files are sorted by name, with numbers in numerical order.
+    Sub-folders are searched too; files are sorted by name, with numbers in numerical order. What is
+    no file is returned too, since an arm whose rows are lost must not be left out.
     """
     folders = [path] if path.is_dir() or not glob.has_magic(str(path)) else _matches(path)
-    rows = {file for folder in folders if folder.is_dir() for file in folder.rglob(ROWS)}
-    return sorted((file for file in rows if file.is_file()), key=_natural)
+    # rglob(ROWS) would leave out a broken link
+    files = (file for folder in folders if folder.is_dir() for file in folder.rglob("*"))
+    return sorted({file for file in files if file.name == ROWS}, key=_natural)
 
 
 def find_log(path: Path | str) -> Path:

@@ -5,17 +5,20 @@ and `timing` have the items of the log's metadata records of these names.
 """
 
 import json
+from collections.abc import Iterator
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Self
 
 from tetractl.core.commands import PlantInfo
-from tetractl.core.errors import LogError, SpecError
+from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
 from tetractl.log.format.metadata import WARNINGS, result_metadata, timing_metadata
+from tetractl.log.read import limits
+from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
@@ -102,6 +105,8 @@ class Row:
         )
 
 
+ROW_MAX = limits.METADATA + limits.TIMING
+"""Largest size of a row [bytes]."""
 UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 """Exceptions that decoding a line may raise if tetractl did not write it."""
 
@@ -133,28 +138,48 @@ def _texts(record: Any) -> dict[str, str]:
     return record
 
 
+def check_rows(path: Path) -> None:
+    """Raise UsageError if a path is not a regular file, LogError if the file is too large."""
+    if not path.is_file():  # reading a FIFO may never end
+        raise UsageError(f"{path}: is not a regular file")
+    if path.stat().st_size > limits.file_limit():
+        raise LogError(f"{path}: {TooMuchError(f'has more than {limits.file_limit()} bytes')}")
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    """Yield number and text of each complete line of at most ROW_MAX bytes."""
+    number, begins = 1, True
+    with path.open("rb") as file:
+        while piece := file.readline(ROW_MAX):
+            ends = piece.endswith(b"\n")
+            if begins and ends:
+                yield number, piece.decode(errors="replace")
+            number, begins = number + ends, ends
+
+
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """Return the rows in a file by number of the trial; None stands for a row that tetractl did not
     write.
 
     Of two lines of a trial, the later is used. Lines that do not name a trial are skipped, as is an
-    incomplete last line, left by a killed process. Raises LogError if the file cannot be read.
+    incomplete last line, left by a killed process. Raises LogError if the file cannot be read, and
+    the errors of `check_rows`.
     """
+    check_rows(path)
+    found: dict[int, Row | None] = {}
     try:
-        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]
+        for number, line in _lines(path):
+            try:
+                stated = json.loads(line)
+                trial = _count(stated["trial"])
+            except UNREADABLE:
+                continue
+            try:
+                found[trial] = Row.read(stated, experiment, f"{path}:{number}")
+            except UNREADABLE:
+                found[trial] = None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-    found: dict[int, Row | None] = {}
-    for number, line in enumerate(lines, start=1):
-        try:
-            stated = json.loads(line)
-            trial = _count(stated["trial"])
-        except UNREADABLE:
-            continue
-        try:
-            found[trial] = Row.read(stated, experiment, f"{path}:{number}")
-        except UNREADABLE:
-            found[trial] = None
     return dict(sorted(found.items()))
 
 

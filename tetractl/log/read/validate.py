@@ -38,7 +38,7 @@ def check_run(run: RunRecord, robots: int) -> None:
     if len(run.robots) != robots:
         raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
     _counts("trial", [abs(run.trial)])
-    if not 0 <= run.seed < 2**128:
+    if not 0 <= run.seed < 2**64:
         raise ValueError(f"the seed {_shown(run.seed)} is out of range")
     _within("camera_rate_hz", [run.plant.camera_rate_hz], 0, RATE_MAX_HZ)
     if not 0 <= run.start_unix_ns <= UNIX_MAX_NS:

@@ -4,7 +4,10 @@ from the CSV files of `tetractl export`, poses in one file and commands in anoth
 
 import math
 import re
-from dataclasses import dataclass
+from array import array
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import NamedTuple
 
@@ -250,8 +253,23 @@ POSES = ("time_s", "robot", "heading_rad")
 COMMANDS = ("time_s", "direction_rad")
 _POSITION = re.compile(r"x_(um|mm|cm|m)$")
 
+ROBOTS_MAX, TRIALS_MAX, POSES_MAX = 1000, 10_000, 2_000_000
+"""Largest numbers of robots and trials in CSV files, and of robots times frames in a trial."""
+
 Row = dict[str, str]
 Trial = tuple[str, str]
+
+
+@dataclass(slots=True)
+class _Numbers:
+    """The numbers of a trial in CSV files: time, robot, x, y and heading of each pose; time,
+    direction and time of observation of each command. NaN is an unknown number.
+    """
+
+    path: Path
+    robots: dict[str, int] = field(default_factory=dict)
+    poses: "array[float]" = field(default_factory=lambda: array("d"))
+    commands: "array[float]" = field(default_factory=lambda: array("d"))
 
 
 def csv_tracks(paths: list[Path]) -> list[Track]:
@@ -259,72 +277,81 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
 
     Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
     time_s, direction_rad and perhaps observed_s. Columns log and trial, if present, assign poses
-    and commands to tracks. Raises UsageError if data are missing.
+    and commands to tracks. Raises UsageError if data are missing, or very many.
     """
-    poses: dict[Trial, list[Row]] = {}
-    commands: dict[Trial, list[Row]] = {}
-    unit, named = "", {}
+    trials: dict[Trial, _Numbers] = {}
+    unit = ""
     for path in paths:
-        rows = list(read_csv(path))
-        columns = rows[0].keys() if rows else ()
-        if all(name in columns for name in COMMANDS):
-            into = commands
-        elif all(name in columns for name in POSES):
-            into = poses
-            found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
-            if found is None or (unit and unit != found):
-                raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
-            unit = found
-        else:
-            raise UsageError(
-                f"{path}: contains neither poses nor commands",
-                f"poses have the columns {', '.join(POSES)}, x_mm, y_mm; commands "
-                f"{' and '.join(COMMANDS)}",
-            )
-        for row in rows:
+        rows = read_csv(path)
+        first = next(rows, {})
+        commands = all(name in first for name in COMMANDS)
+        if not commands:
+            unit = _unit(first, unit, path)
+        for row in chain([first], rows):
             trial = row.get("log", ""), row.get("trial", "")
-            into.setdefault(trial, []).append(row)
-            named.setdefault(trial, path)
-    lonely = sorted(poses.keys() ^ commands.keys())
-    if lonely or not poses:
-        which = f"{named[lonely[0]]}: " if lonely else ""
+            one = trials.setdefault(trial, _Numbers(path))
+            if commands:
+                one.commands.extend(_number(row, column, path) for column in COMMANDS)
+                one.commands.append(_number(row, "observed_s", path, True))
+            else:
+                known = row.get("valid", "True").strip().lower() in ("true", "1", "")
+                keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
+                robot = one.robots.setdefault(row["robot"], len(one.robots))
+                one.poses.extend((_number(row, "time_s", path), robot))
+                one.poses.extend(_number(row, k, path, True) if known else math.nan for k in keys)
+            if len(one.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
+                raise UsageError(
+                    f"{path}: has more than {ROBOTS_MAX} robots or {TRIALS_MAX} trials"
+                )
+    lonely = sorted(trial for trial, one in trials.items() if not (one.poses and one.commands))
+    if lonely:
         raise UsageError(
-            f"{which}both poses and commands are needed for each trial",
+            f"{trials[lonely[0]].path}: both poses and commands are needed for each trial",
             "name both files, such as poses.csv steps.csv of `tetractl export`",
         )
-    return [_track(poses[trial], commands[trial], unit, named[trial], trial) for trial in poses]
+    return [_track(one, unit, trial) for trial, one in trials.items()]
 
 
-def _track(poses: list[Row], commands: list[Row], unit: str, path: Path, trial: Trial) -> Track:
-    names = tuple(dict.fromkeys(row["robot"] for row in poses))
-    time = np.unique([_number(row, "time_s", path) for row in poses])
-    found = np.full((len(time), len(names), 3), np.nan)
-    for row in poses:
-        i = int(np.searchsorted(time, _number(row, "time_s", path)))
-        if row.get("valid", "True").strip().lower() in ("true", "1", ""):
-            keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
-            found[i, names.index(row["robot"])] = [_number(row, key, path, True) for key in keys]
+def _unit(columns: Collection[str], unit: str, path: Path) -> str:
+    """Return the length unit of a file of poses by its columns, which must be the given one."""
+    if not all(name in columns for name in POSES):
+        raise UsageError(
+            f"{path}: contains neither poses nor commands",
+            f"poses have the columns {', '.join(POSES)}, x_mm, y_mm; commands "
+            f"{' and '.join(COMMANDS)}",
+        )
+    found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
+    if found is None or (unit and unit != found):
+        raise UsageError(f"{path}: needs columns x_mm and y_mm, or both with another unit")
+    return found
+
+
+def _track(trial: _Numbers, unit: str, name: Trial) -> Track:
+    rows = np.array(trial.poses).reshape(-1, 5)
+    time, frame = np.unique(rows[:, 0], return_inverse=True)
+    if len(time) * len(trial.robots) > POSES_MAX:
+        what = f"{len(trial.robots)} robots at {len(time)} times"
+        raise UsageError(f"{trial.path}: has {what}; at most {POSES_MAX} poses are read of a trial")
+    found = np.full((len(time), len(trial.robots), 3), np.nan)
+    found[frame, rows[:, 1].astype(int)] = rows[:, 2:]
     valid: Bools = ~np.isnan(found[..., 0] + found[..., 1] + found[..., 2])
-    sent = np.array([_number(row, "time_s", path) for row in commands])
-    order = np.argsort(sent, kind="stable")
-    sent = sent[order]
-    u = np.array([_number(row, "direction_rad", path) for row in commands])[order]
+    commands = np.array(trial.commands).reshape(-1, 3)
+    ages = (commands[:, 0] - commands[:, 2])[1:]
+    ages = ages[np.isfinite(ages)]
+    sent, u, _ = commands[np.argsort(commands[:, 0], kind="stable")].T
     gap = float(np.median(np.diff(sent))) if len(sent) > 1 else 0.0
-    label = trial[0] or str(path)
-    observed = [_number(row, "observed_s", path, True) for row in commands][1:]
-    ages = [t - o for t, o in zip(sent[1:], observed, strict=True) if math.isfinite(o)]
     return Track(
-        source=label,
+        source=name[0] or str(trial.path),
         origin=ORIGIN,
         unit=unit,
-        names=names,
+        names=tuple(trial.robots),
         time=time,
         poses=np.where(valid[..., None], found, 0.0),
         valid=valid,
         sent=sent,
         u=u,
         until=float(sent[-1]) + gap,
-        frame_age=max(0.0, float(np.median(ages))) if ages else None,
+        frame_age=max(0.0, float(np.median(ages))) if ages.size else None,
     )
 
 
@@ -334,6 +361,9 @@ def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
     if not text and optional:
         return math.nan
     try:
-        return float(text)
+        found = float(text)
     except ValueError:
-        raise UsageError(f"{path}: {column}: {text!r} is not a number") from None
+        found = math.inf
+    if math.isinf(found) or (math.isnan(found) and not optional):
+        raise UsageError(f"{path}: {column}: {text[:60]!r} is not a number") from None
+    return found

@@ -17,6 +17,7 @@ from tetractl.core.errors import LogError, unit_of
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.validate import LENGTH_MAX
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, one_trial
 from tetractl.view.figures.curves import (
@@ -133,9 +134,21 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
-    """Return the true turning rates or speeds (N,) of a simulation, None if the log lacks them."""
+    """Return the true turning rates or speeds (N,) of a simulation, None if the log lacks them.
+
+    Raises LogError for a fact that no simulation states.
+    """
     fact = log.start.plant.facts.get(f"true_{what}")
-    return None if fact is None else np.array(json.loads(fact), dtype=np.float64)
+    if fact is None:
+        return None
+    try:
+        found = np.array(json.loads(fact), dtype=np.float64)
+        good = found.shape == (len(log.start.setup.names),) and bool((found <= LENGTH_MAX).all())
+    except (OverflowError, RecursionError, TypeError, ValueError):
+        good = False
+    if not good:
+        raise LogError(f"{log.path}: the fact true_{what} is not a number for each robot")
+    return found
 
 
 def _key(log: TrialLog) -> list[Line2D | Patch]:

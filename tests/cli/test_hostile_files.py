@@ -1,0 +1,157 @@
+"""Tables, rows, specs and names from anybody: one line, within bounds, at every command."""
+
+import os
+import shutil
+
+import pytest
+from support import random_trials
+from support.cli import tetractl
+from support.mutate import rewrite
+from support.paths import ROOT
+from support.running import QUICK
+from support.studies import SMALL, run, write
+
+from tetractl.core.table import table_files
+from tetractl.emulate.script import parse_script
+from tetractl.experiment.yaml.problems import InvalidSpecError
+from tetractl.log.format.channels import RUN
+from tetractl.log.read import limits
+from tetractl.log.read.salvage import scan
+from tetractl.replay.identification import tracks
+
+GOLDEN = ROOT / "tests" / "golden"
+
+
+def refused(done, *words, code=2):
+    assert done.returncode == code, done
+    (line,) = (line for line in done.stderr.splitlines() if line.startswith("error: "))
+    assert all(word in line for word in words), line
+    assert done.stdout == ""
+
+
+def poses(rows):
+    return "time_s,robot,x_mm,y_mm,heading_rad\n" + "".join(rows)
+
+
+COMMANDS = "time_s,direction_rad\n0,0\n1,1\n2,0\n"
+BIG = {
+    "robots": (poses(f"{i},r{i},0,0,0\n" for i in range(1200)), "more than 1000 robots"),
+    "poses": (poses(f"{i},r{i % 60},0,0,0\n" for i in range(600)), "60 robots at 600 times"),
+    "rows": (poses("0,r,0,0,0\n" for _ in range(2500)), "2000 rows"),
+    "a row": ("time_s," * 20_000 + "\n", "65536 characters in a row"),
+    "an open quote": (poses(['0,r,"0,0,0\n'] * 2), "x_mm: '0,0,0' is not a number"),
+    "an infinite time": (poses(["0,r,0,0,0\n", "inf,r,0,0,0\n"]), "'inf' is not a number"),
+}
+
+
+@pytest.mark.parametrize("name", BIG)
+def test_a_table_is_read_within_bounds(name, tmp_path, monkeypatch):
+    """Regression: 20,000 rows of as many robots took 9.5 GB."""
+    monkeypatch.setattr(table_files, "CSV_ROWS", 2000)
+    monkeypatch.setattr(tracks, "POSES_MAX", 30_000)
+    text, why = BIG[name]
+    (tmp_path / "poses.csv").write_text(text)
+    (tmp_path / "commands.csv").write_text(COMMANDS)
+    refused(tetractl(tmp_path, "identify", "poses.csv", "commands.csv"), "poses.csv", why)
+
+
+@pytest.fixture(scope="module")
+def study(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("study")
+    run(folder, SMALL)
+    return folder
+
+
+@pytest.fixture
+def rows(study, tmp_path):
+    """The rows of an arm of a study, which a test may spoil."""
+    shutil.copytree(study / "out", tmp_path / "out")
+    return tmp_path / "out" / "dead_time=0.1" / "trials.jsonl"
+
+
+@pytest.mark.parametrize("kind", ["folder", "fifo", "broken link"])
+def test_rows_that_are_no_file_are_told(kind, rows, tmp_path):
+    """Regression: their arm vanished without a word."""
+    rows.unlink()
+    made = {"folder": rows.mkdir, "fifo": lambda: os.mkfifo(rows)}
+    made.get(kind, lambda: rows.symlink_to("nowhere"))()
+    refused(tetractl(tmp_path, "stats", "out"), "dead_time=0.1/trials.jsonl: is not a regular file")
+
+
+def test_a_study_does_not_wait_for_rows_that_are_a_fifo(rows, tmp_path):
+    rows.unlink()
+    os.mkfifo(rows)
+    write(tmp_path, SMALL)
+    done = tetractl(tmp_path, "study", "study.yaml", "--out", "out")
+    refused(done, "trials.jsonl: is not a regular file")
+
+
+def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
+    """Regression: rows of 3 GB took 6.4 GB."""
+    good = rows.read_text()
+    rows.write_text("[" * 6_000_000 + "\n" + good)
+    assert "3 of 3 trials complete" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
+    monkeypatch.setattr(limits, "file_limit", lambda: 6_000_000)
+    done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
+    (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
+    assert "trials.jsonl" in told and "6000000 bytes" in told and limits.FACTOR in told
+    assert done.returncode == 1
+
+
+def test_a_job_script_has_no_line_of_a_files_name(tmp_path):
+    write(tmp_path, SMALL)
+    (tmp_path / "study.yaml").rename(tmp_path / "s\nrm -rf ~ .yaml")
+    refused(tetractl(tmp_path, "study", "s\nrm -rf ~ .yaml", "--slurm", 2), r"s\nrm -rf ~ .yaml")
+    write(tmp_path, SMALL)
+    refused(tetractl(tmp_path, "study", "study.yaml", "--slurm", 2, "--out", "a\rb"), r"a\rb")
+
+
+@pytest.mark.parametrize("log", ["format-1-sim", "format-2-sim", "format-2-lab"])
+def test_a_golden_log_is_exported_as_parquet(log, tmp_path):
+    """Regression: their seed is above 2**63 - 1."""
+    path = GOLDEN / f"{log}.mcap"
+    done = tetractl(tmp_path, "export", path, "-o", "out", "--format", "parquet")
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("fact", ["{", "[1]", '["x", 1, 2]', "1" * 400, "[[]]", "[1e300, 1, 1]"])
+def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
+    made = random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap")
+    contents = scan(made)
+
+    def facts(name, now):
+        return now | {"plant.true_a": fact} if name == RUN else now
+
+    log = rewrite(contents, tmp_path / "log.mcap", {}, facts)
+    done = tetractl(tmp_path, "plot", log, "--kind", "estimate", "-o", "e.png")
+    refused(done, "log.mcap", "true_a", code=1)
+
+
+@pytest.mark.parametrize("kind", ["{a: 1}", "[radio]", "1", "null"])
+def test_a_fault_of_no_kind_is_told(kind):
+    text = f"about: a script\nfaults:\n- {{fault: {kind}, at: 1}}\n"
+    with pytest.raises(InvalidSpecError, match=r"s.yaml:3:3: .*fault must be one of"):
+        parse_script(text, "s.yaml")
+
+
+def test_numbers_of_pictures_are_decimal(tmp_path):
+    np, cv2 = pytest.importorskip("numpy"), pytest.importorskip("cv2")
+    from tetractl.film.pictures import open_film
+
+    for name in ("²1.png", "2.png", "10.png"):
+        cv2.imwrite(str(tmp_path / name), np.full((80, 90), 7, np.uint8))
+    assert len(list(open_film(tmp_path, 30.0))) == 3
+
+
+def test_seeds_are_the_same_numbers_in_every_table(tmp_path):
+    """A first log with a small seed does not decide the type for a later one."""
+    from pyarrow import parquet
+
+    for seed in (3, 2**64 - 1):
+        (tmp_path / f"{seed}.yaml").write_text(QUICK)
+        words = ("run", f"{seed}.yaml", "--seed", seed, "--out", f"logs/{seed}", "--quiet")
+        assert tetractl(tmp_path, *words).returncode == 0
+    done = tetractl(tmp_path, "export", "logs", "-o", "out", "--format", "parquet")
+    assert done.returncode == 0, done.stderr
+    found = parquet.read_table(tmp_path / "out" / "trials.parquet")["seed"].to_pylist()
+    assert set(found) == {3, 2**64 - 1}

@@ -39,8 +39,15 @@ BIG = {
     "poses": (poses(f"{i},r{i % 60},0,0,0\n" for i in range(600)), "60 robots at 600 times"),
     "rows": (poses("0,r,0,0,0\n" for _ in range(2500)), "2000 rows"),
     "a row": ("time_s," * 20_000 + "\n", "65536 characters in a row"),
-    "an open quote": (poses(['0,r,"0,0,0\n'] * 2), "x_mm: '0,0,0' is not a number"),
-    "an infinite time": (poses(["0,r,0,0,0\n", "inf,r,0,0,0\n"]), "'inf' is not a number"),
+    "an open quote": (
+        poses(['0,r,"0,0,0\n'] * 2),
+        "x_mm: '0,0,0' is not a number of",
+    ),
+    "a far place": (poses(["0,r,0,0,0\n", "1,r,1e300,0,0\n"]), "x_mm: '1e300' is not a number of"),
+    "an infinite time": (
+        poses(["0,r,0,0,0\n", "inf,r,0,0,0\n"]),
+        "'inf' is not a number of at most 1e+09",
+    ),
 }
 
 
@@ -53,6 +60,24 @@ def test_a_table_is_read_within_bounds(name, tmp_path, monkeypatch):
     (tmp_path / "poses.csv").write_text(text)
     (tmp_path / "commands.csv").write_text(COMMANDS)
     refused(tetractl(tmp_path, "identify", "poses.csv", "commands.csv"), "poses.csv", why)
+
+
+def test_directions_between_two_frames_are_bounded(tmp_path, monkeypatch):
+    """Each direction of an interval takes memory in every interval."""
+    monkeypatch.setattr(tracks, "PIECES_MAX", 1000)
+    (tmp_path / "poses.csv").write_text(poses(f"{i / 10},r,{i},0,0\n" for i in range(60)))
+    sent = "".join(f"{i / 1000},{i % 2}\n" for i in range(100))
+    (tmp_path / "commands.csv").write_text(f"time_s,direction_rad\n{sent}5,0\n")
+    done = tetractl(tmp_path, "identify", "poses.csv", "commands.csv")
+    refused(done, "directions were sent between two frames")
+
+
+def test_what_determines_nothing_is_told(tmp_path):
+    """Regression: a singular matrix was a traceback."""
+    (tmp_path / "poses.csv").write_text(poses(f"{i / 10},r,{i},0,0\n" for i in range(200)))
+    (tmp_path / "commands.csv").write_text("time_s,direction_rad\n0,0\n0.1,0\n19,0\n")
+    done = tetractl(tmp_path, "identify", "poses.csv", "commands.csv")
+    assert done.returncode in (0, 2), done
 
 
 @pytest.fixture(scope="module")

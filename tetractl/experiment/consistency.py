@@ -56,6 +56,20 @@ def misplaced(
             yield ("obstacles", j), message
 
 
+def overlapping(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
+    """Yield location and text of each start at which a robot's body overlaps an earlier robot's."""
+    collision = getattr(experiment.controller, "collision", None)
+    if collision is None or experiment.chosen is not None:
+        return
+    starts = experiment.setup.starts.xy
+    for i in range(1, len(starts)):
+        gaps = np.linalg.norm(starts[:i] - starts[i], axis=1)
+        if gaps.min() < 2 * collision.radius:
+            other = f"{gaps.min():.4g} from that of robots.{int(gaps.argmin())}"
+            message = f"is {other}: bodies of radius {collision.radius:g} overlap; move one of them"
+            yield ("robots", i, "start"), message
+
+
 def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     """Yield location and text if a control step would need more memory than MEMORY_MAX."""
     held = 8 * experiment.controller.numbers_held(experiment.setup)

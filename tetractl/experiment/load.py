@@ -15,6 +15,7 @@ from tetractl.core.errors import SpecError, printable
 from tetractl.core.trial import OWN_FILES, Start
 from tetractl.experiment.consistency import (
     misplaced,
+    overlapping,
     same_names,
     section_contradictions,
     too_large,
@@ -253,6 +254,7 @@ def _experiment(
         found += misplaced(arena, robots, obstacles)
     if experiment is not None:
         found += [*section_contradictions(experiment), *too_large(experiment)]
+        found += [] if written else overlapping(experiment)
     for loc, message in found:
         place = document.place(loc)
         document.problems.append(place.problem(loc, message, place.text))

@@ -53,6 +53,7 @@ class CheckContext:
     signal_s: float  # time for which a signal of a plan is held
     signals_max: int | None
     motion: str
+    radius: float  # of a robot's body, 0 if unknown
     margin: float  # distance that plans keep to obstacles, including a robot's radius
     yields: bool  # whether the margin is reduced at starts and targets
     walls: bool
@@ -69,6 +70,7 @@ class CheckContext:
             signal_s=getattr(control, "hold", 1) * control.period,
             signals_max=getattr(control, "horizon_max", None),
             motion=getattr(control, "motion", ""),
+            radius=collision.radius if collision else 0.0,
             margin=collision.margin + collision.radius if collision else 0.0,
             yields=collision.adaptive if collision else False,
             walls=collision.walls if collision else False,
@@ -327,17 +329,35 @@ def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
             continue
         per_mm = 1e-3 / setup.metres
         least = limits.separation_mm * per_mm
-        for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
-            for i in range(1, len(points)):
-                gaps = np.linalg.norm(points[:i] - points[i], axis=1)
-                if gaps.min() < least:
-                    yield SpecWarning(
-                        ("robots", i, field),
-                        f"is {gaps.min() / per_mm:.4g} mm from the {field} of "
-                        f"{setup.names[int(gaps.argmin())]}; the lab aborts when robots "
-                        f"come nearer than {limits.separation_mm:.4g} mm",
-                        f"move them apart, or lower {section}.limits.separation_mm",
-                    )
+        for field, i, other, gap in _nearest(setup):
+            if gap < least:
+                yield SpecWarning(
+                    ("robots", i, field),
+                    f"is {gap / per_mm:.4g} mm from the {field} of {other}; the lab aborts when "
+                    f"robots come nearer than {limits.separation_mm:.4g} mm",
+                    f"move them apart, or lower {section}.limits.separation_mm",
+                )
+
+
+def same_place(spec: CheckContext) -> Iterator[SpecWarning]:
+    """Warn of the first two equal starts, and the first two targets where robots overlap."""
+    told = set()
+    for field, i, other, gap in _nearest(spec.setup):
+        if (gap == 0 or gap < 2 * spec.radius) and field not in told:
+            told.add(field)
+            yield SpecWarning(
+                ("robots", i, field),
+                f"is {gap:.4g} {spec.unit} from the {field} of {other}: both cannot stand there",
+                "move one of them",
+            )
+
+
+def _nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
+    """Yield "start" or "target", a robot's index, the nearest earlier robot, and its distance."""
+    for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
+        for i in range(1, len(points)):
+            gaps = np.linalg.norm(points[:i] - points[i], axis=1)
+            yield field, i, setup.names[int(gaps.argmin())], float(gaps.min())
 
 
 CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
@@ -352,6 +372,7 @@ CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (
     walled_off,
     inside_margin,
     too_close,
+    same_place,
 )
 
 

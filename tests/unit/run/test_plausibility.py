@@ -8,6 +8,7 @@ from support.bounded import best_plan, spec
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.run.plausibility import CheckContext, beyond_the_plan, find_warnings, out_of_reach
 
 EXPERIMENTS = sorted((ROOT / "experiments").glob("*.yaml"))
@@ -69,10 +70,10 @@ controller.period <- LAB; controller.hold=14
   a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots make 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
   is 0.3 s, but the controller assumes 0 s: .* 1.5 control periods | controller.dead_time to 0.3
-robots.1.start <- LAB; robots.blue.start=[900, 890]
-  is 90 mm from the start of green; .* 110 mm | lab.limits.separation_mm
-robots.1.target <- LAB; robots.blue.target=[1700, 590]
-  is 90 mm from the target of green | apart
+robots.1.start <- LAB; robots.blue.start=[900, 895]
+  is 95 mm from the start of green; .* 110 mm | lab.limits.separation_mm
+robots.1.target <- LAB; robots.blue.target=[1700, 595]
+  is 95 mm from the target of green | apart
 """  # a field, the settings by which it is warned of, the message and the hint
 
 
@@ -99,7 +100,7 @@ def test_each_is_found_at_its_field_with_its_number(case):
         ["plant.dead_time=0.2"],
         ["plant.dead_time=0.3", "controller.dead_time=0.25"],
         ["obstacles=[]"],
-        ["robots.blue.start=[900, 890]"],
+        ["robots.blue.start=[900, 895]"],
     ],
 )
 def test_what_is_only_near_a_warning_is_none(sets):
@@ -108,6 +109,7 @@ def test_what_is_only_near_a_warning_is_none(sets):
 
 def test_the_lab_is_judged_in_millimetres_whatever_the_unit():
     text = LAB.read_text("utf-8").replace("length: mm", "length: cm")
+    text = text.replace("radius: 47", "radius: 3.9")
     warnings = find_warnings(parse_spec(text, "cm"))
     assert all("start" not in warning.field for warning in warnings)  # 400 cm apart
     close = find_warnings(parse_spec(text.replace("[900, 1200]", "[900, 808]"), "cm"))
@@ -142,7 +144,37 @@ def test_very_many_robots_alike_are_one_line():
     )
     text = f"name: many\narena: {{left: 0, bottom: 0, width: 100, height: 100}}\nrobots:\n{names}"
     fields = [w.field for w in find_warnings(parse_spec(text, "many"))]
-    assert fields == ["robots", "robots.1.a"]
+    assert fields == ["robots", "robots.1.a", "robots.49.target"]
+
+
+SAME = """
+name: same
+arena: {left: 0, bottom: 0, width: 100, height: 100}
+robots:
+  - {name: one, start: [10, 10], target: [90, 90], a: 4, speed: 10}
+  - {name: two, start: [10, 13], target: [90, 94], a: 2, speed: 10}
+  - {name: three, start: [10, 10], target: [90, 90], a: 1, speed: 10}
+"""
+
+
+def test_robots_at_one_place_are_told():
+    told = [str(w) for w in find_warnings(parse_spec(SAME, "s")) if "stand there" in str(w)]
+    assert [line.partition(": both")[0] for line in told] == [
+        "s:7:26: robots.2.start: [10, 10]: is 0 mm from the start of one",
+        "s:7:44: robots.2.target: [90, 90]: is 0 mm from the target of one",
+    ]
+
+
+def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
+    with pytest.raises(InvalidSpecError) as caught:
+        parse_spec(SAME, "s", ["controller.collision.radius=1"])
+    assert caught.value.lines() == [
+        "s:7:26: robots.2.start: [10, 10]: is 0 from that of robots.0: bodies of radius 1 overlap;"
+        " move one of them"
+    ]
+    sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]
+    told = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]
+    assert any("is 4 mm from the target of one: both cannot stand there" in one for one in told)
 
 
 @pytest.mark.filterwarnings("error")

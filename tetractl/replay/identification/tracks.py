@@ -19,10 +19,12 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.read.validate import LENGTH_MAX
 
 SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
 DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
+PIECES_MAX = 10_000_000  # largest number of intervals times directions in one interval
 APART_S = 1000.0  # time between two tracks that are joined
 
 
@@ -240,7 +242,10 @@ def substeps(
     first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
     last = acts.searchsorted(intervals.until, "left") - 1
     found, begin = [], intervals.since
-    for piece in range(int((last - first).max(initial=0)) + 1):
+    pieces = int((last - first).max(initial=0)) + 1
+    if pieces * len(first) > PIECES_MAX:
+        raise UsageError(f"{pieces} directions were sent between two frames", "log more frames")
+    for piece in range(pieces):
         number = np.minimum(first + piece, len(when) - 1)
         end = np.minimum(ends[number], intervals.until)
         found.append((number, np.maximum(end - begin, 0.0)))
@@ -364,6 +369,7 @@ def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
         found = float(text)
     except ValueError:
         found = math.inf
-    if math.isinf(found) or (math.isnan(found) and not optional):
-        raise UsageError(f"{path}: {column}: {text[:60]!r} is not a number") from None
+    if abs(found) > LENGTH_MAX or (math.isnan(found) and not optional):
+        wrong = f"{text[:60]!r} is not a number of at most {LENGTH_MAX:g}"
+        raise UsageError(f"{path}: {column}: {wrong}") from None
     return found

@@ -126,7 +126,7 @@ def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: Trial
     curves = robot_curves(log.start.setup, values, values - stds, values + stds)
     draw_curves(axes, time_s, curves)
     spread = stds if len(curves) < NUMBERED else np.zeros_like(stds)
-    shown = np.percentile(np.concatenate([values - spread, values + spread]), [1, 99])
+    shown = np.nanpercentile(np.concatenate([values - spread, values + spread]), [1, 99])
     low, high = min(shown[0], values[-1].min()), max(shown[1], values[-1].max())
     margin = max(0.08 * (high - low), 1e-6)
     axes.set_ylim(low - margin, high + margin)
@@ -163,4 +163,7 @@ def _key(log: TrialLog) -> list[Line2D | Patch]:
 
 
 def _stack(known: Sequence[Estimate], name: str) -> Floats:
-    return np.array([getattr(estimate, name) for estimate in known], dtype=np.float64)
+    """Return a value of every estimate, NaN where an estimate lacks it."""
+    unknown = np.full_like(getattr(known[-1], name), np.nan, dtype=np.float64)
+    values = (getattr(estimate, name) for estimate in known)
+    return np.array([unknown if value is None else value for value in values], dtype=np.float64)

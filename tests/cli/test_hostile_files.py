@@ -16,6 +16,7 @@ from tetractl.emulate.script import parse_script
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RUN
 from tetractl.log.read import limits
+from tetractl.log.read import rows as log_rows
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import tracks
 
@@ -116,11 +117,16 @@ def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
     good = rows.read_text()
     rows.write_text("[" * 6_000_000 + "\n" + good)
     assert "3 of 3 trials complete" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
-    monkeypatch.setattr(limits, "file_limit", lambda: 6_000_000)
-    done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
-    (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
-    assert "trials.jsonl" in told and "6000000 bytes" in told and limits.FACTOR in told
-    assert done.returncode == 1
+    for place, limit, value, why in (
+        (limits, "file_limit", lambda: 6_000_000, "6000000 bytes"),
+        (log_rows, "ROWS_MAX", 3, "3 lines"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(place, limit, value)
+            done = tetractl(tmp_path, "stats", "out/dead_time=0.1")
+        (told,) = (line for line in done.stderr.splitlines() if line.startswith("damaged: "))
+        assert "trials.jsonl" in told and why in told and limits.FACTOR in told
+        assert done.returncode == 1
 
 
 def test_a_job_script_has_no_line_of_a_files_name(tmp_path):

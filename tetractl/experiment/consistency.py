@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.setup import Setup
 from tetractl.experiment.base import Point
 from tetractl.experiment.experiment import Arena, Experiment, Robot
 from tetractl.experiment.lab_section import LabSection
@@ -61,13 +62,18 @@ def overlapping(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     collision = getattr(experiment.controller, "collision", None)
     if collision is None or experiment.chosen is not None:
         return
-    starts = experiment.setup.starts.xy
-    for i in range(1, len(starts)):
-        gaps = np.linalg.norm(starts[:i] - starts[i], axis=1)
-        if gaps.min() < 2 * collision.radius:
-            other = f"{gaps.min():.4g} from that of robots.{int(gaps.argmin())}"
-            message = f"is {other}: bodies of radius {collision.radius:g} overlap; move one of them"
-            yield ("robots", i, "start"), message
+    for field, i, other, gap in nearest(experiment.setup):
+        if field == "start" and gap < 2 * collision.radius:
+            message = f"bodies of radius {collision.radius:g} overlap; move one of them"
+            yield ("robots", i, field), f"is {gap:.4g} from the start of {other}: {message}"
+
+
+def nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
+    """Yield "start" or "target", a robot's index, the nearest earlier robot, and its distance."""
+    for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
+        for i in range(1, len(points)):
+            gaps = np.linalg.norm(points[:i] - points[i], axis=1)
+            yield field, i, setup.names[int(gaps.argmin())], float(gaps.min())
 
 
 def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
+from tetractl.experiment.consistency import nearest
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
@@ -329,7 +330,7 @@ def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
             continue
         per_mm = 1e-3 / setup.metres
         least = limits.separation_mm * per_mm
-        for field, i, other, gap in _nearest(setup):
+        for field, i, other, gap in nearest(setup):
             if gap < least:
                 yield SpecWarning(
                     ("robots", i, field),
@@ -342,7 +343,7 @@ def too_close(spec: CheckContext) -> Iterator[SpecWarning]:
 def same_place(spec: CheckContext) -> Iterator[SpecWarning]:
     """Warn of the first two equal starts, and the first two targets where robots overlap."""
     told = set()
-    for field, i, other, gap in _nearest(spec.setup):
+    for field, i, other, gap in nearest(spec.setup):
         if (gap == 0 or gap < 2 * spec.radius) and field not in told:
             told.add(field)
             yield SpecWarning(
@@ -350,14 +351,6 @@ def same_place(spec: CheckContext) -> Iterator[SpecWarning]:
                 f"is {gap:.4g} {spec.unit} from the {field} of {other}: both cannot stand there",
                 "move one of them",
             )
-
-
-def _nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
-    """Yield "start" or "target", a robot's index, the nearest earlier robot, and its distance."""
-    for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
-        for i in range(1, len(points)):
-            gaps = np.linalg.norm(points[:i] - points[i], axis=1)
-            yield field, i, setup.names[int(gaps.argmin())], float(gaps.min())
 
 
 CHECKS: tuple[Callable[[CheckContext], Iterator[SpecWarning]], ...] = (

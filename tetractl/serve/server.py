@@ -101,8 +101,8 @@ class LoopbackServer:
 class _Server(ThreadingHTTPServer):
     daemon_threads = True
 
-    def handle_error(self, *request: object) -> None:
-        """Do nothing: no request may print on the operator's terminal."""
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Do nothing, so that no request prints on the operator's terminal."""
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -180,10 +180,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _wanted(self) -> bytes | Path | None:
         """Return the page, the layout or a log's file; None for any other address."""
-        try:
-            _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
-        except ValueError:  # a target without a path, such as *
-            return None
+        _, token, *rest = [unquote(step) for step in urlsplit(self.path).path.split("/")]
         if not self._let_in(token):
             return None
         if rest == [""]:
@@ -244,10 +241,7 @@ def is_viewers_origin(origin: str | None, viewer: str = "") -> bool:
     """
     if origin is None or origin in (FOXGLOVE, "file://"):
         return True
-    try:
-        where = urlsplit(origin)
-    except ValueError:
-        return False
+    where = urlsplit(origin)
     if where.scheme in ("http", "https") and where.hostname in (ADDRESS, "localhost"):
         return True
     return bool(where.netloc) and where[:2] == urlsplit(viewer)[:2]

@@ -169,8 +169,8 @@ def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
     with pytest.raises(InvalidSpecError) as caught:
         parse_spec(SAME, "s", ["controller.collision.radius=1"])
     assert caught.value.lines() == [
-        "s:7:26: robots.2.start: [10, 10]: is 0 from that of robots.0: bodies of radius 1 overlap;"
-        " move one of them"
+        "s:7:26: robots.2.start: [10, 10]: is 0 from the start of one: bodies of radius 1 overlap; "
+        "move one of them"
     ]
     sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]
     told = [str(w) for w in find_warnings(parse_spec(SAME, "s", sets), sets)]

@@ -105,8 +105,8 @@ class Row:
         )
 
 
-ROW_MAX = limits.METADATA + limits.TIMING
-"""Largest size of a row [bytes]."""
+ROW_MAX, ROWS_MAX = limits.METADATA + limits.TIMING, 2_000_000
+"""Largest size of a row [bytes], and the largest number of rows in a file."""
 UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 """Exceptions that decoding a line may raise if tetractl did not write it."""
 
@@ -143,7 +143,7 @@ def check_rows(path: Path) -> None:
     if not path.is_file():  # reading a FIFO may never end
         raise UsageError(f"{path}: is not a regular file")
     if path.stat().st_size > limits.file_limit():
-        raise LogError(f"{path}: {TooMuchError(f'has more than {limits.file_limit()} bytes')}")
+        raise LogError(f"{path}: {TooMuchError(f'has over {limits.file_limit()} bytes')}")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -155,6 +155,8 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             if begins and ends:
                 yield number, piece.decode(errors="replace")
             number, begins = number + ends, ends
+            if number > ROWS_MAX:
+                raise LogError(f"{path}: {TooMuchError(f'has over {ROWS_MAX} lines')}")
 
 
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:

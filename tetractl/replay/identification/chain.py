@@ -115,7 +115,7 @@ class Chain:
         normal, right = x.T @ x, x.T @ y
         if not normal.size:
             return float(total)
-        normal.flat[:: len(normal) + 1] += TINY * np.trace(normal)
+        normal.flat[:: len(normal) + 1] += TINY * max(np.trace(normal), TINY)  # it may be 0
         explained = right @ np.linalg.solve(normal, right)
         return float(total - explained + np.linalg.slogdet(normal)[1])
 

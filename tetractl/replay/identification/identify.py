@@ -69,18 +69,8 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
 
     `a` (N,) [rad/s] are the expected turning rates, right within a factor of about 5, or None if
     unknown; `dead_time` [s] is the expected dead time, right within 0.3 s. UsageError if the tracks
-    contain too few data, or data of no such motion.
+    contain too few data.
     """
-    try:
-        return _identify(tracks, a, dead_time)
-    except np.linalg.LinAlgError:
-        raise UsageError(
-            f"{tracks[0].source}: the motion does not determine the robots' values",
-            "`tetractl design` proposes a motion",
-        ) from None
-
-
-def _identify(tracks: list[Track], a: Floats | None, dead_time: float) -> IdentifiedRobots:
     drives = drives_of(tracks)
     counts = drives.intervals.usable.sum(axis=0)
     for name, count in zip(tracks[0].names, counts, strict=True):

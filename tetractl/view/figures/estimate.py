@@ -4,6 +4,7 @@ trial.
 
 import json
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -141,14 +142,11 @@ def _true(log: TrialLog, what: str) -> Floats | None:
     fact = log.start.plant.facts.get(f"true_{what}")
     if fact is None:
         return None
-    try:
+    with suppress(OverflowError, RecursionError, TypeError, ValueError):
         found = np.array(json.loads(fact), dtype=np.float64)
-        good = found.shape == (len(log.start.setup.names),) and bool((found <= LENGTH_MAX).all())
-    except (OverflowError, RecursionError, TypeError, ValueError):
-        good = False
-    if not good:
-        raise LogError(f"{log.path}: the fact true_{what} is not a number for each robot")
-    return found
+        if found.shape == log.start.setup.a.shape and (np.abs(found) <= LENGTH_MAX).all():
+            return found
+    raise LogError(f"{log.path}: the fact true_{what} is not a number for each robot")
 
 
 def _key(log: TrialLog) -> list[Line2D | Patch]:

@@ -6,9 +6,9 @@ taken. This feed removes each picture at once, so that no picture waits in the b
 `PictureCamera` skips and counts the pictures for which its search is too slow.
 """
 
-import glob
 import os
 import re
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -24,12 +24,11 @@ WAIT_NS = SECOND // 500
 SILENT_NS = 10 * SECOND
 FOLDER = "MICROMANAGER_PATH"
 """Environment variable that names the folder where Micro-Manager is installed."""
-INSTALLED = (
-    "/usr/lib/micro-manager",
-    "/usr/local/lib/micro-manager",
-    "/Applications/Micro-Manager*",
-    "C:/Program Files/Micro-Manager*",
-)
+INSTALLED = {
+    "win32": "C:/Program Files/Micro-Manager-2.0",
+    "darwin": "/Applications/Micro-Manager",
+    "linux": "/usr/local/lib/micro-manager",
+}
 CONFIG_MAX = 1 << 24  # largest size of a configuration [bytes]
 LIBRARIES = ("mmgr_dal_{}.dll", "libmmgr_dal_{}", "libmmgr_dal_{}.so.0")
 _DEVICE = re.compile(r"^\s*Device\s*,[^,\n]*,([^,\n]*)", re.MULTILINE)
@@ -40,16 +39,11 @@ def adapter_folder() -> Path:
 
     No spec can name this folder. AbortError if Micro-Manager is not installed.
     """
-    named = [os.environ[FOLDER]] if os.environ.get(FOLDER) else INSTALLED
-    found = [path for pattern in named for path in sorted(glob.glob(pattern))]  # noqa: PTH207
-    # a pattern for another system would be relative, and find a folder beside the spec
-    folders = [Path(path) for path in found if named is not INSTALLED or Path(path).is_absolute()]
-    if not folders:
-        raise AbortError(
-            f"Micro-Manager is not installed in {' or '.join(named)}",
-            f"name its folder: {FOLDER}=FOLDER tetractl ...",
-        )
-    return folders[-1].resolve()
+    folder = Path(os.environ.get(FOLDER) or INSTALLED.get(sys.platform, INSTALLED["linux"]))
+    if not folder.is_dir():
+        hint = f"name its folder: {FOLDER}=FOLDER tetractl ..."
+        raise AbortError(f"Micro-Manager is not installed in {folder}", hint)
+    return folder.resolve()
 
 
 def require_adapters(config: str, folder: Path) -> None:

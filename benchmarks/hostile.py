@@ -28,7 +28,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 MEMORY_MB, CPU_S, WALL_S = 500, 30, 120
-BLOCK = 2000  # cases of a process
+BLOCK = 5000  # cases of a process
 
 
 class HangError(BaseException):

@@ -61,7 +61,7 @@ COMMANDS |= {
 }
 TELL_ON_STDOUT = ("verify", "info", "info --json", "recover", "validate")
 SLOW = {name for name in COMMANDS if name.partition(" ")[0] in ("plot", "report", "what-if")}
-SLOW |= {"study report"}
+SLOW |= {"study report", "study --merge"}
 
 _parser = cache(typer.main.get_command)  # made for each call it takes longer than most commands
 

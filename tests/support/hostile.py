@@ -26,8 +26,8 @@ from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
-SPARSE = 40  # one input in so many is drawn, or given to another slow command
-BOMBS = 60  # one table in so many is large
+SPARSE = 60  # one input in so many is drawn, or given to another slow command
+BOMBS = 150  # one table in so many is large
 
 
 class Case(NamedTuple):
@@ -281,12 +281,16 @@ def _calibration(rng: random.Random) -> Case:
     return _parsed("calibration", lambda: calibrated(_lab(), read_text(path), str(path)))
 
 
+IDENTIFIED = ("a", "speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
+
+
 def _identified(rng: random.Random) -> Case:
     folder = _folder("identified")
     text = "identified: m.yaml\n" + (ROOT / "experiments/three_m3pi.yaml").read_text()
+    robot = "{" + ", ".join(f"{name}: {{value: 6.1}}" for name in IDENTIFIED) + "}"
     found = (
-        "identified: 2026-01-01T00:00:00Z\nunit: mm\ndead_time: {value: 0.1, ci95: [0.09, 0.11]}\n"
-        "robots:\n- {name: green, a: 6.1, speed: 181, heading_bias: 0.01}\n"
+        "identified: 2026-01-01\norigin: lab\nunit: mm\ndead_time: {value: 0.1, low: 0.1}\n"
+        f"robots:\n  green: {robot}\n  blue: {robot}\n  red: {robot}\n"
     )
     (folder / "spec.yaml").write_text(text)
     (folder / "m.yaml").write_bytes(bytes_like(found.encode(), rng))
@@ -301,7 +305,7 @@ def _parsed(name: str, read: Callable[[], object]) -> Case:
     return Case(name, run)
 
 
-TABLES = (_identify, _identify, _field, _rows, _rows, _spec, _spec, _study_file, _script,
+TABLES = (_identify, _field, _rows, _rows, _spec, _spec, _study_file, _script,
           _calibration, _identified)  # fmt: skip
 
 

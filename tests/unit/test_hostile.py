@@ -3,12 +3,13 @@
 import random
 import subprocess
 import sys
+from collections import Counter
 from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from support import targets
+from support import hostile, targets
 from support.seeds import datagrams, mutant
 from support.targets import TARGETS
 from support.work import bounded
@@ -105,3 +106,15 @@ def test_work_and_memory_are_counted():
 def spin():
     while True:
         pass
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", hostile.KINDS)
+def test_hostile_files_are_read_or_told_in_a_line(kind):
+    """Twenty thousand of each in benchmarks/hostile.py, with bounds on memory and time."""
+    read = Counter()
+    for number in range(25):
+        command, run = hostile.case(kind, 1, number)
+        run()
+        read[command] += 1
+    assert len(read) > 5

@@ -49,7 +49,7 @@ def adapter_folder() -> Path:
 def require_adapters(config: str, folder: Path) -> None:
     """Raise AbortError if a configuration names a device adapter that the folder lacks.
 
-    The core would let the operating system search for its library, also beside the spec.
+    The core would let the operating system search for its library, also next to the spec.
     """
     path = Path(config)
     if not path.is_file() or path.stat().st_size > CONFIG_MAX:

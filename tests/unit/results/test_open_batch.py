@@ -107,7 +107,7 @@ def test_a_folder_without_logs_is_refused_where_rows_are_not_asked_for(tmp_path)
         open_batch([arm], rows=False)
     (arm / ROWS).unlink()
     os.mkfifo(arm / ROWS)
-    with pytest.raises(UsageError, match="no logs"):
+    with pytest.raises(UsageError, match="is not a regular file"):
         open_batch([arm])
 
 

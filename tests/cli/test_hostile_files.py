@@ -119,7 +119,8 @@ def test_rows_are_read_within_bounds(rows, tmp_path, monkeypatch):
     assert "3 of 3 trials complete" in tetractl(tmp_path, "stats", "out/dead_time=0.1").stdout
     for place, limit, value, why in (
         (limits, "file_limit", lambda: 6_000_000, "6000000 bytes"),
-        (log_rows, "ROWS_MAX", 3, "3 lines"),
+        (log_rows, "LINE_COST", 3e8, "very many lines"),
+        (log_rows, "SOLVE_COST", 1e8, "very many trials"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(place, limit, value)

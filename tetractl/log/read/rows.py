@@ -18,7 +18,7 @@ from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
 from tetractl.log.format.metadata import WARNINGS, result_metadata, timing_metadata
 from tetractl.log.read import limits
-from tetractl.log.read.limits import TooMuchError
+from tetractl.log.read.limits import Budget, TooMuchError
 from tetractl.log.read.trial_log import Origin, ResultSummary
 from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
 
@@ -105,8 +105,11 @@ class Row:
         )
 
 
-ROW_MAX, ROWS_MAX = limits.METADATA + limits.TIMING, 2_000_000
-"""Largest size of a row [bytes], and the largest number of rows in a file."""
+ROW_MAX = limits.METADATA + limits.TIMING
+"""Largest size of a row [bytes]."""
+LINE_COST, ROW_COST, SOLVE_COST = 400, 5200, 80
+"""Bytes charged to the budget for a line, in addition for a row, and for each of its solve times.
+"""
 UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
 """Exceptions that decoding a line may raise if tetractl did not write it."""
 
@@ -143,7 +146,7 @@ def check_rows(path: Path) -> None:
     if not path.is_file():  # reading a FIFO may never end
         raise UsageError(f"{path}: is not a regular file")
     if path.stat().st_size > limits.file_limit():
-        raise LogError(f"{path}: {TooMuchError(f'has over {limits.file_limit()} bytes')}")
+        raise LogError(f"{path}: {TooMuchError(f'it has over {limits.file_limit()} bytes')}")
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
@@ -155,8 +158,6 @@ def _lines(path: Path) -> Iterator[tuple[int, str]]:
             if begins and ends:
                 yield number, piece.decode(errors="replace")
             number, begins = number + ends, ends
-            if number > ROWS_MAX:
-                raise LogError(f"{path}: {TooMuchError(f'has over {ROWS_MAX} lines')}")
 
 
 def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
@@ -169,17 +170,24 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
     """
     check_rows(path)
     found: dict[int, Row | None] = {}
+    budget = Budget()
     try:
         for number, line in _lines(path):
+            budget.spend(LINE_COST, "very many lines")
             try:
                 stated = json.loads(line)
                 trial = _count(stated["trial"])
             except UNREADABLE:
                 continue
             try:
-                found[trial] = Row.read(stated, experiment, f"{path}:{number}")
+                row = Row.read(stated, experiment, f"{path}:{number}")
             except UNREADABLE:
-                found[trial] = None
+                row = None
+            found[trial] = row
+            solved = len(row.result.solve_ns) if row else 0
+            budget.spend(ROW_COST + SOLVE_COST * solved, "very many trials")
+    except TooMuchError as error:
+        raise LogError(f"{path}: {error}") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read: {error.strerror}") from error
     return dict(sorted(found.items()))

@@ -278,7 +278,7 @@ def _running(spec: LoadedSpec) -> "Iterator[Interrupt]":
     from tetractl.run.trial_limits import check
 
     experiment = spec.experiment
-    if experiment.plant.type == "lab":
+    if experiment.plant.real_time:
         raise UsageError(
             "the spec's plant is the lab, which this function does not drive", "use `tetractl run`"
         )

@@ -67,7 +67,7 @@ def design(
     loaded = load(spec, sets or [])
     if plant is not None:
         loaded = on_plant(loaded, plant.value)
-        if not loaded.experiment.plant.simulated:
+        if loaded.experiment.plant.real_time:
             require_confirmation(yes)
     proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
     motion = sequence_spec(loaded, proposed.directions, 0.0)

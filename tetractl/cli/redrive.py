@@ -21,7 +21,10 @@ def redrive(
     log: Log,
     plant: Annotated[
         PlantChoice,
-        typer.Option(help="sim: drive a simulation. lab: drive the robots of the log's lab."),
+        typer.Option(
+            help="sim: drive a simulation. lab: drive the robots of the log's lab. emulated: emulate "
+            "that lab in virtual time."
+        ),
     ] = PlantChoice.SIM,
     out: Annotated[
         Path | None,

@@ -28,7 +28,10 @@ def rerun(
     log: Log,
     plant: Annotated[
         PlantChoice,
-        typer.Option(help="sim: simulate. lab: drive the robots of the log's lab."),
+        typer.Option(
+            help="sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab in "
+            "virtual time."
+        ),
     ] = PlantChoice.SIM,
     yes: Yes = False,
     unattended: Unattended = False,
@@ -41,8 +44,8 @@ def rerun(
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
 
-    A simulated trial repeats exactly: the exit code is 1 if the two logs differ in content. The
-    trial of a log from a lab is simulated too; robots move only with --plant lab.
+    A trial in virtual time repeats exactly on its plant: the exit code is 1 if the two logs differ
+    in content. The trial of a log from a lab is simulated too; robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
@@ -72,16 +75,21 @@ def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
 
     No calibration file is read: the spec in a log of the lab has the calibration's values.
     """
+    from dataclasses import replace
+
+    from tetractl.experiment.lab_section import LabSection
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.experiment.plants import on_plant
+    from tetractl.experiment.plants import lab_as, on_plant
     from tetractl.log.read.reader import read_trial
 
     trial = read_trial(log)
     start = trial.start
     spec = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=start.attached)
-    if plant == "sim" or trial.experiment.plant.simulated:
-        spec = on_plant(spec, plant)
-    return spec, start.trial
+    lab = trial.experiment.plant
+    if plant == "sim" or not isinstance(lab, LabSection):
+        return on_plant(spec, plant), start.trial
+    experiment = trial.experiment.model_copy(update={"plant": lab_as(plant, lab)})
+    return replace(spec, experiment=experiment), start.trial
 
 
 def compare(log: Path, again: Path) -> int:

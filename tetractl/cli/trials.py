@@ -74,10 +74,11 @@ STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
 class PlantChoice(StrEnum):
-    """A plant named by --plant: the simulation or the lab of a spec."""
+    """A plant named by --plant: the simulation of a spec, its lab, or its lab emulated."""
 
     SIM = "sim"
     LAB = "lab"
+    EMULATED = "emulated"
 
 
 Out = Annotated[
@@ -133,9 +134,9 @@ def run_command(
     from tetractl.run.trial_limits import check
 
     experiment = loaded.experiment
-    in_lab = not experiment.plant.simulated
+    in_lab = experiment.plant.real_time
     if in_lab and jobs > 1:
-        raise UsageError("--jobs is for simulations: the lab runs one trial at a time")
+        raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
     if unattended and not (in_lab and yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
@@ -173,7 +174,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     from tetractl.run.trial_limits import check
 
     check(loaded.experiment)
-    in_lab = not loaded.experiment.plant.simulated
+    in_lab = loaded.experiment.plant.real_time
     if in_lab:
         require_confirmation(yes)
     console, store = Console(stderr=True, quiet=not in_lab), LogStore(folder, loaded.experiment)
@@ -206,7 +207,7 @@ def stoppable(
     warm_up(experiment, partial(announce_compiling, console.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
-    in_lab = not experiment.plant.simulated
+    in_lab = experiment.plant.real_time
     with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
         yield interrupt
 
@@ -233,7 +234,7 @@ def run_trials(
 
     tasks = batch_tasks(loaded, trials)
     live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
-    if not loaded.experiment.plant.simulated:
+    if loaded.experiment.plant.real_time:
         unit = loaded.experiment.units.length
         return run_in_lab(tasks, store, unit, console, interrupt, live, yes, served, unattended)
     if live:

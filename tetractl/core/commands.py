@@ -102,6 +102,8 @@ class Verdict:
 
 
 EMULATED = "emulated"
+VIRTUAL_LAB = "emulated"
+"""The type of the plant that emulates a lab in virtual time."""
 """The key of `PlantInfo.facts` whose value names the emulated devices."""
 EMULATED_NAME = "EMULATED by tetractl"
 """Text in the name that an emulated device reports to its client."""
@@ -119,6 +121,11 @@ class PlantInfo:
     simulated: bool
     camera_rate_hz: float
     facts: dict[str, str]
+
+    @property
+    def virtual(self) -> bool:
+        """Whether trials run in virtual time: those of a simulation, or of plant `emulated`."""
+        return self.simulated or self.kind == VIRTUAL_LAB
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,7 @@ PLANTS = Registry(
     {
         "sim": "tetractl.plant.simulation:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
+        "emulated": "tetractl.emulate.plant:EmulatedPlantSection",
     },
     "tetractl.experiment.plant:PlantSection",
 )

@@ -12,6 +12,7 @@ from tetractl.emulate.faults import Fault, Injector
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.script import Script, Sides
 from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Options, Stage
+from tetractl.emulate.wires import Wires
 from tetractl.experiment.lab_section import LabSection
 
 TICK_NS = 2_000_000  # interval between checks of the robots
@@ -51,8 +52,8 @@ class Record:
 
 
 class EmulatedLab:
-    """An emulated lab on real sockets and ports. `report(event, facts)` is called with events for
-    display.
+    """An emulated lab at the ends of `wires`, by default real sockets and ports. `report(event,
+    facts)` is called with events for display.
 
     A context manager: leaving it always releases ports and names.
     """
@@ -65,6 +66,7 @@ class EmulatedLab:
         options: Options,
         report: Report = lambda event, facts: None,
         make_loop: type[Loop] = Loop,
+        wires: Wires | None = None,
     ) -> None:
         _check_names(script, setup)
         self._setup, self._script, self._options = setup, script, options
@@ -74,7 +76,7 @@ class EmulatedLab:
         self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
         reports = self._note, self._exposed, self.injector.sent, self._client
-        stage = Stage(lab, setup, self.timeline, options, *reports)
+        stage = Stage(lab, setup, self.timeline, options, *reports, wires or Wires())
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(

@@ -4,13 +4,16 @@ To emulate another camera or actuator, implement the interface and add a line to
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
+from tetractl.core.clock import Clock
+from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
+from tetractl.emulate.wires import Wires
 from tetractl.experiment.base import Model
 from tetractl.experiment.lab_section import LabSection
 
@@ -25,10 +28,11 @@ class Options:
     events, None for no file. `replace_after` [s]: robots that have stood still for this time after
     a run are switched off, put back on their starts and switched on; None leaves them where they
     are.
-    `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish.
+    `chosen`: trials choose their cells, so the emulation's settings give the cells in the dish,
+    drawn by the seed `dish`, by default `seed`. An `address` of None is that of the spec.
     """
 
-    address: str = "127.0.0.1"
+    address: str | None = "127.0.0.1"
     command_port: int | None = None
     data_port: int | None = None
     link: Path | None = None
@@ -36,6 +40,7 @@ class Options:
     replace_after: float | None = None
     seed: int = 1
     chosen: bool = False
+    dish: int | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +50,7 @@ class Stage:
     `note(event, **facts)` adds an event to the record. A camera calls `exposed(exposure, frame)`,
     with the numbers of exposure and frame, at each exposure; `sent(exposure)` when the exposure's
     frame is sent or would be sent without a fault; and `client(address)` for each new client.
+    `wires` makes the ends of the connections.
     """
 
     lab: LabSection
@@ -55,6 +61,7 @@ class Stage:
     exposed: Callable[[int, int], None]
     sent: Callable[[int], None]
     client: Callable[[str], None]
+    wires: Wires = field(default_factory=Wires)
 
     @property
     def mm(self) -> float:
@@ -102,6 +109,10 @@ class EmulatedSide(Protocol):
 class EmulatedCamera(EmulatedSide, Protocol):
     """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
 
+    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return our camera of a setup's robots, which the stage's wires connect to this one."""
+        ...
+
     def hide(self, hidden: bool) -> None:
         """If `hidden`, track no body, as while robots are carried; otherwise track all again."""
         ...
@@ -109,6 +120,10 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
 class EmulatedActuator(EmulatedSide, Protocol):
     """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""
+
+    def connected(self, setup: Setup, clock: Clock) -> Actuator:
+        """Return our actuator of a setup's robots, which the stage's wires connect to this one."""
+        ...
 
     @property
     def bodies(self) -> Sequence[Body]:

@@ -17,10 +17,13 @@ from urllib.parse import urlsplit
 import cv2
 from pydantic import Field
 
-from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.poses import Floats, Grey
+from tetractl.core.protocols import Camera
+from tetractl.core.registry import imported
+from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Facts, Stage
@@ -281,10 +284,11 @@ class StreamedCamera(ABC):
 
     def open(self, loop: Loop) -> Facts:
         """Start to serve the stream; return its address."""
-        clock, settings = MonotonicClock(), self._settings
+        wires, settings = self._stage.wires, self._settings
+        clock = wires.clock()
         self._start_ns = loop.now() - clock.now()
         self._remember()
-        self.camera = EmulatedNetworkCamera(
+        self.camera = wires.network_camera(
             self._draw,
             clock,
             settings.rate,
@@ -304,6 +308,11 @@ class StreamedCamera(ABC):
             self.camera.__exit__()
             self._opened = False
         return {"pictures": self._exposures}
+
+    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
+        """Return our camera, which is given the pictures of this one."""
+        section = self._stage.lab.camera
+        return imported(section.device)(section, setup, clock, wake, self.camera.join)
 
     def _joined(self) -> None:
         """Do nothing, unless overridden; called when a client begins to watch."""

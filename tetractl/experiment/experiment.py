@@ -188,7 +188,7 @@ class Experiment(Model):
     plant: Annotated[PlantSection, _PLANT] = Field(default_factory=_PLANT.make)
     """The plant; a simulation if no `type` is given."""
     lab: Annotated[LabSection, KindSection(PLANTS, default="lab")] | None = None
-    """The lab that `--plant lab` takes in place of `plant`."""
+    """The lab that `--plant lab`, or `emulated`, takes in place of `plant`."""
     identified: str | None = Field(default=None, max_length=1000)
     """File written by `tetractl identify`, relative to the spec: the turning rate a and speed of
     each robot and the dead time in the file replace the spec's values.

@@ -27,6 +27,11 @@ class PlantSection(Model):
     """Whether `steer(None)` works: the plant can switch the field off while robots move."""
 
     @property
+    def real_time(self) -> bool:
+        """Whether real devices are driven, which takes real time and an operator's consent."""
+        return not self.simulated
+
+    @property
     def loses_frames(self) -> bool:
         """Whether camera frames may be lost in transit, so that gaps in a log are not damage."""
         return not self.simulated

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
+from tetractl.core.commands import VIRTUAL_LAB
 from tetractl.core.errors import SpecError, printable
 from tetractl.core.registries import PLANTS
 from tetractl.experiment.base import Model
@@ -20,7 +21,7 @@ from tetractl.experiment.yaml.document import Document, Place, frozen, parse_doc
 from tetractl.experiment.yaml.explain import explain, validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 
-PlantKind = Literal["sim", "lab"]
+PlantKind = Literal["sim", "lab", "emulated"]
 DEVICES = ("camera", "actuator")
 
 
@@ -45,9 +46,9 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     if kind == "sim" and not experiment.plant.simulated:
         updated = {"plant": KindSection(PLANTS, default="sim").make(), "lab": experiment.plant}
         return replace(loaded, experiment=experiment.model_copy(update=updated))
-    if kind != "lab" and experiment.plant.simulated:
+    if kind in (None, "sim") and experiment.plant.simulated:
         return loaded
-    lab = lab_of(experiment, loaded.name)
+    lab = lab_as(kind, lab_of(experiment, loaded.name))
     loaded = replace(loaded, experiment=experiment.model_copy(update={"plant": lab, "lab": None}))
     for loc, message in section_contradictions(loaded.experiment):
         raise SpecError(f"{loaded.name}: {dotted(loc)} {message}")
@@ -58,6 +59,13 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
     experiment = calibrated(loaded.experiment, text, str(path))
     attached = attach(loaded.attached, path, text)
     return replace(loaded, experiment=experiment, attached=attached)
+
+
+def lab_as(kind: PlantKind | None, lab: LabSection) -> LabSection:
+    """Return a lab as a plant of a kind: its devices are emulated, or real if they were emulated."""
+    if kind == lab.type or VIRTUAL_LAB not in (kind, lab.type):
+        return lab
+    return PLANTS.load(kind).model_validate(dict(lab) | {"type": kind})
 
 
 def lab_of(experiment: Experiment, name: str) -> LabSection:

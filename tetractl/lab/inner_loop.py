@@ -58,7 +58,7 @@ class InnerLoop:
         self._warnings: deque[tuple[int, str]] = deque(maxlen=KEPT)
         self._aborted = False
         self._stops_left = 0
-        self._next_ns = 0
+        self._next_ns = self._due_ns = 0
         self._closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
@@ -114,6 +114,14 @@ class InnerLoop:
         """Check the new frames, and send a transmission if one is due."""
         with self._lock:
             self._guarded_tick()
+
+    def turn(self) -> None:
+        """Make the step that is due, at a frame and every `IDLE_S`, in the place of the thread."""
+        now = self._clock.now()
+        if self._wake.is_set() or now >= self._due_ns:
+            self._wake.clear()
+            self._due_ns = now + round(IDLE_S * SECOND)
+            self.step()
 
     def sent(self) -> list[Transmission]:
         """Return the transmissions since the last call, oldest first."""

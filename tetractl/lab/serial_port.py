@@ -39,6 +39,8 @@ class PortHeldError(AbortError):
 
 
 Heard = Callable[[bytes, int], None]
+Ports = Callable[[str, int, str, Clock, Heard, str], "SerialPort"]
+"""Makes a port from the arguments of SerialPort: on this computer, or in memory."""
 
 
 class SerialPort:

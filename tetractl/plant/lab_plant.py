@@ -1,6 +1,8 @@
 """The plant of the lab: real robots with a camera and an actuator."""
 
 import math
+import threading
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import Literal
@@ -28,21 +30,29 @@ KEPT = 100_000
 RECENT = 600  # number of newest frames that are kept, those of some seconds
 
 
-class LabPlantSection(LabSection):
-    """A lab with real robots: a camera, an actuator and limits."""
+class RiggedSection(LabSection):
+    """A lab whose plant is a `Rig`; `rig` says how the rig is made."""
 
-    type: Literal["lab"] = "lab"
+    @abstractmethod
+    def rig(
+        self,
+        setup: Setup,
+        clock: Clock,
+        seed: np.random.SeedSequence,
+        emergency: threading.Event | None = None,
+        chosen: bool = False,
+    ) -> Rig:
+        """Return the rig of one trial or command; no real device is opened yet.
 
-    def clock(self) -> Clock:
-        """Return the host's monotonic clock."""
-        return MonotonicClock()
+        `seed` is for an emulation. `chosen`: the robots of the setup are still to be found.
+        """
 
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
     ) -> "LabPlant":
         """Return the plant of one trial; nothing is opened yet."""
-        rig = build_rig(self, setup, clock, supervision.emergency)
-        return LabPlant(rig, supervision)
+        rig = self.rig(setup, clock, seed, supervision.emergency)
+        return LabPlant(rig, supervision, self.type)
 
     def find(
         self,
@@ -57,11 +67,11 @@ class LabPlantSection(LabSection):
         """
         from tetractl.lab.find_cells import turn_field  # imports OpenCV, which is optional
 
-        rig = build_rig(self, setup, clock, supervision.emergency)
+        rig = self.rig(setup, clock, seed, supervision.emergency, chosen=True)
 
         def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:
             rig.settle(chosen, numbers)
-            return LabPlant(rig, supervision)
+            return LabPlant(rig, supervision, self.type)
 
         try:
             rig.__enter__()
@@ -72,10 +82,34 @@ class LabPlantSection(LabSection):
         return FoundRobots(cells, build, rig.close)
 
 
-class LabPlant:
-    """A `Plant` of real robots; after a fault every call raises AbortError with the reason."""
+class LabPlantSection(RiggedSection):
+    """A lab with real robots: a camera, an actuator and limits."""
 
-    def __init__(self, rig: Rig, supervision: LabSupervision) -> None:
+    type: Literal["lab"] = "lab"
+
+    def clock(self) -> Clock:
+        """Return the host's monotonic clock."""
+        return MonotonicClock()
+
+    def rig(
+        self,
+        setup: Setup,
+        clock: Clock,
+        seed: np.random.SeedSequence,
+        emergency: threading.Event | None = None,
+        chosen: bool = False,
+    ) -> Rig:
+        """Return the rig of the lab's devices; nothing is opened yet."""
+        return build_rig(self, setup, clock, emergency)
+
+
+class LabPlant:
+    """A `Plant` of the robots of a lab, `kind` is the type of its section; after a fault every call
+    raises AbortError with the reason.
+    """
+
+    def __init__(self, rig: Rig, supervision: LabSupervision, kind: str = "lab") -> None:
+        self._kind = kind
         self.rig, self.setup, self.clock = rig, rig.setup, rig.clock
         self._supervision = supervision
         self._heading = self.setup.starts.heading
@@ -107,7 +141,7 @@ class LabPlant:
             raise AbortError("no camera frame arrived")
         rate_hz = findings.camera_rate_hz or 0.0
         facts = {**_facts(findings), HALTS: "yes" if rig.actuator.halts else "no"}
-        return PlantInfo("lab", False, round(rate_hz, 3), facts)
+        return PlantInfo(self._kind, False, round(rate_hz, 3), facts)
 
     def observe(self) -> Observation:
         """Return the newest camera frame; a robot that is not tracked in it keeps its last pose."""

@@ -159,7 +159,7 @@ class Trial:
 
     def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
         """Compute the first plan while the robots stand; in the lab, also record frames."""
-        if info.simulated:
+        if info.virtual:
             return self._plan(observation)
         pool = ThreadPoolExecutor(1)
         try:
@@ -178,7 +178,7 @@ class Trial:
         pool = ThreadPoolExecutor(1)
         try:
             planning = pool.submit(self._timed_plan, observation)
-            if info.simulated:  # virtual time must not depend on this host's speed
+            if info.virtual:  # virtual time must not depend on this host's speed
                 with self.interrupt.breakable():
                     wait([planning])
             laps = 0

@@ -216,7 +216,7 @@ def run_trial(
 
 
 def _log(spec: LoadedSpec, folder: Path, trial: int) -> LogWriter:
-    return LogWriter(log_path(folder, trial), real_time=not spec.experiment.plant.simulated)
+    return LogWriter(log_path(folder, trial), real_time=spec.experiment.plant.real_time)
 
 
 def run_with(
@@ -232,13 +232,14 @@ def run_with(
     In real time, a background thread calls the other `observers`, so that they do not delay the
     loop.
     """
-    section, real_time = spec.experiment.plant, not spec.experiment.plant.simulated
+    section, real_time = spec.experiment.plant, spec.experiment.plant.real_time
     clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     with ExitStack() as stack:
         if real_time:
             observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
-        spec, plant = _built(spec, clock, seed, supervision or LabSupervision())
+        unsupervised = LabSupervision(cancelled=lambda: interrupt.requested)
+        spec, plant = _built(spec, clock, seed, supervision or unsupervised)
         return Trial(
             start=start_of(spec, trial, PlantInfo("", section.simulated, 0.0, {}), start_unix_ns),
             plant=plant,

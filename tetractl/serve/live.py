@@ -347,7 +347,7 @@ class ServedRun:
     """Sends the messages that a log would contain, for one trial after another: an `Observer` of
     each trial.
 
-    A simulated trial is slowed to the wall clock `wall`, so that people can watch it.
+    A trial in virtual time is slowed to the wall clock `wall`, so that people can watch it.
     """
 
     def __init__(self, viewers: Viewers, wall: Clock) -> None:
@@ -356,7 +356,7 @@ class ServedRun:
     def on_start(self, start: Start) -> None:
         """Send the scene of a new trial, and set the viewers' time to its start."""
         self._messages = Messages(start)
-        self._paced = start.plant.simulated
+        self._paced = start.plant.virtual
         self._began_ns = self._wall.now()
         self._viewers.jump(start.start_unix_ns, self._messages.start())
 

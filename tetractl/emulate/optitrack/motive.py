@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError, WireError
@@ -46,7 +47,8 @@ class Motive:
 
     Exposures are numbered from 1, without gaps. `on_exposed(exposure, frame number)` is called at
     each exposure, and `on_sent(exposure)` when its datagrams are sent or would be sent without a
-    fault. `on_client(address)` is called for each new client.
+    fault. `on_client(address)` is called for each new client. `bound(address, port)` opens a UDP
+    socket.
     """
 
     def __init__(
@@ -59,8 +61,10 @@ class Motive:
         on_sent: Callable[[int], None],
         on_client: Callable[[str], None],
         seed: int,
+        bound: Callable[[str, int], Any] | None = None,
     ) -> None:
         self.streaming = streaming
+        self._bound = bound or bound_udp
         self.trouble = Trouble()
         self.counts = ServerCounts()
         self.server = MotiveServer(streaming, names, self.counts, on_client)
@@ -72,8 +76,8 @@ class Motive:
         self._last: NatNetFrame | None = None
         self._start_ns = 0
         self._exposures = 0
-        self.command: socket.socket | None = None
-        self.data: socket.socket | None = None
+        self.command: Any = None
+        self.data: Any = None
 
     @property
     def now_ns(self) -> int:
@@ -94,8 +98,8 @@ class Motive:
         """Open the ports and expose the first frame now; return the file descriptor to watch."""
         s = self.streaming
         multicast = s.transport == "multicast"
-        self.command = _bound(s.address, s.command_port)
-        self.data = _bound(s.frames_from or s.address, 0 if multicast else s.data_port)
+        self.command = self._bound(s.address, s.command_port)
+        self.data = self._bound(s.frames_from or s.address, 0 if multicast else s.data_port)
         if multicast:
             interface = socket.inet_aton(s.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
@@ -187,7 +191,7 @@ class Motive:
             self._send(self.data, message, address)
         self.counts.frames += 1
 
-    def _send(self, sender: socket.socket | None, data: bytes, to: Address) -> None:
+    def _send(self, sender: Any, data: bytes, to: Address) -> None:
         assert sender is not None, "it is open"
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
@@ -218,11 +222,12 @@ def _packed(message: Message, version: Version) -> bytes:
     return pack_answer(message, max(OLDEST, min(version, NEWEST)))
 
 
-def _port(of: socket.socket) -> int:
+def _port(of: Any) -> int:
     return of.getsockname()[1]
 
 
-def _bound(address: str, port: int) -> socket.socket:
+def bound_udp(address: str, port: int) -> socket.socket:
+    """Return a UDP socket bound to an address; TetractlError if the port is in use."""
     bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     try:
         bound.setblocking(False)

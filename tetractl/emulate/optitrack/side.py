@@ -2,15 +2,16 @@
 bodies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import SpecError
+from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.optitrack.motive import Motive
@@ -18,6 +19,7 @@ from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming, Tro
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
@@ -247,7 +249,9 @@ class EmulatedOptitrack:
             stage.sent,
             stage.client,
             stage.options.seed,
+            stage.wires.bound,
         )
+        self._section, self._wires = section, stage.wires
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports; return their addresses."""
@@ -260,6 +264,14 @@ class EmulatedOptitrack:
             "data_port": self.motive.data_port,
             "transport": streaming.transport,
         }
+
+    def connected(
+        self, setup: Setup, clock: Clock, wake: Callable[[], None]
+    ) -> OptitrackCamera:
+        """Return our NatNet client, connected to the server."""
+        camera = OptitrackCamera(self._section, setup, clock, wake, self._wires.make_socket)
+        self._wires.each_step(camera.turn)
+        return camera
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""
@@ -312,7 +324,7 @@ def _streaming(
 ) -> Streaming:
     options = stage.options
     return Streaming(
-        options.address,
+        options.address or section.server,
         section.command_port if options.command_port is None else options.command_port,
         section.data_port if options.data_port is None else options.data_port,
         section.transport,

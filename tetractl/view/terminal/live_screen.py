@@ -66,8 +66,8 @@ class LiveView:
         """Clear the view for a new trial."""
         setup = self._setup = start.setup
         self._plant = start.plant.kind
-        simulated = start.plant.simulated
-        self._hints = ("Ctrl-C stops",) if simulated else ("SPACE or ESC: EMERGENCY STOP",)
+        virtual = start.plant.virtual
+        self._hints = ("Ctrl-C stops",) if virtual else ("SPACE or ESC: EMERGENCY STOP",)
         self._colors = robot_colors(setup.names, setup.colors)
         self._poses = setup.starts.array()
         self._trail: list[Floats] = []

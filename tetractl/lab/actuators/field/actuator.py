@@ -27,6 +27,7 @@ from tetractl.lab.actuators.field.driver import (
     FieldReply,
 )
 from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
+from tetractl.lab.serial_port import Ports
 
 STOPS = 3  # number of frames per stop, so that one damaged frame does not lose the stop
 OFF: Pair = (0.0, 0.0)
@@ -38,15 +39,17 @@ class FieldActuator:
     No cell can be held still: every transmission, even a stop, states that all cells move at their
     own speed. A transmission's `outputs` are the currents requested from the driver, `current_x_a`
     and `current_y_a` [A], and the field that they make, `field_mt` and `field_direction_rad`. Times
-    are ns on `clock`.
+    are ns on `clock`. `ports` is for the Driver.
     """
 
     individual = False
     halts = False
 
-    def __init__(self, section: FieldSection, setup: Setup, clock: Clock) -> None:
+    def __init__(
+        self, section: FieldSection, setup: Setup, clock: Clock, ports: Ports | None = None
+    ) -> None:
         self.section, self.coils = section, section.coils
-        self.driver = Driver(section.port, section.baud, clock)
+        self.driver = Driver(section.port, section.baud, clock, ports)
         self._a, self._speed, self._clock = setup.a, setup.speed, clock
         self._lock = threading.Lock()
         self._currents = OFF  # currents requested from the driver at `_sent_ns` [A]

@@ -16,7 +16,7 @@ from enum import IntFlag
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import WireError
 from tetractl.lab.cobs import Splitter, pack_fields, unpack_fields
-from tetractl.lab.serial_port import SerialPort
+from tetractl.lab.serial_port import Ports, SerialPort
 
 COMMAND, REPLY = 0x53, 0x54
 VERSION = 1
@@ -116,13 +116,14 @@ class Driver:
     """A current driver on a serial port. Times are ns on `clock`.
 
     Every frame polls the driver, so that `failure` can tell whether the driver has become silent,
-    too hot or emergency-stopped.
+    too hot or emergency-stopped. `ports` makes the serial port, SerialPort by default.
     """
 
-    def __init__(self, port: str, baud: int, clock: Clock) -> None:
+    def __init__(self, port: str, baud: int, clock: Clock, ports: Ports | None = None) -> None:
         self.newest: FieldReply | None = None
         self._clock = clock
-        self._port = SerialPort(port, baud, "the current driver", clock, self._hear, HINT)
+        make = ports or SerialPort
+        self._port = make(port, baud, "the current driver", clock, self._hear, HINT)
         self._splitter = Splitter()
         self._lock = threading.Lock()
         self._sequence = 0

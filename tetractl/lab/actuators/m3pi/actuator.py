@@ -14,6 +14,7 @@ from tetractl.core.setup import MM, Setup
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
 from tetractl.lab.actuators.m3pi.serial_protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.serial_port import Ports
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import (
     STOP,
@@ -33,15 +34,17 @@ AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
 class M3piActuator:
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`."""
+    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for the Link."""
 
     individual = True
     halts = True
 
-    def __init__(self, section: M3piSection, setup: Setup, clock: Clock) -> None:
+    def __init__(
+        self, section: M3piSection, setup: Setup, clock: Clock, ports: Ports | None = None
+    ) -> None:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
-        self.link = Link(section, clock)
+        self.link = Link(section, clock, ports)
         self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
         self._clock = clock
         self._protocol = build_protocol(section, setup.names, self.link, clock)

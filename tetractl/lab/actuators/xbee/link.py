@@ -23,7 +23,7 @@ from tetractl.lab.actuators.xbee.frames import (
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
-from tetractl.lab.serial_port import SerialPort
+from tetractl.lab.serial_port import Ports, SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 KEPT = 1024
@@ -43,10 +43,11 @@ class Link:
     """A connection to the module. Times are ns on `clock`. After a failure, which raises
     AbortError, nothing can be sent any more.
 
-    `questions` are about the module, for the operator to answer.
+    `questions` are about the module, for the operator to answer. `ports` makes the serial port,
+    SerialPort by default.
     """
 
-    def __init__(self, radio: XbeeSection, clock: Clock) -> None:
+    def __init__(self, radio: XbeeSection, clock: Clock, ports: Ports | None = None) -> None:
         self.radio = radio
         self.undelivered = 0  # number of unicasts that no module acknowledged
         self.explicit = 0  # number of frames of type 0x91, which are not read
@@ -57,7 +58,8 @@ class Link:
         self._answers: deque[AtResponse] = deque(maxlen=KEPT)
         self._frame_id = 0
         self._clock = clock
-        self._port = SerialPort(radio.port, radio.baud, "the radio", clock, self._take, HINT)
+        make = ports or SerialPort
+        self._port = make(radio.port, radio.baud, "the radio", clock, self._take, HINT)
 
     @property
     def failure(self) -> str | None:

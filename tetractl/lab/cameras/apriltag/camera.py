@@ -16,7 +16,7 @@ from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
 from tetractl.lab.cameras.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor, Plane
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.pictures.looks import Look
-from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
+from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
 
 # a tag whose size differs by this fraction is a different tag, or at a different height
 ODD_SIZE = 0.2
@@ -186,8 +186,9 @@ class AprilTagCamera(PictureCamera[Seen]):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
+        join: Join | None = None,
     ) -> None:
-        super().__init__(section, clock, wake)
+        super().__init__(section, clock, wake, join)
         self.section = section
         self._tracker = Tracker(section, setup.names, setup.metres)
 

@@ -22,7 +22,7 @@ from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.cells.helix import WALL_UM, Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
-from tetractl.lab.cameras.pictures.picture_camera import PictureCamera
+from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
 
 BACKGROUND = 15  # number of pictures from which the background is computed
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
@@ -45,8 +45,9 @@ class CellCamera(PictureCamera[SeenDish]):
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
+        join: Join | None = None,
     ) -> None:
-        super().__init__(section, clock, wake)
+        super().__init__(section, clock, wake, join)
         self.section = section
         self._setup = setup
         self._tracker = CellTracker(

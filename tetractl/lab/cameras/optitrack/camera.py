@@ -12,7 +12,7 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 from functools import partial
-from typing import Self
+from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import EMULATED_NAME, Health
@@ -55,7 +55,8 @@ BUFFER = 1 << 18
 class OptitrackCamera:
     """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
 
-    Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame.
+    Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame. If
+    `make_socket` makes UDP sockets in memory, there is no thread: the owner calls `turn`.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class OptitrackCamera:
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
+        make_socket: Callable[[], Any] | None = None,
     ) -> None:
         self.names = setup.names
         robots = [section.robot(name) for name in setup.names]
@@ -71,6 +73,8 @@ class OptitrackCamera:
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)
         self._clock, self._wake = clock, wake
+        self._threaded = make_socket is None
+        self._make_socket = make_socket or _udp
         self._unicast = section.transport == "unicast"
         self._pinned = Version.of(section.version) if section.version and self._unicast else None
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
@@ -118,7 +122,15 @@ class OptitrackCamera:
                 f"cannot listen for cameras on {self.section.interface}: {error.strerror or error}",
                 "lab.camera.interface must be an address of this computer",
             ) from error
-        self._thread.start()
+        if self._threaded:
+            self._thread.start()
+
+    def turn(self) -> None:
+        """Send what is due and read what has come, without waiting; nothing unless open."""
+        if self._sockets:
+            self._chores()
+        for each in self._sockets:
+            self._read(each)
 
     def wait_connected(self, timeout_s: float) -> None:
         """Wait for frames, clock, axes and names, at most `timeout_s` each.
@@ -186,11 +198,11 @@ class OptitrackCamera:
 
     def _open_sockets(self) -> None:
         section = self.section
-        command = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        command = self._make_socket()
         self._sockets.append(command)
         command.bind((section.interface, 0))
         if not self._unicast:
-            data = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            data = self._make_socket()
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             # on Linux, a socket bound to the group receives only that; other systems refuse it
@@ -305,3 +317,7 @@ class OptitrackCamera:
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
         return wait_for(self._clock, done, timeout_s)
+
+
+def _udp() -> socket.socket:
+    return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -10,7 +10,7 @@ from typing import Generic, Protocol, Self, TypeVar
 
 import cv2
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
@@ -23,6 +23,9 @@ from tetractl.lab.cameras.pictures.source import decoded, open_feed
 KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.05
 CLOSE_S = 2.0
+
+Join = Callable[[Callable[[Picture], None]], Feed]
+"""Opens a source in memory, which calls a function with each picture."""
 
 
 class SearchedPicture(Protocol):
@@ -47,11 +50,18 @@ class PictureCamera(ABC, Generic[S]):
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
-    is never set.
+    is never set. `join`, if given, opens a source in memory that calls a function with each picture:
+    then there are no threads.
     """
 
-    def __init__(self, section: PictureSection, clock: Clock, wake: Callable[[], None]) -> None:
-        self._source = section
+    def __init__(
+        self,
+        section: PictureSection,
+        clock: Clock,
+        wake: Callable[[], None],
+        join: Join | None = None,
+    ) -> None:
+        self._source, self._join = section, join
         self._clock, self._wake = clock, wake
         self._newest: CameraFrame | None = None
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
@@ -60,9 +70,8 @@ class PictureCamera(ABC, Generic[S]):
         self._size: tuple[int, ...] | None = None
         self._next: queue.Queue[tuple[int, Picture]] = queue.Queue(maxsize=1)
         self._unread = 0  # number of pictures that could not be decoded
-        self._skipped = 0
+        self._number = self._skipped = 0
         self._ended = ""
-        self._changed = threading.Condition()
         self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -96,11 +105,14 @@ class PictureCamera(ABC, Generic[S]):
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""
         patience = self._source.connect
-        self._feed = open_feed(self._source.source, self._clock, patience)
-        self._threads = [
-            threading.Thread(target=self._read, args=(self._feed,), name="pictures", daemon=True),
-            threading.Thread(target=self._find, name="finding", daemon=True),
-        ]
+        if self._join is not None:
+            self._feed = self._join(self._take)
+        else:
+            self._feed = feed = open_feed(self._source.source, self._clock, patience)
+            self._threads = [
+                threading.Thread(target=self._read, args=(feed,), name="pictures", daemon=True),
+                threading.Thread(target=self._find, name="finding", daemon=True),
+            ]
         for thread in self._threads:
             thread.start()
         if not self._wait(lambda: self._newest is not None, patience):
@@ -160,10 +172,12 @@ class PictureCamera(ABC, Generic[S]):
                 self._offer((number, picture), feed.live)
         except SourceEndedError as error:
             self._ended = str(error)
-            with self._changed:
-                self._changed.notify_all()
         finally:
             feed.close()
+
+    def _take(self, picture: Picture) -> None:
+        self._number += 1
+        self._search(self._number, picture)
 
     def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
         while not self._closing.is_set():
@@ -201,10 +215,7 @@ class PictureCamera(ABC, Generic[S]):
         self._fresh.append(frame)
         self._newest = frame
         self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, seen))
-        with self._changed:
-            self._changed.notify_all()
         self._wake()
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        with self._changed:
-            return self._changed.wait_for(done, timeout_s)
+        return wait_for(self._clock, done, timeout_s)

@@ -8,7 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli import lab_emulate, lab_survey
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, refuse_existing, require_confirmation
+from tetractl.cli.options import (
+    AsJson,
+    LabChoice,
+    Sets,
+    Spec,
+    Yes,
+    refuse_existing,
+    require_confirmation,
+)
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -25,6 +33,7 @@ HELP = "Check, calibrate, survey, stop or emulate the lab of a spec."
 def check(
     spec: Spec,
     sets: Sets = None,
+    plant: LabChoice = "lab",
     as_json: AsJson = False,
     yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
 ) -> int:
@@ -37,13 +46,14 @@ def check(
     """
     from json import dumps
 
-    from tetractl.core.clock import MonotonicClock
+    from tetractl.cli.lab_survey import rig_of
+    from tetractl.cli.options import load
+    from tetractl.experiment.plants import on_plant
     from tetractl.lab.preflight import inspect
-    from tetractl.lab.rig import build_rig
     from tetractl.view.terminal import findings
 
-    lab, experiment = _lab(spec, sets)
-    rig = build_rig(lab, experiment.setup, MonotonicClock())
+    experiment = on_plant(load(spec, sets or []), plant).experiment
+    rig = rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
     with rig:

@@ -8,11 +8,21 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli.options import AsJson, Sets, Spec, Yes, refuse_existing, require_confirmation
+from tetractl.cli.options import (
+    AsJson,
+    LabChoice,
+    Sets,
+    Spec,
+    Yes,
+    refuse_existing,
+    require_confirmation,
+)
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
     from tetractl.experiment.choice import FoundCell
+    from tetractl.experiment.experiment import Experiment
+    from tetractl.lab.rig import Rig
 
 NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
 
@@ -35,6 +45,7 @@ def survey(
             help="Number of plans to search for each of the best choices of cells.",
         ),
     ] = 48,
+    plant: LabChoice = "lab",
     yes: Yes = False,
     as_json: AsJson = False,
 ) -> int:
@@ -52,19 +63,17 @@ def survey(
     from tetractl.analysis.choices import alike, ranked
     from tetractl.analysis.closed_loop import Noise
     from tetractl.cli.options import load
-    from tetractl.core.clock import MonotonicClock
     from tetractl.core.files import save_whole
     from tetractl.core.protocols import LabSupervision
     from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import document_of
-    from tetractl.experiment.plants import lab_of, on_plant
+    from tetractl.experiment.plants import on_plant
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.lab.find_cells import turn_field
-    from tetractl.lab.rig import build_rig
     from tetractl.run.interrupt import interrupted_once
 
     loaded = load(spec, sets or [])
-    experiment = on_plant(loaded, "lab").experiment
+    experiment = on_plant(loaded, plant).experiment
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
         raise UsageError(
@@ -72,13 +81,11 @@ def survey(
             "a survey needs `robots: {choose: N, ...}` in the spec",
         )
     refuse_existing(output)
-    require_confirmation(yes)
-    setup = experiment.setup
-    with interrupted_once(robots=True):
-        rig = build_rig(lab_of(experiment, loaded.name), setup, MonotonicClock())
-        with rig:
-            cells = turn_field(rig, choice, experiment.trials.seed, LabSupervision())
-            rig.loop.stop()
+    if experiment.plant.real_time:
+        require_confirmation(yes)
+    with interrupted_once(robots=True), rig_of(experiment) as rig:
+        cells = turn_field(rig, choice, experiment.trials.seed, LabSupervision())
+        rig.loop.stop()
     pairs = list(alike(cells))
     if not as_json:
         _print_cells(cells, pairs, unit)
@@ -107,6 +114,18 @@ def survey(
         save_whole(output, dump(data).encode())
         print(f"wrote {output}: a trial of this spec finds these cells again", file=sys.stderr)
     return Exit.DONE
+
+
+def rig_of(experiment: "Experiment") -> "Rig":
+    """Return the rig of an experiment's lab, real or emulated, before its first trial."""
+    from numpy.random import SeedSequence
+
+    from tetractl.plant.lab_plant import LabPlantSection
+
+    lab = experiment.plant
+    assert isinstance(lab, LabPlantSection), "`on_plant` has chosen a lab"
+    seed = SeedSequence(experiment.trials.seed)
+    return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
 
 
 def _print_cells(

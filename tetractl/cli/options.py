@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -86,6 +86,14 @@ def refuse(found: "Sequence[PlacedWarning]") -> None:
         raise UsageError(
             f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
         )
+
+
+LabChoice = Annotated[
+    Literal["lab", "emulated"],
+    typer.Option(
+        "--plant", help="lab: the spec's lab. emulated: emulate that lab in virtual time."
+    ),
+]
 
 
 def require_confirmation(yes: bool) -> None:

@@ -22,8 +22,8 @@ def redrive(
     plant: Annotated[
         PlantChoice,
         typer.Option(
-            help="sim: drive a simulation. lab: drive the robots of the log's lab. emulated: emulate "
-            "that lab in virtual time."
+            help="sim: drive a simulation. lab: drive the robots of the log's lab. emulated: "
+            "emulate that lab in virtual time."
         ),
     ] = PlantChoice.SIM,
     out: Annotated[

@@ -32,8 +32,8 @@ def run(
     plant: Annotated[
         PlantChoice | None,
         typer.Option(
-            help="sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab "
-            "in virtual time.  \\[spec: plant.type]"
+            help="sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that "
+            "lab in virtual time.  \\[spec: plant.type]"
         ),
     ] = None,
     yes: Yes = False,

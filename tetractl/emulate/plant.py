@@ -1,8 +1,8 @@
-"""The plant `emulated`: the emulated lab and our side of it, in one process and in virtual time.
+"""The plant `emulated`: an emulated lab and our side of it, in one process and in virtual time.
 
-Guard, inner loop, camera, actuator, their frames, firmware and pictures are those of a run in the
-lab; only wires and clock differ, so the speed of the computer changes nothing. Planning takes no
-virtual time, as in a simulation.
+Guard, inner loop, camera, actuator, frames, firmware and pictures are those of a run in the lab;
+only the wires and the clock differ, so the speed of the computer changes nothing. As in a
+simulation, planning takes no virtual time.
 """
 
 import threading
@@ -15,20 +15,20 @@ from tetractl.core.setup import Setup
 from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.script import NOTHING, Script, Sides
 from tetractl.emulate.sides import Options
-from tetractl.emulate.virtual_wires import LabClock, MemoryWires, VirtualLoop
+from tetractl.emulate.virtual_wires import LabClock, VirtualLoop, memory_wires
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.rig import Rig
-from tetractl.plant.lab_plant import RiggedSection
+from tetractl.plant.lab_plant import LabPlantSection
 
 
-class EmulatedPlantSection(RiggedSection):
-    """A lab that is emulated in virtual time: no device is used."""
+class EmulatedPlantSection(LabPlantSection):
+    """A lab that is emulated in virtual time; no device is used."""
 
-    type: Literal["emulated"] = "emulated"
+    type: Literal["emulated"] = "emulated"  # type: ignore[assignment]
 
     @property
     def real_time(self) -> bool:
-        """False: no device is driven."""
+        """False: trials take virtual time and need no operator."""
         return False
 
     def clock(self) -> Clock:
@@ -47,25 +47,24 @@ class EmulatedPlantSection(RiggedSection):
         emergency: threading.Event | None = None,
         chosen: bool = False,
     ) -> Rig:
-        """Return the rig of an emulated lab of its own. All trials with one root seed have the same
-        cells in the dish; everything else is drawn from the trial's `seed`.
+        """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
+        in the dish; the trial's `seed` gives everything else.
         """
         assert isinstance(clock, LabClock), "`clock` returned it"
-        dish, own = seed.entropy, int(seed.generate_state(2)[1])
-        assert isinstance(dish, int), "the root seed of trials is one number"
-        options = Options(address=None, seed=own, chosen=chosen, dish=dish)
-        emulation = started(self, setup, clock, options)
-        return connected(emulation, self, setup, clock, emergency)
+        assert isinstance(seed.entropy, int), "the root seed is one number"
+        own = int(seed.generate_state(2)[1])
+        options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
+        return connected(started(self, setup, clock, options), self, setup, clock, emergency)
 
 
 def started(
     lab: LabSection, setup: Setup, clock: LabClock, options: Options, script: Script = NOTHING
 ) -> EmulatedLab:
-    """Return an emulated lab that runs on a clock."""
-    wires = MemoryWires(clock)
-    emulation = EmulatedLab(lab, setup, script, options, make_loop=VirtualLoop, wires=wires)
+    """Return an emulated lab that runs on a clock; nothing in it has to be released."""
+    loop, wires = VirtualLoop, memory_wires(clock)
+    emulation = EmulatedLab(lab, setup, script, options, make_loop=loop, wires=wires).__enter__()
+    assert isinstance(emulation.loop, VirtualLoop)
     clock.timeline = emulation.timeline
-    emulation.__enter__()  # holds nothing that must be released
     clock.steps.insert(0, emulation.loop.poll)
     return emulation
 

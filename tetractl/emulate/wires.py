@@ -1,6 +1,7 @@
-"""The wires between an emulated lab and programs: here those of this computer, in real time."""
+"""The wires between an emulated lab and the programs that use it."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,32 +11,26 @@ from tetractl.emulate.port import PseudoPort
 from tetractl.lab.serial_port import Ports
 
 
-class Wires:
-    """Makes the ends of all connections: sockets, serial ports and network cameras.
+def _network_camera(*arguments: Any, **settings: Any) -> Any:
+    from tetractl.emulate.stream_side import EmulatedNetworkCamera  # imports OpenCV
 
-    `ports` and `make_socket` make our ends, None for the devices' own way to make them.
+    return EmulatedNetworkCamera(*arguments, **settings)
+
+
+@dataclass(frozen=True, slots=True)
+class Wires:
+    """Functions that make the ends of connections; by default those of this computer, in real time.
+
+    Of the emulation: `port` makes a serial port from the name that programs open, `bound` a UDP
+    socket at an address and port, `network_camera` a camera from the arguments of
+    EmulatedNetworkCamera, and `clock` its clock. Of programs: `ports` and `make_socket`, None for
+    the devices' own. `each_step` takes a function that replaces a thread of a program.
     """
 
+    clock: Callable[[], Clock] = MonotonicClock
+    port: Callable[[Path], PseudoPort] = PseudoPort
+    bound: Callable[[str, int], Any] = bound_udp
+    network_camera: Callable[..., Any] = _network_camera
     ports: Ports | None = None
     make_socket: Callable[[], Any] | None = None
-
-    def clock(self) -> Clock:
-        """Return the clock of a network camera."""
-        return MonotonicClock()
-
-    def each_step(self, turn: Callable[[], None]) -> None:
-        """Call `turn` in each step of virtual time; in real time a thread has its task."""
-
-    def port(self, link: Path) -> PseudoPort:
-        """Return a device's end of a serial port that programs open by the name `link`."""
-        return PseudoPort(link)
-
-    def bound(self, address: str, port: int) -> Any:
-        """Return a UDP socket at an address; TetractlError if its port is in use."""
-        return bound_udp(address, port)
-
-    def network_camera(self, *args: Any, **settings: Any) -> Any:
-        """Return a camera from the arguments of EmulatedNetworkCamera; cv2 must be installed."""
-        from tetractl.emulate.stream_side import EmulatedNetworkCamera
-
-        return EmulatedNetworkCamera(*args, **settings)
+    each_step: Callable[[Callable[[], None]], None] = lambda turn: None

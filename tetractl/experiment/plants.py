@@ -62,8 +62,8 @@ def on_plant(loaded: LoadedSpec, kind: PlantKind | None) -> LoadedSpec:
 
 
 def lab_as(kind: PlantKind | None, lab: LabSection) -> LabSection:
-    """Return a lab as a plant of a kind: its devices are emulated, or real if they were emulated."""
-    if kind == lab.type or VIRTUAL_LAB not in (kind, lab.type):
+    """Return a lab as a plant of a kind; None and another package's kind change nothing."""
+    if kind is None or kind == lab.type or VIRTUAL_LAB not in (kind, lab.type):
         return lab
     return PLANTS.load(kind).model_validate(dict(lab) | {"type": kind})
 

@@ -156,7 +156,7 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
     if number == 11 or "exclusively lock" in text:
         return PortHeldError(name)
     if number == 2 or "No such file" in text:
-        return _missing(name, device)
+        return missing_port(name, device)
     if number == 13:
         return AbortError(
             f"{name}: this user has no permission to open the port",
@@ -168,10 +168,11 @@ def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
 def require_port(name: str, device: str) -> None:
     """Raise AbortError if no port has this name; the error's hint asks about `device`."""
     if not Path(name).exists():
-        raise _missing(name, device)
+        raise missing_port(name, device)
 
 
-def _missing(name: str, device: str) -> AbortError:
+def missing_port(name: str, device: str) -> AbortError:
+    """Return the error for a name that no port has; its hint asks about `device`."""
     return AbortError(f"{name}: there is no such port", f"is {device} plugged in?")
 
 

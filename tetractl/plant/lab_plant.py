@@ -2,7 +2,6 @@
 
 import math
 import threading
-from abc import abstractmethod
 from collections import deque
 from collections.abc import Sequence
 from typing import Literal
@@ -30,10 +29,15 @@ KEPT = 100_000
 RECENT = 600  # number of newest frames that are kept, those of some seconds
 
 
-class RiggedSection(LabSection):
-    """A lab whose plant is a `Rig`; `rig` says how the rig is made."""
+class LabPlantSection(LabSection):
+    """A lab with real robots: a camera, an actuator and limits."""
 
-    @abstractmethod
+    type: Literal["lab"] = "lab"
+
+    def clock(self) -> Clock:
+        """Return the host's monotonic clock."""
+        return MonotonicClock()
+
     def rig(
         self,
         setup: Setup,
@@ -42,10 +46,11 @@ class RiggedSection(LabSection):
         emergency: threading.Event | None = None,
         chosen: bool = False,
     ) -> Rig:
-        """Return the rig of one trial or command; no real device is opened yet.
+        """Return the rig of one trial or command; no device is opened yet.
 
-        `seed` is for an emulation. `chosen`: the robots of the setup are still to be found.
+        An emulated lab needs `seed`, and `chosen`: whether the robots are still to be found.
         """
+        return build_rig(self, setup, clock, emergency)
 
     def build(
         self, setup: Setup, clock: Clock, seed: np.random.SeedSequence, supervision: LabSupervision
@@ -80,27 +85,6 @@ class RiggedSection(LabSection):
             rig.close()
             raise
         return FoundRobots(cells, build, rig.close)
-
-
-class LabPlantSection(RiggedSection):
-    """A lab with real robots: a camera, an actuator and limits."""
-
-    type: Literal["lab"] = "lab"
-
-    def clock(self) -> Clock:
-        """Return the host's monotonic clock."""
-        return MonotonicClock()
-
-    def rig(
-        self,
-        setup: Setup,
-        clock: Clock,
-        seed: np.random.SeedSequence,
-        emergency: threading.Event | None = None,
-        chosen: bool = False,
-    ) -> Rig:
-        """Return the rig of the lab's devices; nothing is opened yet."""
-        return build_rig(self, setup, clock, emergency)
 
 
 class LabPlant:

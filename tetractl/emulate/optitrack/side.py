@@ -265,9 +265,7 @@ class EmulatedOptitrack:
             "transport": streaming.transport,
         }
 
-    def connected(
-        self, setup: Setup, clock: Clock, wake: Callable[[], None]
-    ) -> OptitrackCamera:
+    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> OptitrackCamera:
         """Return our NatNet client, connected to the server."""
         camera = OptitrackCamera(self._section, setup, clock, wake, self._wires.make_socket)
         self._wires.each_step(camera.turn)

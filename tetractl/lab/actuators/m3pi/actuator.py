@@ -34,7 +34,7 @@ AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
 class M3piActuator:
-    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for the Link."""
+    """Drives the setup's robots; see `tetractl.core.protocols.Actuator`. `ports` is for `Link`."""
 
     individual = True
     halts = True

@@ -50,8 +50,8 @@ class PictureCamera(ABC, Generic[S]):
 
     `wake` is called, in the searching thread, after every new frame. A frame has its picture's
     number: if a live source is faster than the search, numbers are missing. The `fault` of a frame
-    is never set. `join`, if given, opens a source in memory that calls a function with each picture:
-    then there are no threads.
+    is never set. `join` opens a source in memory that calls a function with each picture, without a
+    thread; None opens the spec's source.
     """
 
     def __init__(

@@ -21,10 +21,11 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support import virtual_wires  # noqa: E402
 from support.bench_agreement import VirtualLab  # noqa: E402
 from support.ghosts import KINDS, Ghost, trial_of  # noqa: E402
 from support.labs import CAMERA_HZ  # noqa: E402
+
+from tetractl.emulate import virtual_wires  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
 ALL = (0, 1, 2)

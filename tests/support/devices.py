@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, in_virtual_time
 from support.labs import STEP_NS, FakeActuator, FakeCamera, World
-from support.virtual_wires import LabClock
 
 from tetractl.core.clock import Clock, MonotonicClock, wait_for
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
+from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.load import parse_spec
 
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass

@@ -5,12 +5,13 @@ import socket
 from dataclasses import replace
 from pathlib import Path
 
-from support.virtual_wires import LabClock, Network, VirtualLoop, virtual_wires
+from support.virtual_wires import PatientClock, virtual_wires
 
 from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options
+from tetractl.emulate.virtual_wires import VirtualLoop, memory_wires
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.wire import pack, parse
@@ -65,7 +66,9 @@ APRILTAG = """lab:
 APRILTAG_SPEC = SPEC[: SPEC.index("lab:")] + APRILTAG + SPEC[SPEC.index("  actuator:") :]
 
 
-def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop, **options):
+def emulated(
+    folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop, wires=None, **options
+):
     """Return an EmulatedLab, not yet entered; `script` may be YAML."""
     loaded = parse_spec(spec, "emulated.yaml", sets)
     lab = lab_of(loaded.experiment, loaded.name)
@@ -78,15 +81,17 @@ def emulated(folder, *sets, script=NOTHING, tell=None, spec=SPEC, make_loop=Loop
         **options,
     )
     extra = {} if tell is None else {"report": tell}
-    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, make_loop=make_loop, **extra)
+    extra |= {"make_loop": make_loop, "wires": wires}
+    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
 
 
 @contextlib.contextmanager
 def in_virtual_time(folder, *sets, **how):
     """Enter an emulated lab in virtual time; return it, its clock, and the settings to reach it."""
-    clock = LabClock()
-    with virtual_wires(Network(), clock):
-        lab = emulated(folder, *sets, make_loop=VirtualLoop, **how)
+    clock = PatientClock()
+    wires = memory_wires(clock)
+    with virtual_wires(wires, clock):
+        lab = emulated(folder, *sets, make_loop=VirtualLoop, wires=wires, **how)
         clock.timeline = lab.timeline
         with lab:
             clock.steps.insert(0, lab.loop.poll)

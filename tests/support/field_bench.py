@@ -1,13 +1,12 @@
 """A current driver, a section of the spec for it, in virtual time."""
 
-from unittest import mock
-
-from support.virtual_wires import LabClock, MemoryPort, MemorySerial
+from support.virtual_wires import PatientClock
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.field import CurrentDriver
 from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Timeline
+from tetractl.emulate.virtual_wires import memory_wires
 from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.driver import FieldCommand, encode_command
 from tetractl.lab.actuators.field.section import FieldSection
@@ -33,9 +32,10 @@ class Bench:
     """An emulated driver on a port in memory, in virtual time; `told` is what it heard."""
 
     def __init__(self, limits=LIMITS, baud=115_200):
-        self.clock, self.told = LabClock(), []
+        self.clock, self.told = PatientClock(), []
         self.clock.timeline = Timeline(lambda until: self.driver.advance(until))
-        self.port = MemoryPort("coils")
+        self.wires = memory_wires(self.clock)
+        self.port = self.wires.port("coils")
         self.driver = CurrentDriver(
             self.clock.timeline,
             self.port,
@@ -49,8 +49,8 @@ class Bench:
 
     def opened(self, setup, **changes):
         """Return an actuator that leads to the driver."""
-        with mock.patch("tetractl.lab.actuators.field.driver.SerialPort", MemorySerial):
-            return FieldActuator(section(port="coils", **changes), setup, self.clock)
+        coils = section(port="coils", **changes)
+        return FieldActuator(coils, setup, self.clock, self.wires.ports)
 
 
 class Wire:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from support.virtual_wires import LabClock
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, RobotStatus, Transmission
@@ -12,6 +11,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
+from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rig import Rig
 from tetractl.model.motion.exact import step as exact

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from support.labs import CAMERA_HZ
-from support.virtual_wires import STEP_NS, LabClock, Network, VirtualLoop, virtual_wires
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Health
@@ -24,8 +23,8 @@ from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
 from tetractl.emulate.optitrack.natnet_server import Streaming
 from tetractl.emulate.sides import Options, Stage
+from tetractl.emulate.virtual_wires import STEP_NS, LabClock, VirtualLoop, memory_wires
 from tetractl.experiment.experiment import Experiment
-from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlant
@@ -152,10 +151,11 @@ def virtual_lab(
     def ignore(*_: object, **__: object) -> None:
         pass
 
-    stage = Stage(lab, setup, clock.timeline, Options(seed=seed), ignore, ignore, ignore, ignore)
-    with virtual_wires(Network(), clock):
-        side = EmulatedM3pi(stage, settings)
-        actuator = M3piActuator(lab.actuator, setup, clock)
+    reports = ignore, ignore, ignore, ignore
+    wires = memory_wires(clock)
+    stage = Stage(lab, setup, clock.timeline, Options(seed=seed), *reports, wires)
+    side = EmulatedM3pi(stage, settings)
+    actuator = side.connected(setup, clock)
     side.open(VirtualLoop(clock.timeline, ignore))
     actuator.link._port.open()
     actuator.link.open = ignore  # the module on it is not checked

@@ -29,8 +29,8 @@ def rerun(
     plant: Annotated[
         PlantChoice,
         typer.Option(
-            help="sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab "
-            "in virtual time."
+            help="sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that "
+            "lab in virtual time."
         ),
     ] = PlantChoice.SIM,
     yes: Yes = False,

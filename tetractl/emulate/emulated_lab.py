@@ -76,7 +76,8 @@ class EmulatedLab:
         self.loop = make_loop(self.timeline, lambda lag: self._note("late", lag_ms=lag / 1e6))
         self.injector = Injector(self.timeline, script.faults, self._device_of, self._fault)
         reports = self._note, self._exposed, self.injector.sent, self._client
-        stage = Stage(lab, setup, self.timeline, options, *reports, wires or Wires())
+        self.wires = wires or Wires()
+        stage = Stage(lab, setup, self.timeline, options, *reports, self.wires)
         sides = Sides.of(lab.camera.type, lab.actuator.type)
         emulated = script.emulation
         self.actuator: EmulatedActuator = sides.actuator(

@@ -43,8 +43,7 @@ class EmulatedNetworkCamera:
     entered. The picture is sent `latency_s` after the middle of the exposure, or as soon as it is
     drawn; a busy host skips some exposures. `mangle` changes the bytes of a part before they are
     sent; `frozen` stops exposures while it is set; only every `every`-th picture is sent. A camera
-    that `drips` sends an endless header byte by byte. Entering raises TetractlError if the port is
-    in use.
+    that `drips` sends an endless header byte by byte. Raises TetractlError if the port is in use.
     """
 
     def __init__(
@@ -67,9 +66,31 @@ class EmulatedNetworkCamera:
         self._rate_hz, self._quality = rate_hz, quality
         self._half = round(exposure_s * SECOND / 2)
         self._latency = round(latency_s * SECOND)
-        self._port = port
         self._clients: set[queue.Queue[tuple[int, bytes]]] = set()
         self._closing = threading.Event()
+        self._open(port)
+
+    def _open(self, port: int) -> None:
+        camera = self
+
+        class Answer(BaseHTTPRequestHandler):
+            def do_GET(self) -> None:
+                camera._serve(self)
+
+            def log_message(self, format: str, *args: object) -> None:
+                """Do nothing, so that requests are not printed."""
+
+        try:
+            self._server = ThreadingHTTPServer(("127.0.0.1", port), Answer)
+        except OSError as error:
+            raise TetractlError(f"port {port} cannot be opened: {error.strerror}") from error
+        self._server.daemon_threads = True
+        self._threads = [
+            threading.Thread(
+                target=self._server.serve_forever, args=(WAIT_S,), name="emulated-http", daemon=True
+            ),
+            threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
+        ]
 
     @property
     def port(self) -> int:
@@ -87,26 +108,6 @@ class EmulatedNetworkCamera:
         return f"http://127.0.0.1:{self.port}/"
 
     def __enter__(self) -> Self:
-        camera = self
-
-        class Answer(BaseHTTPRequestHandler):
-            def do_GET(self) -> None:
-                camera._serve(self)
-
-            def log_message(self, format: str, *args: object) -> None:
-                """Do nothing, so that requests are not printed."""
-
-        try:
-            self._server = ThreadingHTTPServer(("127.0.0.1", self._port), Answer)
-        except OSError as error:
-            raise TetractlError(f"port {self._port} cannot be opened: {error.strerror}") from error
-        self._server.daemon_threads = True
-        self._threads = [
-            threading.Thread(
-                target=self._server.serve_forever, args=(WAIT_S,), name="emulated-http", daemon=True
-            ),
-            threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
-        ]
         for thread in self._threads:
             thread.start()
         return self

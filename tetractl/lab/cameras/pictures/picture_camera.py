@@ -72,6 +72,7 @@ class PictureCamera(ABC, Generic[S]):
         self._unread = 0  # number of pictures that could not be decoded
         self._number = self._skipped = 0
         self._ended = ""
+        self._changed = threading.Condition()
         self._closing = threading.Event()
         self._threads: list[threading.Thread] = []
 
@@ -172,6 +173,8 @@ class PictureCamera(ABC, Generic[S]):
                 self._offer((number, picture), feed.live)
         except SourceEndedError as error:
             self._ended = str(error)
+            with self._changed:
+                self._changed.notify_all()
         finally:
             feed.close()
 
@@ -215,7 +218,12 @@ class PictureCamera(ABC, Generic[S]):
         self._fresh.append(frame)
         self._newest = frame
         self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, seen))
+        with self._changed:
+            self._changed.notify_all()
         self._wake()
 
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> bool:
-        return wait_for(self._clock, done, timeout_s)
+        if self._join is not None:
+            return wait_for(self._clock, done, timeout_s)
+        with self._changed:
+            return self._changed.wait_for(done, timeout_s)

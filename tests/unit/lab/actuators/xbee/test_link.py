@@ -3,13 +3,12 @@
 import os
 import pty
 import tty
-from unittest import mock
 
 import pytest
-from support.virtual_wires import LabClock, MemoryPort, MemorySerial
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import AbortError
+from tetractl.emulate.virtual_wires import LabClock, memory_wires
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.serial_protocols import BroadcastProtocol
 from tetractl.lab.actuators.xbee.frames import (
@@ -33,7 +32,8 @@ class Module:
 
     def __init__(self, answers=SERIES_1, respond=lambda frame: []):
         self.name, self.clock = "radio", LabClock()
-        self.port = MemoryPort(self.name)
+        self.wires = memory_wires(self.clock)
+        self.port = self.wires.port(self.name)
         self.port.plug()
         self.port.written = self._hear
         self.answers, self.respond = answers, respond
@@ -41,8 +41,7 @@ class Module:
         self.sent = []
 
     def opened(self, **radio):
-        with mock.patch("tetractl.lab.actuators.xbee.link.SerialPort", MemorySerial):
-            link = Link(XbeeSection(port=self.name, **radio), self.clock)
+        link = Link(XbeeSection(port=self.name, **radio), self.clock, self.wires.ports)
         link.open()
         return link
 

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import pytest
 from support.emulated_lab import SPEC, in_virtual_time
-from support.virtual_wires import VirtualCamera
+from support.virtual_wires import Joined
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
@@ -58,7 +58,7 @@ def own_address(camera):
 
 def stranger_of(address="127.0.0.1"):
     """A socket that is not the server's."""
-    return VirtualCamera.network.bound(address, 0)
+    return Joined.wires.bound(address, 0)
 
 
 def stray(number, x=0.1, version=V41):

@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -88,8 +88,10 @@ def recorded(log: Path, plant: "PlantKind") -> "tuple[LoadedSpec, int]":
     lab = trial.experiment.plant
     if plant == "sim" or not isinstance(lab, LabSection):
         return on_plant(spec, plant), start.trial
-    experiment = trial.experiment.model_copy(update={"plant": lab_as(plant, lab)})
-    return replace(spec, experiment=experiment), start.trial
+    changed: dict[str, Any] = {"plant": lab_as(plant, lab)}
+    if (choice := trial.experiment.chosen) is not None:  # no cell is where the log's trial began
+        changed["chosen"] = choice.model_copy(update={"found": False})
+    return replace(spec, experiment=trial.experiment.model_copy(update=changed)), start.trial
 
 
 def compare(log: Path, again: Path) -> int:
@@ -99,8 +101,10 @@ def compare(log: Path, again: Path) -> int:
     from tetractl.replay.verify import host_differences
 
     first, second = read_result(log), read_result(again)
-    if not (first.simulated and second.simulated):
-        kinds = ("simulated" if one.simulated else "of the lab" for one in (first, second))
+    plants = [one.experiment.plant for one in (first, second)]
+    if plants[0].type != plants[1].type or plants[0].real_time:
+        names = {"sim": "simulated", "lab": "of the lab"}
+        kinds = (names.get(plant.type, plant.type) for plant in plants)
         text = "the log is {}, the new one {}: the two are not compared"
         print(text.format(*kinds), file=sys.stderr)
         return Exit.DONE

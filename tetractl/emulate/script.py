@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal, Self, get_args
 from pydantic import Field, PlainValidator, ValidationError, ValidationInfo
 from pydantic_core import ErrorDetails, PydanticCustomError
 
-from tetractl.core.errors import SpecError
+from tetractl.core.errors import AbortError, SpecError
 from tetractl.core.registries import EMULATED_ACTUATORS, EMULATED_CAMERAS
 from tetractl.emulate.faults import MARK, Fault
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
@@ -126,14 +126,24 @@ class Sides:
 
     @classmethod
     def of(cls, camera: str, actuator: str) -> Self:
-        """Return the classes for a lab's types; SpecError if one cannot be emulated."""
+        """Return the classes for a lab's types; SpecError if one cannot be emulated, AbortError
+        without the software that it needs.
+        """
         for registry, name in ((EMULATED_CAMERAS, camera), (EMULATED_ACTUATORS, actuator)):
             if name not in registry:
                 known = ", ".join(registry.names())
                 raise SpecError(
                     f"{name} cannot be emulated", f"types that can be emulated: {known}"
                 )
-        return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
+        try:
+            return cls(EMULATED_CAMERAS.load(camera), EMULATED_ACTUATORS.load(actuator))
+        except ModuleNotFoundError as error:
+            if error.name != "cv2":
+                raise
+            raise AbortError(
+                f"the emulated {camera} camera needs OpenCV, which is not installed",
+                "pip install 'tetractl[vision]'",
+            ) from error
 
     @property
     def faults(self) -> dict[str, type[Fault]]:

@@ -7,7 +7,6 @@ from typing import Self
 from tetractl.core.clock import SECOND
 from tetractl.emulate.stream_side import BOUNDARY, EmulatedNetworkCamera, coded, part
 from tetractl.emulate.virtual_wires import LabClock
-from tetractl.lab.cameras.pictures.feed import Picture
 from tetractl.lab.cameras.pictures.multipart import Multipart
 
 
@@ -19,7 +18,7 @@ class MemoryCamera(EmulatedNetworkCamera):
 
     live = emulated = True
     rate_hz: float | None = None
-    _take: Callable[[Picture], None] | None = None
+    _take: Callable[[bytes], None] | None = None
     _clock: LabClock
 
     def _open(self, port: int) -> None:
@@ -48,8 +47,8 @@ class MemoryCamera(EmulatedNetworkCamera):
         """Number of parts that could not be read."""
         return self._parts.damaged
 
-    def join(self, take: Callable[[Picture], None]) -> Self:
-        """Pass each picture to `take` from now on; return the feed."""
+    def join(self, take: Callable[[bytes], None]) -> Self:
+        """Pass each picture, a JPEG file, to `take` from now on; return the feed."""
         self._take, self._parts = take, Multipart(BOUNDARY)
         return self
 
@@ -66,5 +65,5 @@ class MemoryCamera(EmulatedNetworkCamera):
                 self._sent.append((exposed + self._latency, jpeg))
         while self._sent and self._sent[0][0] <= now:
             body = self.mangle(part(self._sent.popleft()[1]))
-            for content in self._parts.feed(body) if self.watched else ():
-                self._take(Picture(content, now))  # type: ignore[misc]
+            for jpeg in self._parts.feed(body) if self.watched else ():
+                self._take(jpeg)  # type: ignore[misc]

@@ -12,11 +12,6 @@ import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
-from tetractl.emulate.emulated_lab import EmulatedLab
-from tetractl.emulate.script import NOTHING, Script, Sides
-from tetractl.emulate.sides import Options
-from tetractl.emulate.virtual_wires import LabClock, VirtualLoop, memory_wires
-from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlantSection
 
@@ -33,10 +28,14 @@ class EmulatedPlantSection(LabPlantSection):
 
     def clock(self) -> Clock:
         """Return a clock in virtual time."""
+        from tetractl.emulate.virtual_wires import LabClock
+
         return LabClock()
 
     def require_devices(self) -> None:
         """Raise SpecError if a device cannot be emulated, AbortError if software is missing."""
+        from tetractl.emulate.script import Sides
+
         Sides.of(self.camera.type, self.actuator.type)
 
     def rig(
@@ -50,36 +49,12 @@ class EmulatedPlantSection(LabPlantSection):
         """Return the rig of a new emulated lab. Trials with the same root seed have the same cells
         in the dish; the trial's `seed` gives everything else.
         """
+        from tetractl.emulate.sides import Options
+        from tetractl.emulate.virtual_lab import connected, started
+        from tetractl.emulate.virtual_wires import LabClock
+
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
         own = int(seed.generate_state(2)[1])
         options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
         return connected(started(self, setup, clock, options), self, setup, clock, emergency)
-
-
-def started(
-    lab: LabSection, setup: Setup, clock: LabClock, options: Options, script: Script = NOTHING
-) -> EmulatedLab:
-    """Return an emulated lab that runs on a clock; nothing in it has to be released."""
-    loop, wires = VirtualLoop, memory_wires(clock)
-    emulation = EmulatedLab(lab, setup, script, options, make_loop=loop, wires=wires).__enter__()
-    assert isinstance(emulation.loop, VirtualLoop)
-    clock.timeline = emulation.timeline
-    clock.steps.insert(0, emulation.loop.poll)
-    return emulation
-
-
-def connected(
-    emulation: EmulatedLab,
-    lab: LabSection,
-    setup: Setup,
-    clock: LabClock,
-    emergency: threading.Event | None = None,
-) -> Rig:
-    """Return the rig between the devices of an emulated lab in virtual time."""
-    wake = threading.Event()
-    camera = emulation.camera.connected(setup, clock, wake.set)
-    actuator = emulation.actuator.connected(setup, clock)
-    rig = Rig(camera, actuator, lab.limits, setup, clock, emergency, wake, threaded=False)
-    clock.steps.append(rig.loop.turn)
-    return rig

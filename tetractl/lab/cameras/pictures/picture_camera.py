@@ -24,8 +24,8 @@ KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.05
 CLOSE_S = 2.0
 
-Join = Callable[[Callable[[Picture], None]], Feed]
-"""Opens a source in memory, which calls a function with each picture."""
+Join = Callable[[Callable[[bytes], None]], Feed]
+"""Opens a source in memory, which calls a function with each picture, a JPEG file."""
 
 
 class SearchedPicture(Protocol):
@@ -178,9 +178,9 @@ class PictureCamera(ABC, Generic[S]):
         finally:
             feed.close()
 
-    def _take(self, picture: Picture) -> None:
+    def _take(self, jpeg: bytes) -> None:
         self._number += 1
-        self._search(self._number, picture)
+        self._search(self._number, Picture(jpeg, self._clock.now()))
 
     def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
         while not self._closing.is_set():

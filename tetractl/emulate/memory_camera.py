@@ -22,7 +22,7 @@ class MemoryCamera(EmulatedNetworkCamera):
     _clock: LabClock
 
     def _open(self, port: int) -> None:
-        self._port = port  # which nobody opens
+        self._port = port  # not opened
 
     def __enter__(self) -> Self:
         self._start, self._sent = self._clock.now(), deque[tuple[int, bytes]]()

@@ -121,6 +121,7 @@ class DishPainter:
     seed: int = 0
     _still: Shades | None = None
     _noise: Shades | None = None
+    _shade: Shades | None = None
     _random: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
@@ -128,7 +129,7 @@ class DishPainter:
 
     def change(self, **values: Any) -> None:
         """Give the named fields of `look` new values."""
-        self.look, self._still = replace(self.look, **values), None
+        self.look, self._still, self._shade = replace(self.look, **values), None, None
 
     def picture(
         self, cells: Swimmers, moments: Sequence[Bodies], shown: Bools, seconds: float
@@ -159,8 +160,11 @@ class DishPainter:
         return grey if look.quality is None else recoded(grey, look.quality)
 
     def _vignette(self) -> Shades:
-        rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
-        return (1 - self.look.vignetting * (rows**2 + columns**2) / 2).astype(np.float32)
+        if self._shade is None:
+            rows, columns = np.ogrid[-1 : 1 : 1j * self.look.height, -1 : 1 : 1j * self.look.width]
+            shade = 1 - self.look.vignetting * (rows**2 + columns**2) / 2
+            self._shade = shade.astype(np.float32)
+        return self._shade
 
     def _grain(self) -> Shades:
         if self._noise is None:

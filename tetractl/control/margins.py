@@ -11,7 +11,9 @@ identified values. The first term is due to a lost command, the others to uncert
 centres of two robots keep a distance of the spec's separation plus twice that deviation.
 
 If a robot or a target is already nearer to an obstacle, the margin is reduced to its distance,
-because no plan could keep the full margin.
+because no plan could keep the full margin. It is never reduced below the robot's radius, unless a
+target is nearer: a plan for a robot whose body touches something leads outward first. The
+separation is not reduced below two radii unless two robots or targets are nearer already.
 
 Robots that receive no command for a while keep their direction. `Margins.clear_unheard` tests
 whether robots would stay clear if that happened at any one signal of a plan.
@@ -50,28 +52,39 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
 
 class Margins:
     """The margins of a trial around the obstacles `shapes` and, if given, the walls of the arena;
-    a grown obstacle contains none of the N targets."""
+    a grown obstacle contains none of the N targets. The robots' bodies have the radius `radius`
+    [length unit]."""
 
-    def __init__(self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats) -> None:
-        self._bare = Obstacles.of(shapes, 0.0, walls)
-        self._targets = targets
+    def __init__(
+        self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
+    ) -> None:
+        self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
+        self._targets, self._radius = targets, radius
+        self._least_margins = [_room(one, *targets.T, radius) for one in self._bare.shapes]
         # indices of the robots of each pair
         self._one, self._other = np.triu_indices(len(targets), 1)
         self._apart = self._least(targets[:, 0], targets[:, 1])
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
-        """Return the obstacles grown by the margin, or less so that they contain no robot or
-        target."""
+        """Return the obstacles grown by the margin, or less so that they contain no target, and no
+        robot unless its body touches them."""
         x = np.concatenate([poses.x, self._targets[:, 0]])
         y = np.concatenate([poses.y, self._targets[:, 1]])
-        return Obstacles(tuple(_grown(shape, x, y, margin) for shape in self._bare.shapes))
+        kept = zip(self._bare.shapes, self._least_margins, strict=True)
+        return Obstacles(
+            tuple(
+                one.grown(max(_room(one, x, y, margin), min(margin, least))) for one, least in kept
+            )
+        )
 
-    def entered(self, poses: Poses, x: Floats, y: Floats) -> bool:
-        """Return whether a robot outside all obstacles would touch one, margins ignored, on the
-        straight line from its pose to its point x, y (N,).
+    def entered(self, x: Floats, y: Floats) -> bool:
+        """Return whether a body would touch an obstacle, margins ignored, on the way along x, y
+        (M, N), or would go deeper if it touches one at the beginning.
         """
-        crossed = self._bare.cross(poses.x, poses.y, x, y)
-        return bool((crossed & ~self._bare.contain(poses.x, poses.y)).any())
+        crossed = self._bodies.cross(x[:-1], y[:-1], x[1:], y[1:]).any(axis=0)
+        gaps = self._bare.distance(x, y)
+        deeper = (gaps[1:] < gaps[0]).any(axis=0)
+        return bool((crossed & (deeper | ~self._bodies.contain(x[0], y[0]))).any())
 
     def clear_unheard(
         self,
@@ -112,10 +125,11 @@ class Margins:
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
-        to obstacles and walls, negative inside, and of all distances of two robots minus `apart`.
+        of a body to obstacles and walls, negative inside, and of all distances of two robots minus
+        `apart`.
         """
         between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
-        return np.minimum(self._bare.distance(x, y).min(axis=-1), between)
+        return np.minimum(self._bare.distance(x, y).min(axis=-1) - self._radius, between)
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
         """Return the distance between the two robots of each pair, (..., pairs)."""
@@ -124,11 +138,12 @@ class Margins:
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: `wanted`, or the least present distance between two robots
-        or two targets if that is less.
+        or two targets if that is less, but two radii if robots and targets are so far apart.
         """
         if not self._one.size or wanted <= 0:
             return 0.0
-        return min(wanted, ROOM * min(self._least(poses.x, poses.y), self._apart))
+        least = min(self._least(poses.x, poses.y), self._apart)
+        return min(wanted, max(ROOM * least, min(2 * self._radius, least)))
 
     def _least(self, x: Floats, y: Floats) -> float:
         """Return the least distance between two of N points, inf for a single point."""
@@ -136,11 +151,10 @@ class Margins:
         return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
 
 
-def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:
-    """Return the shape grown by the margin, or by less so that it contains no point (x, y)."""
-    grown = shape.grown(margin)
-    if not grown.contain(x, y).any():
-        return grown
+def _room(shape: Shape, x: Floats, y: Floats, margin: float) -> float:
+    """Return the margin, or less so that the shape grown by it contains no point (x, y)."""
+    if not shape.grown(margin).contain(x, y).any():
+        return margin
     free, taken = 0.0, margin
     for _ in range(BISECTIONS):
         middle = (free + taken) / 2
@@ -148,4 +162,4 @@ def _grown(shape: Shape, x: Floats, y: Floats, margin: float) -> Shape:
             taken = middle
         else:
             free = middle
-    return shape.grown(ROOM * free)
+    return ROOM * free

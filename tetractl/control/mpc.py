@@ -60,6 +60,7 @@ TURNS = 3 * TURN_STEPS  # largest number of these steps before robots drive agai
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
+MOMENTS = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
@@ -151,7 +152,7 @@ class Mpc:
         self.left = self.estimator.left  # True for each robot that is not lost, (N,)
         walls = self.setup.arena if self.section.collision.walls else None
         targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
-        self.margins = Margins(self.setup.obstacles, walls, targets)
+        self.margins = Margins(self.setup.obstacles, walls, targets, self.section.collision.radius)
         self.accepted = self.section.accept_error  # total error, without the factor `late`
         self.warm: Floats | None = None  # u_(warm), None before the first plan
 
@@ -210,7 +211,7 @@ class Mpc:
             return replace(self._pause(problem), delay_ns=delay_ns)  # to end at rest
         plan = self._decide(problem)
         self.blocked, self.left_over = plan.obstacle_cost > 0, plan.target_cost
-        if stops and self.blocked and self.k > 0:
+        if stops and self.blocked:
             if self.warm is None:
                 enters = self._enters(problem, observation, plan.signals)
                 room = problem, self.margins, self.section.collision.separation
@@ -289,12 +290,12 @@ class Mpc:
         return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
 
     def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
-        """Return whether a robot enters an obstacle before the next stop can act."""
+        """Return whether a body enters an obstacle before the next stop can act."""
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
-        x, y, _ = driven(problem, problem.poses, ahead, seconds)
-        return self.margins.entered(problem.poses, x, y)
+        x, y, _ = driven(problem, problem.poses, ahead, seconds * MOMENTS[:, None])
+        return self.margins.entered(x, y)
 
     def _decide(self, problem: Problem) -> Plan:
         """Search every candidate horizon, and longer ones if necessary, and choose the plan.

@@ -69,6 +69,18 @@ def test_robots_turn_on_the_spot_rather_than_pass_close_to_a_wall():
     np.testing.assert_array_equal(out, close)
 
 
+@pytest.mark.parametrize("gap", [75.0, 123.7])
+def test_a_way_out_keeps_bodies_clear(gap):
+    """Regression: from 123.7 mm a way out led a body of 47 mm 24 mm beyond the edge."""
+    problem, _ = standing(facing_the_wall(gap))
+    margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets, 47.0)
+    out, facing = away(problem, margins, 95.0, may_turn=True)
+    assert (facing is None) == (gap > 100)
+    if out is not None:
+        edge = SETUP.arena.inside(*np.moveaxis(predict(problem, out)[..., :2], -1, 0))
+        assert edge.min() > 47
+
+
 def test_no_turn_helps_in_an_arena_as_narrow_as_a_corridor():
     problem, _ = standing(facing_the_wall(500.0))
     middle = SETUP.arena.top - 500.0

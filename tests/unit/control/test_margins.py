@@ -53,6 +53,30 @@ def test_inside_an_obstacle_nothing_of_the_margin_is_left():
     assert shape.row() == pytest.approx(BOX.row(), abs=0.02)
 
 
+@pytest.mark.parametrize(("away", "kept"), [(30, 0.98 * 30), (15, 10), (10.1, 10), (5, 10)])
+def test_the_margin_is_not_reduced_below_the_radius(away, kept):
+    margins = Margins([BOX], None, FAR, 10)
+    (shape,) = margins.obstacles(at((1000 - away, 1050), (600, 600)), 40).shapes
+    assert shape.row()[0] == pytest.approx(1000 - max(kept, 0.98 * away), abs=0.02)
+    (target,) = Margins([BOX], None, np.array([[995.0, 1050]]), 10).obstacles(at((5, 5)), 40).shapes
+    assert target.row()[0] == pytest.approx(1000 - 0.98 * 5, abs=0.02)
+
+
+def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
+    margins = Margins([], None, FAR, 47)
+    apart = [margins.separation(at((500, 500), (500 + gap, 500)), 100) for gap in (120, 95, 90)]
+    assert apart == pytest.approx([100, 94, 90])
+
+
+@pytest.mark.parametrize(
+    ("x0", "x1", "enters"),
+    [(940, 949, False), (940, 951, True), (960, 961, True), (960, 959, False)],
+)
+def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
+    x, y = np.linspace(x0, x1, 4)[:, None], np.full((4, 1), 1050.0)
+    assert Margins([BOX], None, FAR[:1], 50).entered(x, y) is enters
+
+
 def test_robots_keep_the_separation_they_have():
     margins = Margins([], None, FAR)
     assert margins.separation(at((500, 500), (900, 500)), 100) == 100

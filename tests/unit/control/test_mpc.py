@@ -297,15 +297,14 @@ def test_without_a_signal_left_only_an_accepted_error_ends_the_trial():
     assert controller.plan(seen(near(19), now=400_000_000)) is Outcome.SEQUENCE_COMPLETED
 
 
-def beside_a_wall(gap, stop=True):
+def beside_a_wall(gap, stop=True, radius=0):
     """A controller with an empty plan, and robots of which green heads for the right wall."""
-    experiment = spec_around(
-        collision={"test": "swept", "walls": True, "stop_before_collision": stop}
-    )
+    collision = {"test": "swept", "walls": True, "radius": radius}
+    experiment = spec_around(collision=collision | {"stop_before_collision": stop})
     controller = mpc(experiment, 99)
     poses = STARTS.copy()
     poses[0, 0] = experiment.setup.arena.right - gap
-    controller.plan(seen(poses))
+    controller.plan(seen())
     controller.estimator.sent(Command(0.0, 0, (True,) * 3))
     controller.warm = np.empty(0)
     return controller, seen(poses, now=200_000_000)
@@ -350,20 +349,33 @@ def test_robots_turn_only_so_often_before_they_drive():
 
 
 @pytest.mark.parametrize(
-    ("gap", "blocked", "stop"),
-    [(30, False, True), (50, True, True), (-30, True, True), (30, True, False)],
+    ("gap", "radius", "blocked", "stop"),
+    [(30, 0, False, True), (50, 0, True, True), (90, 47, True, True), (30, 0, True, False)],
 )
-def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, blocked, stop):
-    controller, there = beside_a_wall(gap, stop)
+def test_robots_drive_on_where_a_plan_keeps_clear_or_no_wall_is_reached(gap, radius, blocked, stop):
+    controller, there = beside_a_wall(gap, stop, radius)
     controller.blocked = blocked
     plan = controller.plan(there)
     assert isinstance(plan, Plan)
     assert not plan.pauses
 
 
-def test_a_plan_that_touches_an_obstacle_or_its_margin_is_known_as_blocked():
-    assert not beside_a_wall(1000)[0].blocked
-    assert beside_a_wall(1)[0].blocked  # no turn is tight enough
+@pytest.mark.parametrize(("gap", "radius"), [(30, 0), (-30, 0), (70, 47), (30, 47)])
+def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
+    controller, there = beside_a_wall(gap, radius=radius)
+    controller.blocked = True
+    assert controller.plan(there).pauses
+
+
+def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
+    """Regression: green, 5 mm of room before it, came to 21 mm from the edge with its centre."""
+    collision = {"test": "swept", "walls": True, "radius": 47, "stop_before_collision": True}
+    optimizer = {"type": "multistart"}
+    experiment = spec(motion="exact", optimizer=optimizer, collision=collision | {"adaptive": True})
+    poses = STARTS.copy()
+    poses[0] = [experiment.setup.arena.left + 52, 800, math.pi]
+    plan = mpc(experiment, 99).plan(seen(poses))
+    assert plan.facing is not None
 
 
 def test_the_stop_comes_between_two_steps_where_that_is_best():

@@ -10,15 +10,18 @@ Instance i has 2 + i mod 5 robots in 2.4 x 2.4 m: starts, headings and targets a
 150 mm from the edge and 250 mm from each other, one to three rectangles at least 200 mm from all of
 them, a from 2 to 6 rad/s, speeds from 150 to 200 mm/s; walls and margins as in `three_m3pi.yaml`.
 It is driven once, by the recommended controller, in the plant of `disturbed.py --part hurting`.
-An instance is solved where the mean error of a robot is within 1 % of the arena, 24 mm.
+An instance is solved where the mean error of a robot is within 1 % of the arena, 24 mm. Its plans
+while robots move have a deadline, 80 % of the control period, kept by the work of the searches; the
+thread's processor time of these plans is printed too.
 """
 
 import argparse
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from disturbed import HURT, run
+from disturbed import HURT, counted, run
 from scipy.stats import spearmanr
 from solverbench.problems import OURS
 from solverbench.problems import experiment as load_experiment
@@ -27,9 +30,12 @@ from solverbench.report import load, progress
 from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner, steering
 from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.mpc import Mpc
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.core.plan import Limits, Problem
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
+from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.protocols import Plant
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.obstacles import Obstacles
 from tetractl.results.estimate import percent, proportion_interval
@@ -91,20 +97,51 @@ def _obstacles(rng: np.random.Generator, points: Floats) -> tuple[dict[str, Any]
     return tuple(found)
 
 
+class Timed(Mpc):
+    """The controller, with the processor time of each plan for moving robots [s]."""
+
+    seconds: list[float]
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        moved, begin = self.moving, time.thread_time()
+        found = super().plan(observation, last_command, earlier)
+        if moved:
+            self.seconds.append(time.thread_time() - begin)
+        return found
+
+
 def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool) -> None:
     """Drive every instance once, and print a row for each number of robots."""
     solved: dict[int, list[bool]] = {size: [] for size in SIZES}
     unsafe, predicted, measured, none = 0, [], [], 0
+    spent: dict[int, list[float]] = {size: [] for size in SIZES}
     for number in numbers:
         progress(f"instance {number}")
         spec = instance(number, seed, disturbed, free)
         count = len(spec.robots)
-        (result,) = run(spec, 1)
+        seconds = spent[count]
+
+        def build(
+            spec: Experiment, key: int, plant: Plant, seconds: list[float] = seconds
+        ) -> Timed:
+            made = counted(Timed, spec.controller, spec.setup, key)
+            made.seconds = seconds
+            return made
+
+        before = len(seconds)
+        (result,) = run(spec, 1, build)
+        times_ms = 1e3 * np.array(seconds[before:] or [0.0])
         solved[count].append(result.total_error <= SOLVED_MM * count)
         unsafe += result.entered_obstacle or result.left_arena
         print(
             f"<!-- {number}: {count} robots, {result.total_error / count:.1f} mm a robot, "
-            f"{result.duration_s:.0f} s, {result.outcome.value} -->",
+            f"{result.duration_s:.0f} s, {result.outcome.value}; plans {times_ms.mean():.1f} ms, "
+            f"p99 {np.quantile(times_ms, 0.99):.0f}, max {times_ms.max():.0f} -->",
             flush=True,
         )
         if predict:
@@ -115,11 +152,17 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
             else:
                 predicted.append(found.error)
                 measured.append(result.total_error)
-    print("\n| robots | solved | 95 % interval of the share |\n|---|---|---|")
+    print("\n| robots | solved | 95 % interval of the share | plan, mean / p99 / max [ms] |")
+    print("|---|---|---|---|")
     every = [one for some in solved.values() for one in some]
     for name, some in (*solved.items(), ("all", every)):
         share = percent(proportion_interval(sum(some), len(some))).strip(" ()")
-        print(f"| {name} | {sum(some)} of {len(some)} | {share} |")
+        mine = (
+            spent[name] if name in spent else [one for some in spent.values() for one in some]
+        ) or [0.0]
+        ms = 1e3 * np.array([mine.mean(), np.quantile(mine, 0.99), mine.max()] if len(mine) else [])
+        times = " / ".join(f"{one:.1f}" for one in ms)
+        print(f"| {name} | {sum(some)} of {len(some)} | {share} | {times} |")
     print(f"\n{unsafe} of {len(every)} entered an obstacle or left the arena.")
     if predict:
         rank = float(spearmanr(predicted, measured).statistic)

@@ -2,7 +2,7 @@
 
     python benchmarks/bodies.py --trials 1000 --jobs 2             at 5 and at 20 Hz
     python benchmarks/bodies.py --rate 5 --out new.csv             a row for each trial
-    python benchmarks/bodies.py --rate 5 --against old.csv         the same trials of another version
+    python benchmarks/bodies.py --rate 5 --against old.csv         against another version
 
 The plant is that of `disturbed.py --part hurting`, first row. A body is a disc of the spec's
 `controller.collision.radius`, and the plant's own samples of the true path (960 Hz) decide whether
@@ -189,9 +189,8 @@ def report(rate: int, rows: list[Row], radius: float, earlier: dict[int, float])
         "any of these as the controller expected": sum(row.unexplained > 0 for row in rows),
         f"total error above {LARGE_MM:g} mm": int((errors > LARGE_MM).sum()),
     }
-    print(
-        f"\n**{rate} Hz**, {n} trials.\n\n| trials in which | number | 95 % interval |\n|---|--:|---|"
-    )
+    print(f"\n**{rate} Hz**, {n} trials.\n\n| trials in which | number | 95 % interval |")
+    print("|---|--:|---|")
     for name, count in counts.items():
         print(f"| {name} | {count} | {percent(proportion_interval(count, n)).strip(' ()')} |")
     std = errors.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan

@@ -19,6 +19,7 @@ import argparse
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 from solverbench.problems import OURS, PAPER
@@ -28,11 +29,14 @@ from solverbench.report import load, progress
 from tetractl.control.build import build_controller
 from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
+from tetractl.control.mpc_section import MpcFields
+from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Verdict
 from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, LabSupervision, Plant
+from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
@@ -138,6 +142,9 @@ SEEN_ALONE = {name for name, settings in HURTING if "camera" in str(settings)} |
 """Rows whose floor is that of the first: only what the camera shows is disturbed."""
 
 
+M = TypeVar("M", bound=Mpc)
+
+
 class Knowing(Mpc):
     """The controller that knows which of its commands arrived."""
 
@@ -158,7 +165,14 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     true = {"estimate": False}
     section = spec.controller.model_copy(update=true)
     setup = replace(spec.setup, a=plant.a, speed=plant.speed)
-    return Knowing(section, setup, key, section.optimizer, CircleSearch())
+    return counted(Knowing, section, setup, key)
+
+
+def counted(kind: type[M], section: MpcFields, setup: Setup, key: int) -> M:
+    """Return a controller whose deadline is kept by the work of its searches."""
+    work = WorkClock()
+    optimizers = work.wrap(section.optimizer), work.wrap(CircleSearch())
+    return kind(section, setup, key, *optimizers, work)
 
 
 class Seeing(Knowing):
@@ -190,7 +204,7 @@ def seeing(spec: Experiment, key: int, plant: Plant) -> Controller:
     assert isinstance(plant, SimPlant)
     known = {"estimate": False, "dead_time": plant.spec.dead_time}
     section = spec.controller.model_copy(update=known)
-    controller = Seeing(section, spec.setup, key, section.optimizer, CircleSearch())
+    controller = counted(Seeing, section, spec.setup, key)
     controller.plant = plant
     return controller
 

@@ -118,11 +118,6 @@ def compare(log: Path, again: Path) -> int:
         print(printable(f"  {difference}"), file=sys.stderr)
     if first.recovered or not first.outcome.complete:
         print(f"  {log} is damaged, or its trial did not run to its end", file=sys.stderr)
-    if first.experiment.controller.deadline is not None:
-        print(
-            "  the log's spec sets a deadline: plans depend on how fast the host is",
-            file=sys.stderr,
-        )
     if was.start.resolved != is_now.start.resolved:
         print("  the log's spec uses names or fields of an earlier tetractl", file=sys.stderr)
     for line in host_differences(was):

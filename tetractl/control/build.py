@@ -4,14 +4,19 @@ import gc
 import time
 from collections.abc import Callable
 
+from tetractl.control.work_clock import WorkClock
 from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
-    """Return the controller of one trial; `key` seeds its random numbers."""
-    return experiment.controller.build(experiment.setup, key)
+    """Return the controller of one trial; `key` seeds its random numbers. In virtual time its
+    timer counts work, otherwise it is the computer's clock."""
+    if experiment.plant.real_time:
+        return experiment.controller.build(experiment.setup, key)
+    work = WorkClock()
+    return experiment.controller.build(experiment.setup, key, work.wrap, work)
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:

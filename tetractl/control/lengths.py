@@ -23,9 +23,6 @@ FINE = 0.05  # precision of the shortest good length, as a fraction of it
 SIGNALS = 6  # least number of signals per robot in a plan for several robots
 THOROUGH, THOROUGH_GROWTH = 3, 1.4
 """Number of lengths searched thoroughly if step 0 found no good plan, and their growth factor."""
-SEARCH_S = 0.005
-"""Part of a control period reserved for each search of a longer sequence [s]: twice the time that a
-search takes, to leave time for the rest of the step."""
 Candidate = tuple[int, Floats | None]
 """A length to try, and the sequence u_gb^0 from which its search starts, None at step 0."""
 
@@ -91,7 +88,7 @@ def always(_: Floats) -> bool:
 class Searcher:
     """Runs the searches of one control step within its limits, and collects their results.
 
-    `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired()` is
+    `evaluations` bounds the cost evaluations of the step, None for no bound; once `expired(0)` is
     true, only the first search is done. A plan is good only if `safe` returns True for its signals.
     """
 
@@ -102,7 +99,7 @@ class Searcher:
         problem: Problem,
         step_key: int,
         evaluations: int | None = None,
-        expired: Callable[[], bool] = never,
+        expired: Callable[[int], bool] = never,
         safe: Callable[[Floats], bool] = always,
     ) -> None:
         self._optimizer, self._least = optimizer, section.evaluations_min
@@ -119,7 +116,7 @@ class Searcher:
         The evaluations left are shared equally by `among` searches: this one and the next ones.
         """
         share = None if self._left is None else self._left // among
-        if self.found and (self._expired() or (share is not None and share < self._least)):
+        if self.found and (self._expired(0) or (share is not None and share < self._least)):
             return None
         limits, key = Limits(share, self._expired, thorough), mix(self._key, length)
         found = self._optimizer.search(self._problem, length, start, key, limits)  # lines 3, 21
@@ -149,13 +146,12 @@ class Searcher:
             if found is None or (good_enough is not None and self.good(found, good_enough)):
                 break
 
-    def search_longer(self, lengths: list[int], period_s: float, good_enough: float) -> int:
+    def search_longer(self, lengths: list[int], good_enough: float) -> int:
         """Search the lengths in turn, each from scratch, until a cost is good enough; return 0 or,
-        if the control period is over first, the length with which the next step continues.
+        if the limits are reached first, the length with which the next step continues.
         """
-        for i, length in enumerate(lengths):
-            in_time = (i + 1) * SEARCH_S < period_s or i == 0
-            found = self.search(length, None) if in_time else None
+        for length in lengths:
+            found = self.search(length, None)
             if found is None:
                 return length
             if self.good(found, good_enough):

@@ -343,18 +343,17 @@ class Mpc:
         plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
         return replace(plan, estimate=self.estimator.estimate)
 
-    def _expired(self) -> Callable[[], bool]:
-        if self.section.deadline is None or (self.warm is None and not self.moving):
+    def _expired(self) -> Callable[[int], bool]:
+        if (seconds := self.section.deadline_s) is None or (self.warm is None and not self.moving):
             return never
-        end = self.timer() + round(self.section.deadline * SECOND)
-        return lambda: self.timer() >= end
+        end = self.timer() + round(seconds * SECOND)
+        return lambda _: self.timer() >= end
 
     def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences, as long as the horizon and the remaining steps allow, until the
-        control period is over; the next step continues the search."""
+        """Search longer sequences within the limits; the next step continues the search."""
         assert self.warm is not None
         lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
-        self.resume = searcher.search_longer(lengths, self.section.period, ENOUGH * self.accept)
+        self.resume = searcher.search_longer(lengths, ENOUGH * self.accept)
 
     def _signals_left(self) -> int:
         """Return the largest number of signals of a plan that ends before `steps_max`."""

@@ -14,6 +14,7 @@ from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.model.obstacles import Obstacles
 
+DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
 
@@ -148,6 +149,13 @@ class MpcFields(ControllerSection):
             message = f"must be at least {least}, the evaluations that one search needs"
             raise inconsistent("evaluations_max", message)
         return self
+
+    @property
+    def deadline_s(self) -> float | None:
+        """`deadline`, or the default for an optimiser with a tolerance [s]."""
+        if self.deadline is None and self.optimizer.good_enough is not None:
+            return DEADLINE * self.period
+        return self.deadline
 
     @property
     def iterations_max(self) -> int:

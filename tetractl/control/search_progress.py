@@ -25,7 +25,7 @@ class Progress:
         """Return whether the limits allow this many further evaluations; if not, end the search."""
         if self.ended is None and not self.limits.allow(self.evaluations + evaluations):
             self.ended = StopReason.EVALUATIONS
-        if self.ended is None and self.limits.expired():
+        if self.ended is None and self.limits.expired(self.evaluations):
             self.ended = StopReason.DEADLINE
         return self.ended is None
 

@@ -74,7 +74,7 @@ PAUSE_S = 0.5
 """Length of a pause, in addition to one control period [s]."""
 
 
-def never() -> bool:
+def never(evaluations: int) -> bool:
     """Return False: the default of `Limits.expired`, for no deadline."""
     return False
 
@@ -83,13 +83,13 @@ def never() -> bool:
 class Limits:
     """The limits of one search.
 
-    `evaluations` bounds the cost evaluations, None for no bound. Once `expired()` is true, a search
-    returns the best sequence so far. With `thorough`, set while the robots stand still, the search
-    may take seconds.
+    `evaluations` bounds the cost evaluations, None for no bound. Once `expired(spent)`, given the
+    evaluations spent so far, is true, a search returns the best sequence so far. With `thorough`,
+    set while the robots stand still, the search may take seconds.
     """
 
     evaluations: int | None = None
-    expired: Callable[[], bool] = never
+    expired: Callable[[int], bool] = never
     thorough: bool = False
 
     @property

@@ -26,7 +26,6 @@ from tetractl.core.plan import (
     Problem,
     Search,
     StopReason,
-    never,
 )
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, Optimizer
@@ -119,9 +118,9 @@ class _Repeated:
             self._evaluate(problem, length, warm is not None, limits, index, logged)
             return logged
 
-        def found_with(expired: Callable[[], bool]) -> Search:
+        def found_with(most: float) -> Search:
             late = self._rerun.expired
-            limited = replace(limits, expired=lambda: late() or expired())
+            limited = replace(limits, expired=lambda spent: late() or spent >= most)
             found = self._optimizer.search(problem, length, warm, key, limited)
             if late():
                 raise _TooLongError
@@ -132,21 +131,7 @@ class _Repeated:
             least = Limits(self._optimizer.evaluations_min)
             self._optimizer.search(problem, 1, np.zeros(1), key, least)
             self._rerun.start()
-        if logged.stopped != StopReason.DEADLINE:
-            return found_with(never)
-        # bounds of the least number of readings for the logged evaluations
-        few, many = 1, 2
-        while (found := found_with(_Countdown(many))).evaluations < logged.evaluations:
-            if found.stopped != StopReason.DEADLINE:
-                return found  # the search ended before the deadline
-            few, many = many, 2 * many
-        while few < many:
-            middle = (few + many) // 2
-            if found_with(_Countdown(middle)).evaluations < logged.evaluations:
-                few = middle + 1
-            else:
-                many = middle
-        return found_with(_Countdown(few))
+        return found_with(logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf)
 
     def _evaluate(
         self,
@@ -172,17 +157,6 @@ class _Repeated:
             value = getattr(logged, field)
             text = f"logged {value}, which contradicts its history and the spec's limits"
             wrong.append((f"{name}.{field}", text))
-
-
-class _Countdown:
-    """A deadline that has passed from the `count`-th check on."""
-
-    def __init__(self, count: int) -> None:
-        self._left = count
-
-    def __call__(self) -> bool:
-        self._left -= 1
-        return self._left <= 0
 
 
 def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:

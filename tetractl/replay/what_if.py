@@ -5,12 +5,12 @@ own, so every step starts from the recorded state. This is not closed loop: unde
 the robots would have been elsewhere at the next step.
 """
 
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.control.work_clock import WorkClock
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import End, Plan
 from tetractl.core.poses import Floats, wrap
@@ -85,13 +85,11 @@ def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:
     return other
 
 
-def what_if(
-    log: TrialLog, other: Experiment, timer: Callable[[], int] = time.perf_counter_ns
-) -> WhatIf:
+def what_if(log: TrialLog, other: Experiment) -> WhatIf:
     """Return what another experiment's controller would have decided at each step of a log.
 
-    `timer` [ns] is the clock of the controller's deadline. Steps after a gap in the log are left
-    out. UsageError if either controller switches the field off at times.
+    Deadlines are kept by the work of searches. Steps after a gap in the log are left out.
+    UsageError if either controller switches the field off at times.
     """
     require_field(log)
     if other.controller.switches_field:
@@ -101,7 +99,8 @@ def what_if(
         )
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup
-    controller = other.controller.build(setup, key, timer=timer)
+    work = WorkClock()
+    controller = other.controller.build(setup, key, work.wrap, work)
     found, ended, last = [], "", None
     steps = first_steps(log)
     for step in steps:

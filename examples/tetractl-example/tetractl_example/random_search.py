@@ -49,7 +49,7 @@ class RandomSearch(OptimizerSection):
             if history and not limits.allow((len(history) + 1) * self.samples):
                 stopped = StopReason.EVALUATIONS
                 break
-            if history and limits.expired():
+            if history and limits.expired(len(history) * self.samples):
                 stopped = StopReason.DEADLINE
                 break
             step = self.step if history or warm is not None else np.pi

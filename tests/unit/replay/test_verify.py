@@ -16,6 +16,7 @@ from support.paths import ROOT
 from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
+from tetractl.experiment.controller import same
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
@@ -106,6 +107,8 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
 class Late:
     """A clock that is past every deadline after so many looks at it."""
 
+    wrap = staticmethod(same)
+
     def __init__(self, looks):
         self.looks, self.time = looks, 0
 
@@ -117,10 +120,7 @@ class Late:
 @pytest.mark.parametrize("swarm", ["{iterations: 60, stop: {type: budget}}", "{type: multistart}"])
 @pytest.mark.parametrize("looks", [1, 2, 4, 9, 20])
 def test_what_a_deadline_cut_short_comes_out_too(tmp_path, monkeypatch, swarm, looks):
-    from tetractl.control.mpc import MpcSection
-    from tetractl.experiment.controller import same
-
-    monkeypatch.setattr(MpcSection.build, "__defaults__", (same, Late(looks)))
+    monkeypatch.setattr("tetractl.control.build.WorkClock", lambda: Late(looks))
     sets = [f"controller.optimizer={swarm}", "controller.deadline=0.5", "controller.horizon_max=12"]
     sets += ["controller.optimizer.tolerance=1e-9"] if "multistart" in swarm else []
     path = run(tmp_path, sets)

@@ -57,6 +57,7 @@ class Polish(NamedTuple):
     gram: Floats  # (R, R)
     step: Floats  # (R,)
     trial: Floats  # (L,)
+    damping: Floats  # (1,) with which a polish that was interrupted continues, inf if it has ended
 
 
 def lay_out_polish(problem: Problem, length: int) -> Polish:
@@ -89,6 +90,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         gram=np.empty((rows, rows)),
         step=np.empty(rows),
         trial=np.empty(length),
+        damping=np.empty(1),
     )
 
 
@@ -258,8 +260,13 @@ def _propose(work, u, r):
 
 
 @compiled(**ENTRY_FAST)
-def polish(work, u, tolerance, slack, iterations, patience, budget, factor, history):
+def polish(
+    work, u, tolerance, slack, iterations, patience, budget, factor, history, z=0, pause=2**62
+):
     """Improve u (L,) in place; returns (merit, iterations used, evaluations).
+
+    A polish may be interrupted at iteration `pause`; it continues at iteration `z`, with the
+    evaluations since then.
 
     Ends when the merit is at most `tolerance`, when no step helps, when it has not fallen to
     PROGRESS of itself over `patience` iterations, after `iterations`, or before `budget`
@@ -268,11 +275,14 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, factor, hist
     """
     _trace(work, u)
     merit = _merit(work)
-    history[0] = merit
-    evaluations, damping = 1, 1e-2
-    z = 0
+    history[z] = merit
+    evaluations, damping = (1, 1e-2) if z == 0 else (0, work.damping[0])
+    work.damping[0] = math.inf
     most = work.residual.size + 1  # largest number of evaluations in one iteration
     while z < iterations and evaluations + most <= budget and not merit <= tolerance:
+        if z >= pause:
+            work.damping[0] = damping
+            break
         r = _linearise(work, max(tolerance, 1e-9), slack)
         _gram(work, r)
         evaluations += r

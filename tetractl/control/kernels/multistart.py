@@ -1,6 +1,7 @@
 """One round of `tetractl.control.optimizers.multistart`: scatters starts and polishes the best."""
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +11,11 @@ from tetractl.control.kernels.levenberg import Integers, Polish, polish
 from tetractl.control.kernels.options import ENTRY_STRICT, INLINE_STRICT
 from tetractl.control.kernels.rollout import Rollout, costs
 from tetractl.control.kernels.update import GOLDEN, mixed
+from tetractl.core.plan import never
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 
+BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, below 1 ms
 S11 = np.uint64(11)
 UNIT_53 = 2.0**-53
 
@@ -76,23 +79,31 @@ def polish_each(
     budget: int,
     factor: Floats,
     polished: Polished,
+    expired: Callable[[int], bool] = never,
 ) -> int:
     """Polish starts (K, L) until one costs at most `tolerance`, within `budget` evaluations.
 
     `one` is a rollout of one particle. Returns how many starts were polished; `polished` holds
-    their results. This loop is not compiled: two kernels compile in half the time of one that
-    calls both, and run as fast.
+    their results. `expired`, given the evaluations that a start would have taken if it ended now,
+    may end its polish early. This loop is not compiled: two kernels compile in half the time of one
+    that calls both, and run as fast.
     """
     iterations, spent = polished.merits.shape[1] - 1, 0
+    stride = max(1, BETWEEN_LOOKS // (work.residual.size * work.a.size * starts.shape[1]))
     for done, start in enumerate(starts):
         if spent + 2 > budget:
             return done
         u, cost = polished.signals[done], polished.costs[done : done + 1]
         u[:] = start
-        left, merits = budget - spent - 1, polished.merits[done]
-        _, z, evaluations = polish(
-            work, u, tolerance, slack, iterations, patience, left, factor, merits
-        )
+        left, merits, z, evaluations = budget - spent - 1, polished.merits[done], 0, 0
+        while z == 0 or (work.damping[0] < math.inf and not expired(evaluations + 1)):
+            rest, pause = left - evaluations, 2**62 if expired is never else z + stride
+            _, z, more = polish(
+                work, u, tolerance, slack, iterations, patience, rest, factor, merits, z, pause
+            )
+            evaluations += more
+            if not z:
+                break
         u[:] = polynomials.wrap(u)
         costs(one, u.reshape(-1, 1), cost)
         polished.steps[done], polished.evaluations[done] = z, evaluations

@@ -5,6 +5,7 @@ import numpy as np
 from tetractl.control.cost import require_finite
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels import pso as kernel
+from tetractl.control.kernels.multistart import BETWEEN_LOOKS
 from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
 from tetractl.control.optimizers.pso import PsoFields, Swarm
 from tetractl.control.rng import mix
@@ -13,7 +14,6 @@ from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 
 NO_LIMIT = 2**62
-BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, about 0.1 ms
 BETWEEN_SIGNALS = 2_000_000  # robot steps between two returns to Python, which handles Ctrl-C
 REASONS = {
     kernel.CRITERION: StopReason.CRITERION,
@@ -39,7 +39,7 @@ def pso(
     work = BETWEEN_LOOKS if limits.timed else BETWEEN_SIGNALS
     stride = max(1, work // (length * section.particles * problem.a.size))
     reason, z = kernel.PAUSED, 0
-    while reason == kernel.PAUSED and not limits.expired():
+    while reason == kernel.PAUSED and not limits.expired(evaluations + z * section.particles):
         reason, z = kernel.iterate(rollout, swarm, rules, z, z + stride)
     if reason == kernel.NOT_FINITE:
         require_finite(swarm.cost)

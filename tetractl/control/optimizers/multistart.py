@@ -25,7 +25,7 @@ from tetractl.control.curves import bearing, interpolate, places
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
-from tetractl.core.plan import Limits, Problem, Search, StopReason
+from tetractl.core.plan import Limits, Problem, Search, StopReason, never
 from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
@@ -225,7 +225,9 @@ class _PolishedProgress(Progress):
     def _polish_some(self, starts: Floats) -> int:
         """Polish sequences within the limit of evaluations; return how many were polished."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
-        found = self.polished
+        found, expired = self.polished, never
+        if self.limits.timed:  # then there is one start
+            expired = self._expired
         done = self.kernels.polish_each(
             self.work,
             self.one,
@@ -236,6 +238,7 @@ class _PolishedProgress(Progress):
             most - self.evaluations,
             self.factor,
             found,
+            expired,
         )
         require_finite(found.costs[:done])
         costs, spent = found.costs[:done].tolist(), found.evaluations[:done].tolist()
@@ -247,9 +250,16 @@ class _PolishedProgress(Progress):
                 merits = found.merits[n, : found.steps[n]]
                 self.history[-1:] = np.clip(merits, self.cost, before).tolist()
                 self.history.append(self.cost)
-        if self.cost <= self.section.tolerance:
+        if self.cost <= self.section.tolerance and self.ended is None:
             self.ended = StopReason.TARGET
         return done
+
+    def _expired(self, evaluations: int) -> bool:
+        """Return whether the deadline passed during a polish of so many evaluations; if so, end the
+        search."""
+        if self.limits.expired(self.evaluations + evaluations):
+            self.ended = StopReason.DEADLINE
+        return self.ended is not None
 
 
 def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:

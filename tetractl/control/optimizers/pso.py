@@ -152,7 +152,7 @@ def pso(
         if not limits.allow(evaluations + section.particles):
             reason = StopReason.EVALUATIONS
             break
-        if limits.expired():
+        if limits.expired(evaluations):
             reason = StopReason.DEADLINE
             break
         swarm.tell(evaluate(problem, swarm.ask()).total)  # line 8

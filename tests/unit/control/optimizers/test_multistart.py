@@ -67,7 +67,7 @@ def test_what_is_out_of_reach_is_given_up_after_one_round():
 def test_a_deadline_ends_the_search_with_the_best_so_far():
     problem, spec = reference_problem(), Multistart(tolerance=1e-300)
     looks = iter([False, False, False])
-    found = spec.search(problem, 30, None, 1, Limits(expired=lambda: next(looks, True)))
+    found = spec.search(problem, 30, None, 1, Limits(expired=lambda _: next(looks, True)))
     assert found.stopped == "deadline"
     assert found.cost == pytest.approx(evaluate(problem, found.signals[None]).total[0], rel=1e-9)
     again = spec.search(problem, 30, None, 1, Limits(found.evaluations))

@@ -100,7 +100,7 @@ def test_a_deadline_or_a_budget_ends_a_search_with_the_best_so_far(optimizer):
     problem, whole = problems.problem(problems.world(3)), None
     for looks in (1, 3):
         late = iter([False] * looks)
-        found = optimizer.search(problem, 15, None, 1, Limits(expired=lambda: next(late, True)))  # noqa: B023
+        found = optimizer.search(problem, 15, None, 1, Limits(expired=lambda _: next(late, True)))  # noqa: B023
         assert found.stopped is StopReason.DEADLINE
         assert found.evaluations == 12 * (looks + 1)
         same = optimizer.search(problem, 15, None, 1, Limits(evaluations=found.evaluations + 11))

@@ -1,0 +1,55 @@
+"""A clock of the work done by searches, by which deadlines are kept in virtual time.
+
+A simulation must not depend on how fast its host is. There, a controller's timer therefore counts
+the evaluations that its searches report, at the processor time that they take on an ordinary
+computer. `benchmarks/anywhere.py` prints the counted and the measured time of a control step.
+"""
+
+from dataclasses import dataclass, replace
+
+from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.poses import Floats
+from tetractl.core.protocols import Optimizer
+
+ROBOT_STEP_NS = 6  # to predict one robot under one signal, in a rollout or a polish
+SEARCH_NS = 600_000  # to lay out a search, and to check its result
+
+
+class WorkClock:
+    """The time [ns] that the searches of the optimisers given to `wrap` have taken."""
+
+    def __init__(self) -> None:
+        self.ns = 0
+
+    def __call__(self) -> int:
+        """Return the time [ns]."""
+        return self.ns
+
+    def wrap(self, optimizer: Optimizer) -> Optimizer:
+        """Return an optimiser whose searches are counted while they run."""
+        return _Counted(optimizer, self)
+
+
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    optimizer: Optimizer
+    clock: WorkClock
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Search, and count the evaluations before each look at the deadline."""
+        began = self.clock.ns + SEARCH_NS
+        each = ROBOT_STEP_NS * length * problem.a.size
+
+        def spent(evaluations: int) -> None:
+            self.clock.ns = began + evaluations * each
+
+        def expired(evaluations: int) -> bool:
+            spent(evaluations)
+            return limits.expired(evaluations)
+
+        counted = replace(limits, expired=expired) if limits.timed else limits
+        found = self.optimizer.search(problem, length, warm, key, counted)
+        spent(found.evaluations)
+        return found

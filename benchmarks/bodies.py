@@ -44,7 +44,7 @@ from tetractl.run.task import trial_seeds
 
 SURE_MM = 1.0  # by which a path may be expected to come nearer, for rounding and camera noise
 LARGE_MM = 20.0
-MOMENTS = np.linspace(0, 1, 41)  # of a control step at which the expected path is looked at
+MOMENTS = np.linspace(0, 1, 41)  # of a control step, at which the expected path is examined
 
 
 class Kept:

@@ -102,6 +102,14 @@ def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_
     assert len(set(first.values())) == 3
     for name, digest in first.items():
         assert content_digest(tmp_path / "two" / name) == digest
+    late = ["--set", "controller.optimizer={type: multistart, tolerance: 1.0e-9}"]
+    late += ["--set", "controller.deadline=0.001", "--trials", 2]
+    for jobs in (1, 2):
+        done = run(folder / "quick.yaml", *late, "--jobs", jobs, "--out", f"l{jobs}", cwd=tmp_path)
+        assert done.returncode == 0
+    assert digests(tmp_path / "l1") == digests(tmp_path / "l2")
+    steps = read_trial(tmp_path / "l1" / "trial-000.mcap").steps
+    assert "deadline" in [search.stopped for step in steps for search in step.plan.searches]
     args = ["--seed", 8, "--trials", 1]
     other = run(folder / "quick.yaml", *args, "--out", "other", cwd=tmp_path)
     assert other.returncode == 0

@@ -65,6 +65,11 @@ SETTINGS = {
         "controller.steps_max=40",
         "controller.collision={test: swept, radius: 10, separation: 20, adaptive: true}",
     ],
+    "deadlines": [
+        "controller.optimizer={type: multistart, tolerance: 1.0e-9}",
+        "controller.deadline=0.001",
+        "controller.horizon_max=20",
+    ],
     "held": ["controller.hold=2"],
     "swept, with walls": [
         "controller.collision={test: swept, margin: 5, walls: true}",

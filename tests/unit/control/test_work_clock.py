@@ -1,0 +1,67 @@
+"""Deadlines that simulations keep by the work of their searches."""
+
+import itertools
+
+import numpy as np
+import pytest
+from support.paths import ROOT
+
+from tetractl.control.kernels.multistart import BETWEEN_LOOKS
+from tetractl.control.mpc_section import DEADLINE
+from tetractl.control.work_clock import ROBOT_STEP_NS, SEARCH_NS, WorkClock
+from tetractl.core.clock import SECOND
+from tetractl.core.plan import Limits, Search, StopReason, never
+from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.log.read.reader import read_trial
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import log_path, run_trial
+
+
+class Steady:
+    """An optimiser that looks at the deadline after each of 10 evaluations."""
+
+    def search(self, problem, length, warm, key, limits):
+        spent = next((n for n in range(1, 10) if limits.expired(n)), 10)
+        return Search(length, np.zeros(length), 0.0, np.zeros(1), spent, StopReason.ITERATIONS)
+
+
+def test_searches_advance_the_clock_while_they_run_and_after_them():
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml").experiment
+    clock, problem = WorkClock(), spec.controller.problem(spec.setup)
+    each = 3 * 20 * ROBOT_STEP_NS
+    end = SEARCH_NS + 4 * each
+    timed = Limits(expired=lambda _: clock() >= end)
+    search = clock.wrap(Steady()).search
+    assert search(problem, 20, None, 1, timed).evaluations == 4
+    assert clock() == end
+    assert search(problem, 20, None, 1, Limits(expired=never)).evaluations == 10
+    assert clock() == end + SEARCH_NS + 10 * each
+
+
+def test_four_robots_from_anywhere_are_planned_for_within_the_deadline(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
+    from anywhere import instance
+
+    text = instance(2, 6200, disturbed=True, free=False).model_dump_json(exclude={"lab"})
+    spec = parse_spec(text, "four.yaml", ["controller.steps_max=600"])
+    run_trial(spec, tmp_path, 0, (), Interrupt())
+    steps = read_trial(log_path(tmp_path, 0)).steps
+    moving = [now.plan for last, now in itertools.pairwise(steps) if not last.plan.pauses]
+    work = [
+        sum(SEARCH_NS + 4 * one.length * one.evaluations * ROBOT_STEP_NS for one in plan.searches)
+        for plan in moving
+    ]
+    look = 2 * BETWEEN_LOOKS * ROBOT_STEP_NS + SEARCH_NS
+    deadline_ns = DEADLINE * spec.experiment.controller.period * SECOND
+    assert max(work) <= deadline_ns + look
+    ended = [one.stopped for plan in moving for one in plan.searches]
+    assert StopReason.DEADLINE in ended
+
+
+def test_a_deadline_is_the_default_of_an_optimiser_with_a_tolerance():
+    ours, paper = (
+        load_spec(ROOT / "experiments" / f"{name}.yaml").experiment.controller
+        for name in ("three_m3pi", "three_m3pi_paper")
+    )
+    assert ours.deadline_s == pytest.approx(0.8 * ours.period)
+    assert paper.deadline_s is None

@@ -29,6 +29,9 @@ class Reel:
     def __iter__(self):
         return iter(enumerate(self.pictures))
 
+    def seconds(self, number):
+        return number / self.rate_hz
+
 
 def film(seed=1, side=384, look=None, **script):
     """A film of a small picture; `look` are values that are not drawn."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tetractl.cli.options import AsJson, progress
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, UsageError, printable
 
 if TYPE_CHECKING:
     from tetractl.film.fit_cell import CellSummary
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 def track(
     film: Annotated[
-        Path, typer.Argument(metavar="FILM", help="A film, an MJPEG file or a folder of pictures.")
+        Path, typer.Argument(metavar="FILM", help="A film, a TIFF stack or a folder of pictures.")
     ],
     field: Annotated[
         Path | None,
@@ -34,7 +34,8 @@ def track(
             min=0.05,
             max=100,
             metavar="UM",
-            help="Micrometres per pixel; by default guessed from the cells' size.",
+            help="Micrometres per pixel; by default as the film states it, or else guessed from "
+            "the cells' size.",
         ),
     ] = None,
     rate: Annotated[
@@ -43,7 +44,7 @@ def track(
             min=0.1,
             max=2000,
             metavar="HZ",
-            help="Pictures per second, if the film's own rate is wrong or missing.",
+            help="Pictures per second, if the rate that the film states is wrong or missing.",
         ),
     ] = None,
     y_down: Annotated[
@@ -80,9 +81,14 @@ def track(
     if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise UsageError(f"{out}: exists already", "name another with --out")
     directions = None if field is None else read_field(field, y_down)
-    pictures = open_film(film, rate)
+    pictures = open_film(film, rate, scale)
+    name = printable(str(film))
+    for remark in pictures.remarks:
+        print(f"{name}: {remark}", file=sys.stderr)
     with progress("Following") as on_picture:
-        found = follow(pictures, scale, directions, lambda number: on_picture(number, None))
+        found = follow(
+            pictures, pictures.um_px, directions, lambda number: on_picture(number, None)
+        )
     with progress("Fitting"):
         cells, _ = summarise(found, directions)
     if out is not None:
@@ -94,7 +100,12 @@ def track(
         if out is not None:
             print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
     if not found.paths:
-        print("no cell swims in this film", file=sys.stderr)
+        read = found.pictures - found.damaged
+        print(
+            f"{name}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
+            f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px",
+            file=sys.stderr,
+        )
     return Exit.DONE if found.paths else Exit.FAILED
 
 

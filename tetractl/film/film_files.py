@@ -52,7 +52,7 @@ def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
                 0, 0, "background.png", "image/png", _coded(followed.background, ".png")
             )
             for number, picture in film:
-                ns = round(number * SECOND / followed.rate_hz)
+                ns = round(film.seconds(number) * SECOND)
                 seen = cells.get(number, [])
                 log.write_message("/tf", _transforms(seen, ns), ns, ns)
                 for cell in seen:

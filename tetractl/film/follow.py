@@ -2,6 +2,7 @@
 met.
 """
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,6 +18,7 @@ from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
 
 BACKGROUND = 25  # number of pictures for the background
+SAMPLE_PX = 100_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
 USUAL_BODY_UM = 52.3  # mean length of cells, for films without a scale [um]
 # a blob whose ratio of length to width lies between these may be a single cell
@@ -89,19 +91,21 @@ def follow(
     pieces = no_field if field is None else field.pieces
     shown: list[dict[int, SeenCell]] = []  # the cells of each picture, by track
     frames: list[int] = []
+    times: list[float] = []
     doubtful: list[tuple[tuple[int, ...], float]] = []
     lights = []
     for number, picture in film:
-        seconds = number / film.rate_hz
+        seconds = film.seconds(number)
         cells = tracker.see(picture, seconds, pieces)
         for born in tracker.born:
-            _fill_back(shown, frames, film.rate_hz, born)
+            _fill_back(shown, times, born)
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
+        times.append(seconds)
         for answer in tracker.closed:
             if answer.probability < 0.9:
                 doubtful.append((tuple(sorted(answer.identities)), answer.probability))
-            first = np.searchsorted(frames, answer.since_s * film.rate_hz - 0.5)
+            first = np.searchsorted(times, answer.since_s)
             for at in shown[int(first) :]:
                 for track, identity in zip(answer.tracks, answer.identities, strict=True):
                     if track in at:
@@ -115,7 +119,7 @@ def follow(
     assert background is not None and tracker.finder.size is not None
     height, width = tracker.finder.size
     return Followed(
-        paths=tuple(_paths(shown, frames, film.rate_hz)),
+        paths=tuple(_paths(shown, frames, times)),
         pictures=len(frames) + film.damaged,
         damaged=film.damaged,
         size=(width, height),
@@ -132,13 +136,14 @@ def follow(
 
 def _sample(film: FilmPictures) -> list[Grey]:
     """Return pictures spread evenly over the film's first BACKGROUND_S, at least BACKGROUND and at
-    most twice as many; all pictures if there are fewer.
+    most twice as many; all pictures if there are fewer. Of large pictures there are fewer.
     """
-    count = 0
-    for count, _ in enumerate(film, 1):
+    count, pixels = 0, 1
+    for count, (_, picture) in enumerate(film, 1):
+        pixels = picture.size
         if count >= BACKGROUND_S * film.rate_hz:
             break
-    step = max(1, count // BACKGROUND)
+    step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
     return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
 
 
@@ -160,16 +165,15 @@ def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
 
 def _fill_back(
     shown: list[dict[int, SeenCell]],
-    frames: list[int],
-    rate_hz: float,
+    times: list[float],
     born: Born,
 ) -> None:
     """Add a newly recognised cell to the earlier pictures in which it was already seen."""
     path = born.path
     way = path[-1, 1:3] - path[0, 1:3]
     for seconds, x, y, axis in path[:-1].tolist():
-        at = int(np.searchsorted(frames, round(seconds * rate_hz)))
-        if at >= len(frames) or frames[at] != round(seconds * rate_hz):
+        at = int(np.searchsorted(times, seconds))
+        if at >= len(times) or times[at] != seconds:
             continue
         forwards = np.cos(axis) * way[0] + np.sin(axis) * way[1] >= 0
         axis += 0.0 if forwards else np.pi
@@ -192,17 +196,17 @@ def _fill_back(
 
 
 def _paths(
-    shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], rate_hz: float
+    shown: Sequence[dict[int, SeenCell]], frames: Sequence[int], seconds: Sequence[float]
 ) -> Iterator[CellPath]:
     """Yield the cells in the order of their numbers, except those whose path is too short."""
-    by_cell: dict[int, list[tuple[int, SeenCell]]] = {}
-    for frame, cells in zip(frames, shown, strict=True):
+    by_cell: dict[int, list[tuple[int, float, SeenCell]]] = {}
+    for frame, second, cells in zip(frames, seconds, shown, strict=True):
         for cell in cells.values():
-            by_cell.setdefault(cell.identity, []).append((frame, cell))
+            by_cell.setdefault(cell.identity, []).append((frame, second, cell))
     for identity, entries in sorted(by_cell.items()):
-        numbers = np.array([frame for frame, _ in entries])
-        times = numbers / rate_hz
-        path = CellPath(identity, times, numbers, tuple(cell for _, cell in entries))
+        numbers = np.array([frame for frame, _, _ in entries])
+        times = np.array([second for _, second, _ in entries])
+        path = CellPath(identity, times, numbers, tuple(cell for _, _, cell in entries))
         way = path.places - path.places[0]
         if times[-1] - times[0] >= SHORTEST_S and np.linalg.norm(way, axis=1).max() >= SHORTEST_UM:
             yield path

@@ -1,75 +1,94 @@
-"""Reads the pictures of a film, a folder or an MJPEG file in order, as grey levels."""
+"""The pictures of a film in order, as grey levels; a process of their own, `decode`, reads them."""
 
+import json
+import math
 import os
-import re
-from collections.abc import Iterator
-from dataclasses import dataclass
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import IO, TYPE_CHECKING, Any
 
 from tetractl.core.errors import AbortError, UsageError
+from tetractl.core.table.table_files import read_csv
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from tetractl.core.poses import Grey
 
-PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"})
-SIDE_MAX = 8192  # longest side of a picture [px]
-USUAL_HZ = 30.0
-_DIGITS = re.compile(r"(\d+)")
+RATES_HZ = (0.1, 2000.0)
+SCALES_UM = (0.05, 100.0)
+DIFFERENT = 0.01  # relative difference of a given value from the film's own that is said
+EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
+TIMES_FILE, TIME = "times.csv", "time_s"
 
 
 @dataclass(slots=True)
 class FilmPictures:
     """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
-    or the film's own.
+    or the film's own; so is the scale `um_px`, None if it is unknown.
 
-    `damaged` is the number of pictures in the last iteration that could not be read, or differed in
-    size from the first one read.
+    `times` are the pictures' times [s], None if they follow from the rate. The grey levels are
+    (value - low) / step with `levels`. `remarks` are lines on the film's tags. `damaged` is the
+    number of pictures in the last iteration that could not be read, or differed in size from the
+    first one read.
     """
 
     path: Path
     rate_hz: float
+    um_px: float | None = None
+    times: Sequence[float] | None = None
+    levels: tuple[float, float] = (0.0, 1.0)
+    remarks: list[str] = field(default_factory=list)
     damaged: int = 0
 
     def __iter__(self) -> Iterator[tuple[int, "Grey"]]:
         """Yield number and grey levels (height, width) of each picture that can be read."""
-        self.damaged, size = 0, None
-        source = _folder(self.path) if self.path.is_dir() else _video(self.path)
-        for number, picture in enumerate(source):
-            fits = picture is not None and max(picture.shape) <= SIDE_MAX
-            if picture is None or not fits or picture.shape != (size or picture.shape):
-                self.damaged += 1
-                continue
-            size = picture.shape
-            yield number, picture
+        import numpy as np
+
+        self.damaged, size, number = 0, None, 0
+        with _decoder(self.path, *self.levels) as (_, stream):
+            while head := stream.read(8):
+                shape = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
+                pixels = stream.read(shape[0] * shape[1])
+                if not shape[0] or shape != (size or shape) or len(pixels) < shape[0] * shape[1]:
+                    self.damaged += 1
+                else:
+                    size = shape
+                    yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
+                number += 1
+
+    def seconds(self, number: int) -> float:
+        """Return the time of a picture [s]."""
+        return number / self.rate_hz if self.times is None else self.times[number]
 
 
-def open_film(path: Path, rate_hz: float | None = None) -> FilmPictures:
-    """Return the pictures of a film or a folder; UsageError if there are none."""
-    cv2 = opencv()
-    if path.is_dir():
-        if not _names(path):
-            raise UsageError(
-                f"{path}: contains no pictures",
-                f"names of pictures end in {', '.join(sorted(PICTURES))}",
-            )
-        return FilmPictures(path, rate_hz or USUAL_HZ)
+def open_film(path: Path, rate_hz: float | None = None, um_px: float | None = None) -> FilmPictures:
+    """Return the pictures of a film or a folder, with the rate and the scale given or else its own.
+
+    UsageError if there are no pictures, or no rate.
+    """
+    opencv()
     if not path.exists():
         raise UsageError(f"{path}: no such file or folder")
-    capture = cv2.VideoCapture(str(path)) if path.is_file() else None
-    try:
-        if capture is None or not capture.isOpened() or not capture.grab():
-            raise UsageError(
-                f"{path}: OpenCV cannot read this film",
-                "convert it to AVI or MP4, or give a folder of pictures",
-            )
-        own = float(capture.get(cv2.CAP_PROP_FPS))
-    finally:
-        if capture is not None:
-            capture.release()
-    return FilmPictures(path, rate_hz or (own if 0.5 <= own <= 2000 else USUAL_HZ))
+    if not path.is_dir() and not path.is_file():
+        raise UsageError(f"{path}: is not a regular file")
+    with _decoder(path) as (own, _):
+        pass
+    times, remarks = own["times"], own["remarks"]
+    if (path / TIMES_FILE).exists():
+        times = _times(path / TIMES_FILE, own["count"])
+    rate = own["rate_hz"] if times is None else (len(times) - 1) / (times[-1] - times[0])
+    rate = _preferred("--rate", rate_hz, rate, RATES_HZ, remarks)
+    scale = _preferred("--scale", um_px, own["um_px"], SCALES_UM, remarks)
+    if rate is None:
+        hint = "give --rate HZ" + f", or {TIMES_FILE} in the folder" * path.is_dir()
+        raise UsageError(f"{path}: states no rate", hint)
+    times = None if rate_hz is not None else times
+    if times is not None and all(abs(t * rate - k) < EVEN for k, t in enumerate(times)):
+        times = None
+    return FilmPictures(path, rate, scale, times, own["levels"], remarks)
 
 
 def opencv():
@@ -86,40 +105,58 @@ def opencv():
     return cv2
 
 
-def _names(folder: Path) -> list[Path]:
-    """Return the pictures' paths in a folder, ordered by the numbers in their names."""
-
-    def order(path: Path) -> list[tuple[int, int, str]]:
-        parts = _DIGITS.split(path.name)
-        return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
-
-    found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
-    return sorted(found, key=order)
-
-
-def _folder(folder: Path) -> Iterator["Grey | None"]:
-    cv2 = opencv()
-    for path in _names(folder):
-        try:
-            yield _grey(cv2.imread(str(path), cv2.IMREAD_GRAYSCALE))
-        except cv2.error:  # the picture's header states a size that OpenCV refuses
-            yield None
-
-
-def _video(path: Path) -> Iterator["Grey | None"]:
-    cv2 = opencv()
-    capture = cv2.VideoCapture(str(path))
+@contextmanager
+def _decoder(path: Path, *levels: float) -> Iterator[tuple[dict[str, Any], IO[bytes]]]:
+    """Start a process that decodes a film; yield what the film states, and the stream of its
+    pictures. TetractlError if the film cannot be decoded.
+    """
+    process = subprocess.Popen(
+        # without -P, a file such as cv2.py in the present folder would be run
+        [sys.executable, "-P", "-m", "tetractl.film.decode", str(path), *map(repr, levels)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},  # each thread would take memory
+    )
+    died = UsageError(f"{path}: cannot be decoded in 20 s and 320 MB", "is the film damaged?")
+    assert process.stdout is not None
     try:
-        while True:
-            read, pixels = capture.read()
-            if not read:
-                return
-            yield _grey(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if pixels.ndim == 3 else pixels)
+        said = json.loads(process.stdout.readline() or "null")
+        if said is None:
+            raise died
+        if "error" in said:
+            kind = UsageError if said["exit"] == UsageError.exit else AbortError
+            raise kind(said["error"], said["hint"])
+        yield said, process.stdout
+        if process.wait():
+            raise died
     finally:
-        capture.release()
+        process.kill()
+        process.wait()
+        process.stdout.close()
 
 
-def _grey(pixels: "np.ndarray | None") -> "Grey | None":
-    import numpy as np
+def _preferred(
+    option: str, given: float | None, own: float | None, span: tuple[float, float], said: list[str]
+) -> float | None:
+    """Return the value given, or else the film's own if it is possible; say if they differ."""
+    if own is None or not span[0] <= own <= span[1]:
+        return given
+    if given is not None and abs(given / own - 1) > DIFFERENT:
+        said.append(f"{option} {given:g} is used; the film states {own:.4g}")
+    return float(f"{own:.9g}") if given is None else given  # 30, not 29.999999999999996
 
-    return None if pixels is None or pixels.ndim != 2 else pixels.astype(np.uint8, copy=False)
+
+def _times(path: Path, count: int) -> list[float]:
+    """Return the times of a folder's pictures [s] from its file of times."""
+    times = [-math.inf]
+    for line, row in enumerate(read_csv(path), 2):
+        try:
+            times.append(float(row[TIME]))
+        except (KeyError, ValueError):
+            raise UsageError(f"{path}, line {line}: has no number in column {TIME}") from None
+        if not times[-2] < times[-1] < math.inf:
+            raise UsageError(f"{path}, line {line}: the time is not after that before")
+    if len(times) - 1 != count or count < 2:
+        raise UsageError(f"{path}: has {len(times) - 1} times for {count} pictures")
+    return times[1:]

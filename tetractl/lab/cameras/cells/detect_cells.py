@@ -116,11 +116,9 @@ class BlobFinder:
         smooth = [_smoothed(each, np.empty_like(each), np.empty_like(each)) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
         middle = float(np.median(levels))
-        even = [
-            cv2.convertScaleAbs(s, alpha=middle / v) for s, v in zip(smooth, levels, strict=True)
-        ]
-        rows = [np.median([e[row] for e in even], axis=0) for row in _chunks(even[0].shape[0])]
-        self._background = np.concatenate(rows).astype(np.float32)
+        even = [cv2.convertScaleAbs(s, s, middle / v) for s, v in zip(smooth, levels, strict=True)]
+        rows = (np.median([e[row] for e in even], axis=0) for row in _chunks(even[0].shape[0]))
+        self._background = np.concatenate([row.astype(np.float32) for row in rows])
         self._flat = flat = _grey(cv2.convertScaleAbs(self._background))
         if self.bright is None:
             up = sum(float(_excess(e, flat).sum()) for e in even)

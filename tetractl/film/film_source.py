@@ -1,0 +1,203 @@
+"""Films that are open: those that OpenCV reads, Nikon's ND2 and Zeiss' CZI; their grey levels.
+
+`nd2` and `pylibCZIrw` are the libraries on which bioio's readers of ND2 and CZI are built.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+
+from tetractl.core.errors import UsageError
+from tetractl.core.poses import Grey
+
+PIXELS_MAX = 4096 * 4096  # largest picture that is read [px]
+SAMPLED = 25  # number of pictures that give a film's range of grey levels
+SPREAD_LEAST = 32  # least span of a film's grey levels after conversion, of 256
+SPREAD = 200  # span of the grey levels of a film that is stretched
+SHARE = 0.1  # percentage of the darkest and of the brightest pixels that stretching may cut off
+JPEG = b"\xff\xd8\xff"  # first bytes; a bare sequence of JPEG pictures states no rate
+AXES = {"C": "channels", "Z": "slices", "P": "positions", "R": "positions"}
+UM = {"nm": 1e-3, "um": 1, "µm": 1, "μm": 1, "\\u00b5m": 1, "micron": 1, "microns": 1, "mm": 1e3}
+Raw = np.ndarray | None
+"""A picture (height, width) of any type, or (height, width, 3) with red, green and blue; None if it
+cannot be read.
+"""
+SECONDS = {"us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ms": 1e-3, "s": 1, "sec": 1, "min": 60}
+
+
+@dataclass(slots=True)
+class FilmSource:
+    """An open film, and what it states: scale [um/px], rate [Hz], times of its pictures [s] from
+    the first one, their number; None for what it does not state. `remarks` are lines to print.
+
+    `read` returns a picture by its index. A film without `count` has 8 bits, and ends where `read`
+    gives None.
+    """
+
+    read: Callable[[int], Raw]
+    count: int | None = None
+    um_px: float | None = None
+    rate_hz: float | None = None
+    times: list[float] | None = None
+    remarks: list[str] = field(default_factory=list)
+
+    def pictures(self, most: int | None = None) -> Iterator[Raw]:
+        """Yield the pictures in order, or `most` of them spread evenly over the film."""
+        end = self.count or 0
+        chosen = np.linspace(0, end - 1, min(most or end, end)).astype(int)
+        yield from map(self._picture, chosen.tolist())
+        while self.count is most is None and (picture := self.read(0)) is not None:
+            yield picture
+
+    def _picture(self, index: int) -> Raw:
+        try:
+            picture = self.read(index)
+            return picture if picture is not None and picture.dtype.kind in "buif" else None
+        except Exception as error:  # the libraries do not document what they raise
+            if index == 0 and isinstance(error, UsageError):
+                raise  # too large; later ones that are, are damaged
+            return None
+
+    def over_time(self, axes: str, shape: Sequence[int]) -> list[int]:
+        """Return the indices of the pictures of a film among planes with these axes and lengths.
+
+        Time is axis T or, if that is missing, the longest: ImageJ writes films as slices, too. The
+        first of each other axis is taken, which `remarks` then say.
+        """
+        along = axes.find("T") if "T" in axes else int(np.argmax([*shape, 0]))
+        for i, (axis, length) in enumerate(zip(axes, shape, strict=True)):
+            if i != along and length > 1:
+                self.remarks.append(f"the first of {length} {AXES.get(axis, 'planes')} is read")
+        self.count = shape[along] if axes else 1
+        return [math.prod(shape[along + 1 :]) * i for i in range(self.count)]
+
+    def add_times(self, times: Sequence[float | None]) -> None:
+        """Add the times of the pictures [s], if all are known and increase."""
+        known = [t for t in times if t is not None]
+        if 1 < len(known) == len(times) and all(a < b for a, b in pairwise(known)):
+            self.times = [t - known[0] for t in known]
+
+
+def scaled(value: Any, unit: Any, units: dict[str, float]) -> float | None:
+    """Return a value of a tag in the base unit, None if it is missing or its unit unknown."""
+    try:
+        return float(value) * units[str(unit).lower()]
+    except (TypeError, ValueError, KeyError):
+        return None
+
+
+def check_size(name: str, width: int, height: int) -> None:
+    """Raise UsageError if a picture is too large to be decoded."""
+    if width * height > PIXELS_MAX:
+        said = f"{name}: a picture of {width} x {height} px; at most 4096 x 4096 px are read"
+        raise UsageError(said, "crop the film, or bin its pixels")
+
+
+def grey_scale(sample: Iterable[Raw]) -> tuple[float, float]:
+    """Return the grey levels (low, step) of a film, from pictures spread over it: a value becomes
+    (value - low) / step.
+
+    The 8 bits are the uppermost of those in use, as of a camera: 12 bits in a file of 16 are
+    divided by 16, and floats up to 1 multiplied by 255. If the film then had too few grey levels to
+    tell cells from noise, its own range, without the outermost pixels, is stretched instead.
+    """
+    deep = (each for each in sample if each is not None and each.dtype != np.uint8)
+    values = np.concatenate([[], *(each[::4, ::4].astype(np.float32).ravel() for each in deep)])
+    values = values[np.isfinite(values)]
+    if not values.size:
+        return 0.0, 1.0
+    least, most = float(values.min()), float(values.max())
+    unit = least >= 0 and most <= 1
+    step = 1 / 255 if unit else 2.0 ** max(0, math.ceil(math.log2(max(most, 1) + 1)) - 8)
+    low, high = np.percentile(values, (SHARE, 100 - SHARE)).tolist()
+    if high > low and (least < 0 or high - low < SPREAD_LEAST * step):
+        step = (high - low) / SPREAD
+        return low - (256 - SPREAD) / 2 * step, step
+    return -step / 2 if unit else 0.0, step
+
+
+def grey_levels(picture: np.ndarray, low: float, step: float) -> Grey:
+    """Return a picture with 8 bits; one that has 8 bits already keeps its grey levels."""
+    if picture.ndim == 3:
+        colour = np.ascontiguousarray(picture[..., :3])
+        exact = picture.shape[2] > 2 and picture.dtype in (np.uint8, np.uint16, np.float32)
+        picture = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY) if exact else colour[..., 0]
+    if picture.dtype == np.uint8:
+        return picture
+    levels = (picture.astype(np.float32) - low) / step
+    return np.clip(np.nan_to_num(levels, copy=False), 0, 255).astype(np.uint8)
+
+
+def video_film(path: Path) -> FilmSource:
+    """Open a film that OpenCV reads, which converts it to 8 bits."""
+    capture = cv2.VideoCapture(str(path))
+    sides = (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)
+    check_size(path.name, *(int(capture.get(side)) for side in sides))
+    if not capture.isOpened() or not capture.grab():
+        hint = "convert it to AVI, MP4 or TIFF, or give a folder of pictures"
+        raise UsageError(f"{path}: OpenCV cannot read this film", hint)
+    with path.open("rb") as file:
+        own = None if file.read(len(JPEG)) == JPEG else float(capture.get(cv2.CAP_PROP_FPS))
+    capture.open(str(path))  # from the first picture again
+
+    def read(_: int) -> Raw:
+        found, pixels = capture.read()
+        return cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY) if found and pixels.ndim == 3 else pixels
+
+    return FilmSource(read, rate_hz=own)
+
+
+def nd2_film(path: Path) -> FilmSource:
+    """Open an ND2 file, whose frames have the times that the microscope noted."""
+    from nd2 import ND2File  # type: ignore[import-not-found]
+
+    file: Any = ND2File(path)
+    sizes = file.sizes
+    check_size(path.name, sizes["X"], sizes["Y"])
+
+    def read(index: int) -> np.ndarray:
+        pixels = np.asarray(file.read_frame(chosen[index]))
+        # samples of a colour camera come last, channels first
+        return pixels if "S" in sizes else pixels.reshape(-1, sizes["Y"], sizes["X"])[0]
+
+    source = FilmSource(read, um_px=file.voxel_size().x)
+    loops = [(axis, length) for axis, length in sizes.items() if axis not in "CYXS"]
+    chosen = source.over_time("".join(a for a, _ in loops), [length for _, length in loops])
+    if sizes.get("C", 1) > 1:
+        source.remarks.append(f"the first of {sizes['C']} channels is read")
+    if loops:
+        noted = (file.frame_metadata(frame).channels[0].time for frame in chosen)
+        source.add_times([time.relativeTimeMs / 1000 for time in noted])
+    return source
+
+
+def czi_film(path: Path) -> FilmSource:
+    """Open a CZI file, of whose times `pylibCZIrw` knows only the interval."""
+    from pylibCZIrw.czi import CziReader
+
+    file: Any = CziReader(str(path))
+    whole, box = file.total_bounding_rectangle, file.total_bounding_box
+    check_size(path.name, whole.w, whole.h)
+    begins = {axis: box[axis][0] for axis in "TZC" if axis in box}
+    lengths = [box[axis][1] - begin for axis, begin in begins.items()]
+
+    def read(index: int) -> np.ndarray:
+        at = dict(zip(begins, np.unravel_index(chosen[index], lengths), strict=True))
+        pixels = file.read(plane={axis: begin + int(at[axis]) for axis, begin in begins.items()})
+        return pixels[..., 0] if pixels.shape[-1] == 1 else pixels[..., ::-1]  # blue comes first
+
+    xml = ElementTree.fromstring(file.raw_metadata)
+    metres = xml.findtext(".//Scaling/Items/Distance[@Id='X']/Value")
+    step_s = scaled(xml.findtext(".//Dimensions/T/Positions/Interval/Increment"), "s", SECONDS)
+    source = FilmSource(
+        read, um_px=scaled(metres, "m", {"m": 1e6}), rate_hz=1 / (step_s or math.inf)
+    )
+    chosen = source.over_time("".join(begins), lengths)
+    return source

@@ -1,0 +1,151 @@
+"""Opens TIFF films by `tifffile`: stacks of pages, ImageJ's hyperstacks, OME-TIFF and the files of
+Micro-Manager, also split over several files; and folders of pictures.
+"""
+
+import math
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import cv2
+import numpy as np
+from PIL import Image
+from tifffile import TiffFile
+
+from tetractl.core.errors import UsageError
+from tetractl.film.film_source import SECONDS, UM, FilmSource, Raw, check_size, scaled
+
+TIFF = frozenset({".tif", ".tiff"})
+PICTURES = TIFF | {".png", ".jpg", ".jpeg", ".bmp", ".pgm"}
+ANY_GREY = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_GRAYSCALE
+MICRO_MANAGER = 51123  # tag of a page's metadata, JSON
+_DIGITS = re.compile(r"(\d+)")
+
+
+def tiff_film(path: Path) -> FilmSource:
+    """Open a TIFF file, and those that its tags name, as a film."""
+    tif = TiffFile(path)
+    series: Any = tif.series[0]
+    page, inside = series.keyframe, len(series.keyframe.shape)
+
+    def read(index: int) -> Raw:
+        if series.is_truncated:  # ImageJ above 4 GB describes the first page only
+            check_size(path.name, page.imagewidth, page.imagelength)
+            shape = (math.prod(series.shape[:-inside]), *page.shape)
+            kind = tif.byteorder + page.dtype.char
+            stack = tif.filehandle.memmap_array(kind, shape, series.dataoffset)
+            return np.array(stack[chosen[index]])
+        return None if _absent(series[chosen[index]]) else _pixels(series[chosen[index]])
+
+    source = FilmSource(read)
+    chosen = source.over_time(series.axes[:-inside], series.shape[:-inside])
+    while not series.is_truncated and chosen and _absent(series[chosen[-1]]):
+        chosen.pop()  # the microscope was stopped before the planned end
+    source.count = len(chosen)
+    _add_tags(tif, series, source)
+    return source
+
+
+def folder_film(folder: Path) -> FilmSource:
+    """Open a folder of pictures in the order of the numbers in their names; a TIFF file gives all
+    its pages, the first one also scale and rate, or all files that its tags name.
+    """
+    pages: list[tuple[Path, int]] = []
+    names, source = _names(folder), FilmSource(lambda index: read(*pages[index]))
+    for path in names:
+        count = 1
+        if path.suffix.lower() in TIFF:
+            try:
+                with TiffFile(path) as tif:
+                    if path == names[0] and tif.series[0].is_multifile:
+                        return tiff_film(path)
+                    count = len(tif.pages)
+                    if path == names[0]:
+                        _add_tags(tif, tif.series[0], source)
+            except Exception:  # damaged; tifffile does not document what it raises
+                pass
+        pages += [(path, page) for page in range(count)]
+
+    def read(path: Path, page: int) -> Raw:
+        if path.suffix.lower() in TIFF:
+            with TiffFile(path) as tif:
+                return _pixels(tif.pages[page])
+        with Image.open(path) as header:  # reads no pixels yet
+            check_size(path.name, *header.size)
+        return cv2.imread(str(path), ANY_GREY)
+
+    source.count = len(pages)
+    return source
+
+
+def _names(folder: Path) -> list[Path]:
+    """Return the pictures' paths in a folder, ordered by the numbers in their names."""
+
+    def order(path: Path) -> list[tuple[int, int, str]]:
+        parts = _DIGITS.split(path.name)
+        return [(1, int(p), "") if p.isdecimal() else (0, 0, p) for p in parts]
+
+    found = (path for path in folder.iterdir() if path.suffix.lower() in PICTURES)
+    if names := sorted((path for path in found if path.is_file()), key=order):
+        return names
+    hint = f"names of pictures end in {', '.join(sorted(PICTURES))}"
+    raise UsageError(f"{folder}: contains no pictures", hint)
+
+
+def _pixels(page: Any) -> np.ndarray:
+    """Return the pixels of a page (height, width), or (height, width, samples) in colour."""
+    path, key = page.parent.filehandle.path, page.keyframe
+    check_size(Path(path).name, key.imagewidth, key.imagelength)
+    try:
+        pixels = page.asarray()
+    except ValueError:  # LZW and JPEG need another package, but OpenCV reads them
+        return cv2.imreadmulti(path, page.index, 1, flags=ANY_GREY)[1][0]
+    return np.moveaxis(pixels, 0, -1) if key.axes == "SYX" else pixels
+
+
+def _absent(page: Any) -> bool:
+    return page is None or not page.dataoffsets or page.dataoffsets[0] == 0
+
+
+def _add_tags(tif: TiffFile, series: Any, source: FilmSource) -> None:
+    """Add what OME-XML, Micro-Manager and ImageJ state, the first of these that states it."""
+    imagej = tif.imagej_metadata or {}
+    summary = (tif.micromanager_metadata or {}).get("Summary", {})
+    xml = ElementTree.fromstring(tif.ome_metadata or "<none/>").find(".//{*}Pixels")
+    ome = {} if xml is None else xml.attrib
+    pages = list(_page_metadata(series)) if tif.is_micromanager else []
+    per_unit, of = series.keyframe.tags["XResolution"].value if "unit" in imagej else (0, 1)
+    source.um_px = (
+        scaled(ome.get("PhysicalSizeX"), ome.get("PhysicalSizeXUnit", "um"), UM)
+        or scaled((pages or [{}])[0].get("PixelSizeUm"), "um", UM)
+        or scaled(summary.get("PixelSize_um"), "um", UM)
+        or scaled(of / per_unit if per_unit else None, imagej.get("unit"), UM)
+    )
+    interval_s = (
+        scaled(ome.get("TimeIncrement"), ome.get("TimeIncrementUnit", "s"), SECONDS)
+        or scaled(summary.get("Interval_ms"), "ms", SECONDS)
+        or scaled(imagej.get("finterval"), imagej.get("tunit", "s"), SECONDS)
+    )
+    source.rate_hz = 1 / (interval_s or math.inf)
+    times: dict[int, float | None] = {}
+    for page in pages:
+        at = scaled(page.get("ElapsedTime-ms"), "ms", SECONDS)
+        times.setdefault(int(page.get("FrameIndex", len(times))), at)
+    along = "T" if ome.get("SizeT") != "1" else max("ZC", key=lambda a: int(ome.get(f"Size{a}", 0)))
+    for plane in () if xml is None else xml.iterfind("{*}Plane"):
+        if all(plane.get(f"The{axis}", "0") == "0" for axis in "TZC" if axis != along):
+            at = scaled(plane.get("DeltaT"), plane.get("DeltaTUnit", "s"), SECONDS)
+            times[int(plane.get(f"The{along}", 0))] = at
+    source.add_times([times.get(i) for i in range(source.count or 0)])
+
+
+def _page_metadata(series: Any) -> Iterator[dict[str, Any]]:
+    """Yield Micro-Manager's metadata of each page, in all files of a film."""
+    for path in dict.fromkeys(page.parent.filehandle.path for page in series if page is not None):
+        with TiffFile(path) as tif:
+            page: Any
+            for page in tif.pages:
+                if MICRO_MANAGER in page.tags:
+                    yield page.tags[MICRO_MANAGER].value

@@ -3,10 +3,12 @@
 import csv
 import json
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 from support.cli import tetractl
 from support.dish_films import film
+from support.film_containers import CONTAINERS, RATE_HZ, UM_PX, folder, stack
 from support.needs_opencv import cv2
 
 
@@ -59,3 +61,66 @@ def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):
     assert found["scale_guessed"] is True and found["pictures"] == 120
     speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
+
+
+# the others are those of which the pictures are compared in tests/unit/film
+TEN = sorted(
+    set(CONTAINERS) - {"deep.tif", "zlib.tif", "lzw.tif", "big imagej.tif", "camera of 16 bits"}
+)
+
+
+@pytest.fixture(scope="module")
+def tables(tmp_path_factory):
+    """A folder with one film in every container, and the tables of each."""
+    where, found = tmp_path_factory.mktemp("containers"), {}
+    made = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
+    pictures = np.array(list(made.pictures()))
+    for name in TEN:
+        write, has_scale, has_rate = CONTAINERS[name]
+        write(where / name, pictures)
+        words = [] if has_scale else ["--scale", UM_PX]
+        words += [] if has_rate else ["--rate", RATE_HZ]
+        done = tetractl(where, "track", name, *words, "--json")
+        assert (done.returncode, done.stderr) == (0, ""), (name, done)
+        found[name] = json.loads(done.stdout)
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", TEN)
+def test_every_container_of_a_film_gives_the_same_table(tables, name):
+    assert tables["png"]["pictures"] == 60 and tables["png"]["cells"]
+    # times in milliseconds differ in the last digit from those that follow from the rate
+    assert tables[name] == nearly(tables["png"])
+
+
+def nearly(found):
+    """The same, as far as rounding goes."""
+    if isinstance(found, dict):
+        return {key: nearly(value) for key, value in found.items()}
+    if isinstance(found, list):
+        return [nearly(value) for value in found]
+    return pytest.approx(found, rel=1e-6, abs=1e-9) if isinstance(found, float) else found
+
+
+@pytest.mark.slow
+def test_a_film_without_a_rate_or_without_cells_says_what_is_wrong(tmp_path):
+    stack(tmp_path / "still.tif", np.full((20, 64, 80), 700, np.uint16))
+    without = tetractl(tmp_path, "track", "still.tif", "--scale", "2.3")
+    assert without.returncode == 2
+    assert without.stderr == "error: still.tif: states no rate\nhint: give --rate HZ\n"
+    still = tetractl(tmp_path, "track", "still.tif", "--scale", "2.3", "--rate", "30")
+    assert still.returncode == 1
+    assert still.stderr == (
+        "still.tif: no cell swims in this film: 20 pictures read, 0.667 s, contrast 0 grey levels, "
+        "2.3 um/px\n"
+    )
+
+
+@pytest.mark.slow
+def test_times_of_a_folder_are_those_of_the_table(tmp_path):
+    made = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
+    path = folder(tmp_path / "film", np.array(list(made.pictures())))
+    (path / "times.csv").write_text("time_s\n" + "".join(f"{7 + t:.6f}\n" for t in made.times))
+    done = tetractl(tmp_path, "track", "film", "--scale", UM_PX, "--json")
+    assert min(cell["since_s"] for cell in json.loads(done.stdout)["cells"]) >= 7

@@ -1,0 +1,270 @@
+"""Films made to hang, crash or fill the memory of who reads them: `bombs` by hand, and `mutants` of
+good films.
+
+`PYTHONPATH=tests python tests/support/hostile_films.py [N] [SEED]` follows each of N of them by
+`tetractl track` and prints what came of them, and the peak memory.
+"""
+
+import os
+import random
+import resource
+import struct
+import sys
+import tempfile
+import time
+import traceback
+import zlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import tifffile
+from support.cli import tetractl
+from support.film_containers import CONTAINERS, folder, imagej, ome
+from support.needs_opencv import cv2
+
+SECONDS_MAX, MEGABYTES_MAX = 60.0, 500.0
+
+
+def tiff(tags, data=b"", following=0):
+    """A little-endian TIFF of one directory; tags are (code, type, count, value)."""
+    first = 8 + len(data)
+    entries = b"".join(struct.pack("<HHII", *tag) for tag in sorted(tags))
+    return (
+        b"II*\0" + struct.pack("<I", first) + data
+        + struct.pack("<H", len(tags)) + entries + struct.pack("<I", following)
+    )  # fmt: skip
+
+
+def one_strip(width, height, packed, compression=8, bits=8, following=0):
+    size, short = (256, 257, 277, 278), 3
+    tags = [(size[0], 4, 1, width), (size[1], 4, 1, height), (258, short, 1, bits)]
+    tags += [(259, short, 1, compression), (262, short, 1, 1), (273, 4, 1, 8), (277, short, 1, 1)]
+    return tiff([*tags, (278, 4, 1, height), (279, 4, 1, len(packed))], packed, following)
+
+
+def zeros(megabytes):
+    """So many MB of zeros, deflated."""
+    packer = zlib.compressobj(9)
+    return b"".join(packer.compress(bytes(2**20)) for _ in range(megabytes)) + packer.flush()
+
+
+def png(width, height, rows=0):
+    """A PNG of 1 bit a pixel, black as far as it goes."""
+
+    def chunk(kind, data):
+        body = kind + data
+        return struct.pack(">I", len(data)) + body + struct.pack(">I", zlib.crc32(body))
+
+    packed = zlib.compress(bytes(rows * (width // 8 + 1)), 9)
+    head = struct.pack(">IIBBBBB", width, height, 1, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", head) + chunk(b"IDAT", packed) + chunk(b"IEND", b"")
+    )
+
+
+def with_text(path, text):
+    """A stack whose description is replaced."""
+    tifffile.imwrite(path, small(), photometric="minisblack", description=text, metadata=None)
+
+
+def small(count=4):
+    return np.random.default_rng(count).integers(0, 256, (count, 64, 80), np.uint8)
+
+
+def in_folder(name):
+    def make(make_file):
+        def made(path):
+            path.mkdir()
+            make_file(path / name)
+
+        return made
+
+    return make
+
+
+def written(data):
+    return lambda path: path.write_bytes(data() if callable(data) else data)
+
+
+def pixels(attributes, inside="<TiffData/>"):
+    return (
+        '<OME xmlns="http://www.openmicroscopy.org/Schemas/OME/2016-06"><Image ID="Image:0">'
+        f'<Pixels ID="Pixels:0" DimensionOrder="XYCZT" Type="uint8" SizeX="80" SizeY="64" '
+        f'{attributes}><Channel ID="Channel:0"/>{inside}</Pixels></Image></OME>'
+    )
+
+
+def values(pixels):
+    return lambda path: tifffile.imwrite(path, pixels, photometric="minisblack")
+
+
+def laughs():
+    """Entities of entities, a thousand million at the end."""
+    lines = "".join(
+        f'<!ENTITY l{k} "{f"&l{k - 1};" * 10}">' if k else '<!ENTITY l0 "lol">' for k in range(10)
+    )
+    return f"<?xml version='1.0'?><!DOCTYPE OME [{lines}]><OME>&l9;</OME>"
+
+
+def fifo_named_by_tags(path):
+    path.mkdir()
+    os.mkfifo(path / "other.ome.tif")
+    planes = (
+        '<TiffData FirstT="0" PlaneCount="4"><UUID FileName="other.ome.tif">u:1</UUID></TiffData>'
+    )
+    with_text(path / "a.ome.tif", pixels('SizeC="1" SizeZ="1" SizeT="4"', planes))
+
+
+def many_large(path):
+    """A few kB a picture, each as large as a picture may be."""
+    path.mkdir()
+    data = png(4096, 4096, 4096)
+    for k in range(60):
+        (path / f"{k}.png").write_bytes(data)
+
+
+def mjpeg(path):
+    coded = cv2.imencode(".jpg", np.zeros((8000, 8000), np.uint8))[1].tobytes()
+    path.write_bytes(coded * 3)
+
+
+BOMBS: dict[str, Callable[[Path], object]] = {
+    "png of 1 Gpx in a folder": in_folder("1.png")(written(lambda: png(32768, 32768, 32768))),
+    "png that only claims": in_folder("1.png")(written(png(2**31 - 1, 2**31 - 1))),
+    "many large pictures": many_large,
+    "bmp that claims": in_folder("1.bmp")(
+        written(b"BM" + struct.pack("<IIIIiiHH24x", 54, 0, 54, 40, 65000, 65000, 1, 8))
+    ),
+    "pgm that claims": in_folder("1.pgm")(written(b"P5 100000 100000 255\n")),
+    "folder named as a picture": in_folder("1.png")(lambda path: path.mkdir()),
+    "fifo": os.mkfifo,
+    "fifo in a folder": in_folder("1.png")(os.mkfifo),
+    "endless device": in_folder("1.png")(lambda path: path.symlink_to("/dev/zero")),
+    "name with a superscript": in_folder("²1.png")(written(png(64, 64, 64))),
+    "fifo named by tags": fifo_named_by_tags,
+    "deflate bomb": written(lambda: one_strip(64, 64, zeros(400))),
+    "deflate bomb of many pages": written(lambda: one_strip(64, 64, zeros(400), following=8)),
+    "tiff of 4 Gpx": written(one_strip(65535, 65535, bytes(100))),
+    "pages in a loop": written(one_strip(64, 64, bytes(4096), 1, following=8 + 4096)),
+    "tags that claim": written(
+        tiff([(270, 2, 2**32 - 1, 8), (256, 4, 2**31, 8), (273, 16, 2**30, 8)])
+    ),
+    "no tags": written(tiff([])),
+    "strips without end": written(
+        tiff([(256, 4, 1, 4096), (257, 4, 1, 4096), (258, 3, 1, 8), (259, 3, 1, 8), (278, 4, 1, 1),
+              (262, 3, 1, 1), (277, 3, 1, 1), (273, 4, 4096, 8), (279, 4, 4096, 8)], bytes(20000))
+    ),
+    "ome of 10^9 pictures": lambda path: with_text(
+        path, pixels('SizeC="1" SizeZ="1" SizeT="1000000000"')
+    ),
+    "ome of 10^27 planes": lambda path: with_text(
+        path, pixels('SizeC="1000000000" SizeZ="1000000000" SizeT="1000000000"')
+    ),
+    "ome of planes without end": lambda path: with_text(
+        path, pixels('SizeC="1" SizeZ="1" SizeT="4"', '<TiffData PlaneCount="2000000000"/>')
+    ),
+    "ome of a modulo": lambda path: with_text(path, pixels('SizeC="-1" SizeZ="0" SizeT="4"')),
+    "entities of entities": lambda path: with_text(path, laughs()),
+    "deep xml": lambda path: with_text(path, "<OME>" + "<a>" * 100_000),
+    "imagej of 10^9 pictures": lambda path: with_text(
+        path, "ImageJ=1.53c\nimages=1000000000\nslices=1000000000\nfinterval=0.1\nunit=um\n"
+    ),
+    "imagej of no interval": lambda path: with_text(
+        path, "ImageJ=1.53c\nimages=4\nframes=4\nfinterval=-nan\nunit=um\nfps=0\n"
+    ),
+    "mjpeg of 64 Mpx": mjpeg,
+    "czi of nothing": written(b"ZISRAWFILE" + bytes(10_000)),
+    "nd2 of nothing": written(b"\xda\xce\xbe\n" + bytes(10_000)),
+    "times without end": lambda path: (
+        folder(path, small()), (path / "times.csv").write_text("time_s\n" + "1e999\n" * 4)
+    ),
+    "no values": values(np.full((6, 64, 64), np.nan, np.float32)),
+    "infinite values": values(np.where(np.eye(64) > 0, np.inf, -1e38).astype(np.float32)),
+    "complex values": values(np.ones((6, 64, 64), np.complex64)),
+}  # fmt: skip
+
+
+def bombs(where: Path) -> Iterator[tuple[str, Path]]:
+    """Write each film made by hand."""
+    for k, (name, make) in enumerate(BOMBS.items()):
+        path = where / f"bomb-{k}"
+        make(path)
+        yield name, path
+
+
+def mutants(where: Path, rng: random.Random) -> Iterator[tuple[str, Path]]:
+    """Write good films with some bytes changed, without end."""
+    makers = {name: entry[0] for name, entry in CONTAINERS.items()} | {"imagej": imagej, "ome": ome}
+    for k in range(sys.maxsize):
+        name = rng.choice(sorted(makers))
+        path = makers[name](where / f"mutant-{k} {name}", small())
+        files = sorted(path.iterdir()) if path.is_dir() else [path]
+        for file in rng.sample(files, rng.randint(1, len(files))):
+            data = bytearray(file.read_bytes())
+            tail = len(data) if rng.random() < 0.5 else min(len(data), 2000)
+            for _ in range(rng.choice([1, 1, 2, 4, 16, 64])):
+                # the tags are at the end or at the beginning of most files
+                at = (
+                    rng.randrange(tail)
+                    if rng.random() < 0.5
+                    else len(data) - 1 - rng.randrange(tail)
+                )
+                new = rng.choice(
+                    [rng.randbytes(1), b"\xff\xff\xff\xff", bytes(4), rng.randbytes(4)]
+                )
+                data[at : at + len(new)] = new
+            if rng.random() < 0.15:
+                del data[rng.randrange(len(data)) :]
+            file.write_bytes(data)
+        yield f"mutant {name}", path
+
+
+def outcome(folder: Path, path: Path) -> tuple[str, str, float]:
+    """Follow a film; return how it ended, what was said, and the time [s]."""
+    began = time.perf_counter()
+    try:
+        words = ("--scale", "2.3", "--rate", "30")
+        done = tetractl(folder, "track", path.name, *words)
+    except Exception:
+        return "traceback", traceback.format_exc(), time.perf_counter() - began
+    said = done.stderr.strip()
+    seconds = time.perf_counter() - began
+    lines = [line for line in said.splitlines() if not line.startswith("  ")]
+    if done.returncode not in (0, 1, 2) or (done.returncode and not lines):
+        return f"exit {done.returncode}", said, seconds
+    return "slow" if seconds > SECONDS_MAX else f"ended with {done.returncode}", said, seconds
+
+
+def peak_mb() -> float:
+    """Peak memory of this process and of its largest child [MB]."""
+    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+    return max(resource.getrusage(each).ru_maxrss / 1e3 for each in who)
+
+
+def main(count: int, seed: int) -> int:
+    """Follow `count` films; print what came of them."""
+    tally, slowest, failed = Counter(), (0.0, ""), 0
+    with tempfile.TemporaryDirectory() as name:
+        where = Path(name)
+        cases = [*bombs(where)]
+        more = mutants(where, random.Random(seed))
+        cases = cases[:count] + [next(more) for _ in range(count - len(cases))]
+        for kind, path in cases:
+            how, said, seconds = outcome(where, path)
+            tally[how] += 1
+            slowest = max(slowest, (seconds, kind))
+            if peak_mb() > MEGABYTES_MAX or not how.startswith("ended"):
+                failed += 1
+                print(f"{path.name} ({kind}): {how}, {peak_mb():.0f} MB\n{said}\n", flush=True)
+    ends = ", ".join(f"{how}: {number}" for how, number in sorted(tally.items()))
+    print(
+        f"{sum(tally.values())} hostile films, seed {seed}: {ends}; slowest {slowest[0]:.1f} s "
+        f"({slowest[1]}); peak memory {peak_mb():.0f} MB"
+    )
+    return int(failed > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(*map(int, [*sys.argv[1:], *("100", "1")[len(sys.argv) - 1 :]])))

@@ -1,6 +1,7 @@
 import os
 import re
 import shlex
+import shutil
 import signal
 import sys
 import termios
@@ -220,6 +221,14 @@ def test_plot_names_its_file_after_the_log_here(folder, tmp_path, kind):
     done = run("plot", folder / "whole.mcap", "--kind", kind, cwd=tmp_path)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"whole-{kind}.png\n", "")
     assert [path.name for path in tmp_path.iterdir()] == [f"whole-{kind}.png"]
+
+
+def test_a_figure_of_two_folders_is_named_after_what_holds_them(folder, tmp_path):
+    for arm in ("ours", "paper"):
+        (tmp_path / "demo" / arm).mkdir(parents=True)
+        shutil.copy(folder / "whole.mcap", tmp_path / "demo" / arm)
+    done = run("plot", "demo", "--kind", "errors", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "demo-errors.png\n"), done.stderr
 
 
 def test_a_film_is_written_beside_where_it_was_asked_for(folder):

@@ -1,6 +1,7 @@
 """`tetractl plot`: draws figures of logs, such as those of the paper."""
 
 import sys
+from os.path import commonpath
 from pathlib import Path
 from typing import Annotated
 
@@ -34,10 +35,10 @@ def plot(
     convergence: cost over the iterations, the paper's Figure 3.
     swarm: particles of the first search, the paper's Figure 2.
     error: distances to the targets over time.
-    errors: errors of several trials over time, with their median.
+    errors: errors of several trials over time, with their median, by folder.
     arms: the median error of each of several folders over time.
     ecdf: fraction of each folder's trials that ended with an error up to a value.
-    scatter: where the robots of several trials ended.
+    scatter: where the robots of several trials ended, by folder.
     estimate: the controller's estimates of turning rate a, speed and so on over time.
     timing: solve time of each control step.
     video: a film of the trial.
@@ -81,5 +82,6 @@ def _film(logs: list[Path], output: Path | None) -> int:
 
 
 def _default_name(logs: list[Path], kind: str) -> Path:
-    name = logs[0].name if len(logs) == 1 else logs[0].absolute().parent.name or "trials"
+    common = Path(commonpath([log.absolute().parent for log in logs]))
+    name = logs[0].name if len(logs) == 1 else common.name or "trials"
     return Path(f"{name.partition('.mcap')[0]}-{kind}.png")

@@ -27,6 +27,7 @@ from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"
+COMPARED = 10  # largest number of comparisons at the top of the page
 TOTAL = "the sum over the robots of the distance to the target"
 MANY = 100
 """With more trials, the page leaves out plans and searches, to stay below 20 MB."""
@@ -126,6 +127,7 @@ def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> s
     """
     about = escape(found.groups[0].experiment.description)
     compared = [one for one in tables(found) if one.title.startswith("Comparison")]
+    compared = compared if len(found.contrasts) <= COMPARED else []
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'

@@ -109,9 +109,10 @@ def _later_plans(axes: Axes, steps: Sequence[Step], unit: str) -> None:
 def _iterations(axes: Axes, steps: Sequence[Step], most: int) -> None:
     done = [len(step.plan.search.history) - 1 for step in steps]
     axes.bar([step.k for step in steps], done, width=0.8, color=BLUE, alpha=0.55)
-    limit = axes.axhline(most, color=style.GREY, lw=0.6, ls="--", label=f"most: {most}")
+    if max(done) <= most:  # otherwise the limit holds for each of several starts
+        limit = axes.axhline(most, color=style.GREY, lw=0.6, ls="--", label=f"most: {most}")
+        axes.legend(handles=[limit], loc="upper right", borderaxespad=0.1)
     axes.set_ylim(0, max(most, *done) * 1.5)
-    axes.legend(handles=[limit], loc="upper right", borderaxespad=0.1)
     axes.set_ylabel("iterations")
     axes.set_xlabel("control step k")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))

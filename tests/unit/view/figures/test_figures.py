@@ -190,6 +190,13 @@ def test_the_convergence_figure_marks_the_stop(log):
     assert f"at iteration {len(best.history) - 1} (criterion)" in words(figure)
 
 
+def test_a_limit_that_searches_exceed_is_not_drawn(log):
+    most = log.start.setup.iterations_max
+    assert f"most: {most}" in words(draw("convergence", [log]))
+    start = replace(log.start, setup=replace(log.start.setup, iterations_max=1))  # of each start
+    assert "most: 1" not in words(draw("convergence", [replace(log, start=start)]))
+
+
 def test_the_convergence_figure_takes_any_cost(log):
     step = log.steps[0]
     search = replace(step.plan.search, history=np.array([np.inf, 3.0, 0.0]), cost=0.0)

@@ -6,7 +6,7 @@ STAMP := .venv/.installed
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 DEMO := logs/demo
 
-.PHONY: demo demo-statistics test test-fast test-all lint clean
+.PHONY: demo demo-ours demo-paper demo-statistics test test-fast test-all lint clean
 
 $(RUNTIME): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || (echo "tetractl needs Python 3.11 or later" && exit 1)
@@ -20,14 +20,19 @@ $(STAMP): $(RUNTIME)
 
 # The reference experiment on the simulated bench: the published controller and ours in the same 20
 # paired seeds, next to the published result. A second run replaces the first one's logs. The two runs
-# go side by side, so that their compilations do too, and so do the pictures and the statistics.
+# go side by side, so that their compilations do too, and so do the pictures and the statistics. Each
+# line of progress begins with the run that it is of; the table of each is in a file.
 demo: $(RUNTIME)
 	rm -rf $(DEMO) && mkdir -p $(DEMO)
-	$(BIN)/tetractl run experiments/three_m3pi_bench.yaml --out $(DEMO)/ours --jobs 2 --quiet >$(DEMO)/ours.txt 2>&1 & ours=$$!; \
-	$(BIN)/tetractl run experiments/three_m3pi_paper_bench.yaml --out $(DEMO)/paper --jobs 1; paper=$$?; \
-	wait $$ours; ours=$$?; cat $(DEMO)/ours.txt; test $$paper$$ours = 00
+	@$(MAKE) --no-print-directory -j2 demo-ours demo-paper
 	$(MAKE) --no-print-directory -j2 $(DEMO)/report.html demo-statistics $(DEMO)/figure-5.png $(DEMO)/figure-3.png $(DEMO)/all-trials.png
 	@echo "Open $(DEMO)/report.html, or play a trial: $(BIN)/tetractl replay $(DEMO)/ours/trial-000.mcap"
+
+demo-ours demo-paper: SPEC = experiments/three_m3pi_$(if $(findstring paper,$@),paper_)bench.yaml
+demo-ours demo-paper:
+	@echo "$(@:demo-%=%): 20 trials of $(SPEC)"
+	@{ $(BIN)/tetractl run $(SPEC) --jobs $(if $(findstring paper,$@),1,2) --out $(DEMO)/$(@:demo-%=%) 2>&1 >$(DEMO)/$(@:demo-%=%).txt || touch $(DEMO)/failed; } \
+	| while IFS= read -r line; do echo "$(@:demo-%=%): $$line"; done; test ! -e $(DEMO)/failed
 
 demo-statistics:
 	$(BIN)/tetractl stats $(DEMO)/ours --against $(DEMO)/paper

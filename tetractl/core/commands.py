@@ -89,8 +89,7 @@ class Verdict:
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""
-        pairs = zip(self.entered, self.clearance, strict=True)
-        return [entered or clearance < radius for entered, clearance in pairs]
+        return [one or gap < radius for one, gap in zip(self.entered, self.clearance, strict=True)]
 
     def over_edge(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) left the arena; empty if the log does not record it."""

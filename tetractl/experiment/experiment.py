@@ -278,11 +278,6 @@ class Experiment(Model):
         )
 
     @property
-    def body_radius(self) -> float:
-        """Radius of every robot's body, for the statistics [length unit]; 0 if none is given."""
-        return self.controller.body_radius
-
-    @property
     def _loss(self) -> LossRule | None:
         if self.on_lost == "stop":
             return None

@@ -122,12 +122,10 @@ def _page(title: str, body: str, scripts: str) -> str:
 
 
 def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> str:
-    """Return the HTML of what a reader wants to know first: each group's result, the verdicts, and
-    every total error.
-    """
+    """Return the HTML of the title, each group's result, the verdicts, and every total error."""
     about = escape(found.groups[0].experiment.description)
-    compared = [one for one in tables(found) if one.title.startswith("Comparison")]
-    compared = compared if len(found.contrasts) <= COMPARED else []
+    few = len(found.contrasts) <= COMPARED
+    compared = [one for one in tables(found) if few and one.title.startswith("Comparison")]
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
         '<button id="theme" aria-label="Light or dark">◐</button></header>'

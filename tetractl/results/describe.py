@@ -177,7 +177,7 @@ def _notes(trial: ResultSummary) -> list[str]:
     notes = [
         f"{', '.join(name for name, one in zip(names, found, strict=True) if one)} {what}"
         for what, of in SAFETY.items()
-        if any(found := of(trial.result.verdict, trial.experiment.body_radius))
+        if any(found := of(trial.result.verdict, trial.experiment.controller.body_radius))
     ]
     if gone := sum(trial.result.lost):
         notes.append(f"{gone} robot{'s' * (gone > 1)} lost")

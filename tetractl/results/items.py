@@ -51,7 +51,7 @@ def group_items(group: Group) -> dict[str, Any]:
             {"name": name, **errors.as_dict()}
             for name, errors in zip(names, group.robots, strict=True)
         ],
-        "body_radius": group.experiment.body_radius or None,
+        "body_radius": group.experiment.controller.body_radius or None,
         **group.items,
         "reference": _reference(group),
         "scaled": _scaled(group.scaled) if group.scaled else None,

@@ -90,13 +90,13 @@ SAFETY: dict[str, Callable[[Verdict, float], list[bool]]] = {
 
 def unsafe(trial: ResultSummary) -> list[str]:
     """Return the labels in SAFETY of what any robot of a trial did."""
-    verdict, radius = trial.result.verdict, trial.experiment.body_radius
+    verdict, radius = trial.result.verdict, trial.experiment.controller.body_radius
     return [label for label, of in SAFETY.items() if any(of(verdict, radius))]
 
 
 def counted_by(experiment: Experiment) -> str:
     """Return text that states whether bodies or centres are counted."""
-    radius = experiment.body_radius
+    radius = experiment.controller.body_radius
     return f"bodies of radius {radius:g} {experiment.units.length}" if radius else "centres"
 
 
@@ -109,7 +109,7 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
     of = SAFETY[label]
 
     def of_trial(trial: ResultSummary) -> dict[str, Any]:
-        verdict, radius = trial.result.verdict, trial.experiment.body_radius
+        verdict, radius = trial.result.verdict, trial.experiment.controller.body_radius
         found = {centre[1]: any(of(verdict, 0.0))} if centre else {}
         return found | {body: any(of(verdict, radius)) if radius else None}
 
@@ -118,7 +118,9 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
         items: dict[str, Any] = {body: None, f"{body}_ci95": None}
         text = f"{NONE} (no radius)"
         keys = [centre] if centre else []
-        for key, column in keys + [(body, body)] * (trials[0].experiment.body_radius > 0):
+        for key, column in keys + [(body, body)] * (
+            trials[0].experiment.controller.body_radius > 0
+        ):
             found, text = fraction(key, [one[column] for one in columns])
             items |= found
             text += f", {counted_by(trials[0].experiment)}"

@@ -3,10 +3,10 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from numba import njit
 from support.running import QUICK
 
 from tetractl.control import build
-from tetractl.control.kernels.cache import compiled
 from tetractl.experiment.load import parse_spec
 
 WATCH = """
@@ -47,7 +47,9 @@ def test_warming_up_leaves_nothing_to_compile(name):
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr
 
 
-def test_only_compiling_is_announced_with_for_what_and_how_long_it_took():
+@pytest.mark.parametrize("again_s", [0.0, 3600.0])
+def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeypatch, again_s):
+    monkeypatch.setattr(build, "AGAIN_S", again_s)
     spec, said = parse_spec(QUICK, "spec").experiment, []
 
     class New:
@@ -56,11 +58,13 @@ def test_only_compiling_is_announced_with_for_what_and_how_long_it_took():
         def warm_up(self, setup):
             spec.controller.warm_up(spec.setup)  # from the cache, however long that takes
             assert said == []
-            compiled(nogil=True)(lambda x: 2 * x)(21)
+            njit(lambda x: 2 * x)(21)  # kept in no cache
+            njit(lambda x: 3 * x)(14)
 
     build.warm_up(spec, lambda text: None)
     build.warm_up(SimpleNamespace(controller=New(), obstacles=(), setup=None), said.append)
     assert said == [
         "compiling for mpc, pso, exact: 10 to 40 s, cached for later runs ...",
+        *["compiling for mpc, pso, exact: 0 s so far ..."] * (again_s == 0),
         "compiled in 0 s",
     ]

@@ -164,14 +164,12 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
             median, robots, more = _arm_errors(found, time_s, *pair)
             drawn += [(pair[0], [median]), (pair[1], robots)]
             signs |= more
-            trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
-            what = f"total error of {trials}, the sum over the robots"
+            what = f"total error of {len(found)} trial{'s'[len(found) == 1 :]}, the sum over the robots"
             each = "distance of each robot to its target, median of the trials"
             for axes, text in zip(pair, (what, each), strict=True):
                 letter = chr(ord("a") + list(figure.axes).index(axes))
                 style.panel(axes, letter, f"{name}: {text}" if name else text)
-            pair[0].set_ylim(bottom=0)
-            pair[1].set_ylim(bottom=0)
+                axes.set_ylim(bottom=0)
         figure.legend(handles=list(signs.values()), loc="outside lower center", ncols=5)
         for axes, curves in drawn:  # the limits are set
             name_curves(axes, curves)

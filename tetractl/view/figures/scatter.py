@@ -39,7 +39,6 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
     counts = [len(found[0].start.setup.names) for found in arms.values()]
     columns = min(max(counts), COLUMNS)
     rows = [-(-count // columns) for count in counts]
-    whole = [not unfinished(log) for log in logs]
     with style.styled():
         side_in = style.PAGE_IN / max(columns, 3)
         figure = style.figure(columns * side_in, sum(rows) * (side_in + 0.2) + 0.6)
@@ -49,7 +48,9 @@ def scatter_figure(logs: Sequence[TrialLog]) -> Figure:
             _arm(list(panels[end - of : end].flat), name, found, columns)
             for (name, found), end, of in zip(arms.items(), ends, rows, strict=True)
         ]
-        figure.legend(handles=_key(drawn, not all(whole)), loc="outside lower center", ncols=5)
+        figure.legend(
+            handles=_key(drawn, any(map(unfinished, logs))), loc="outside lower center", ncols=5
+        )
     return figure
 
 

@@ -66,6 +66,10 @@ class Note:
     text: str
 
 
+STOOD = "though commanded to move"
+"""How the text `Verdict.stood` ends, and the reason in the result of such a trial."""
+
+
 @dataclass(frozen=True, slots=True)
 class Verdict:
     """How a trial of N robots ended, from the plant's finest samples of their paths.
@@ -77,7 +81,8 @@ class Verdict:
     distance of each robot to the edge of the arena, negative outside the arena, and `apart` (N,)
     the least distance of each robot to another robot, inf for a single robot; both are empty in
     older logs. All distances are measured from the robots' centres; the methods count bodies of a
-    `radius` [length unit], by default the centres.
+    `radius` [length unit], by default the centres. `stood` is a text on the simulated robots that
+    stood for long though commanded to move, "" for none.
     """
 
     final: Poses
@@ -86,6 +91,7 @@ class Verdict:
     not_at_rest: str = ""
     edge: tuple[float, ...] = ()
     apart: tuple[float, ...] = ()
+    stood: str = ""
 
     def in_obstacle(self, radius: float = 0.0) -> list[bool]:
         """Return which robots (N,) entered an obstacle."""
@@ -100,9 +106,9 @@ class Verdict:
         return [apart < 2 * radius for apart in self.apart]
 
 
-EMULATED = "emulated"
 VIRTUAL_LAB = "emulated"
 """The type of the plant that emulates a lab in virtual time."""
+EMULATED = "emulated"
 """The key of `PlantInfo.facts` whose value names the emulated devices."""
 EMULATED_NAME = "EMULATED by tetractl"
 """Text in the name that an emulated device reports to its client."""

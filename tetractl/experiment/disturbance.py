@@ -87,7 +87,9 @@ class Disturbance:
         """Return the true poses at `time_s`; `poses` are the poses without this disturbance.
 
         The disturbance acts over `seconds`, the time since the last call, on robots that move:
-        `moving` (N,) is 1 for them, 0 for robots that stand. Called just before each `varied`.
+        `moving` (N,) is 1 for them, 0 for robots that stand. A robot that this disturbance itself
+        holds, by a = 0 and speed 0 in `varied`, counts as moving while it is commanded to move.
+        Called just before each `varied`.
         """
         return poses
 

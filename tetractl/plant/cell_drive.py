@@ -80,9 +80,11 @@ class CellDrive:
         self.cells.y += poses.y * self._um - seen.y
 
     @property
-    def moving(self) -> Floats:
-        """1 for cells that swim, 0 for cells that stand still, (N,)."""
+    def commanded(self) -> Floats:
+        """1 for cells whose last command lets them swim, 0 for others, (N,)."""
         return (~self.cells.resting).astype(np.float64)
+
+    moving = commanded  # a cell drifts even if it does not swim
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""

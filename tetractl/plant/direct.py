@@ -33,9 +33,14 @@ class DirectDrive:
         self.vary(a, speed)
 
     @property
+    def commanded(self) -> Floats:
+        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        return self._held.moving
+
+    @property
     def moving(self) -> Floats:
         """1 for robots that move, 0 for robots that stand, (N,)."""
-        return self._held.moving * self._able
+        return self.commanded * self._able
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Annotated, ClassVar, Literal, Self
 
 import numpy as np
@@ -26,6 +27,7 @@ from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
+from tetractl.plant.standing import StandingCheck
 from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
 
@@ -204,6 +206,7 @@ class SimPlant:
             section.truth_rate,
             lambda now: self._news.append(self._transmit(now)),
         )
+        self._standing = StandingCheck(setup, section.dead_time)
         self._stop: Command | None = None
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
 
@@ -240,10 +243,13 @@ class SimPlant:
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
         self._motion.advance(self.clock.now())
-        return self._camera.samples()
+        found = self._camera.samples()
+        self._news += self._standing.see(found[-1].observation) if found else []
+        return found
 
     def news(self) -> list[Command | Note]:
-        """Return the commands sent under a held direction since the last `steer`, oldest first."""
+        """Return the commands sent under a held direction since the last call, oldest first, and
+        warnings about robots that stand."""
         news, self._news = self._news, []
         return news
 
@@ -260,6 +266,7 @@ class SimPlant:
         """Stop every robot as `stop` does, until the next direction."""
         seen = self.observe()
         now = self._plan()
+        self._standing.sent(now, False)
         count = self.a.size
         zeros = np.zeros(count)
         if self._drive.host is not None:
@@ -294,7 +301,7 @@ class SimPlant:
         self._motion.advance(self.clock.now())
         self._await_frame(stand)
         self._motion.check()
-        return self._motion.path_check.verdict(self.poses)
+        return replace(self._motion.path_check.verdict(self.poses), stood=self._standing.found)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -352,6 +359,7 @@ class SimPlant:
         """
         answered = self.observe()
         now = self._plan()
+        self._standing.sent(now, ahead)
         if self._drive.host is None:
             command = self._send_direction(u, ahead, now, answered)
         else:

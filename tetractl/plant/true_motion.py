@@ -50,6 +50,8 @@ class TrueMotion:
         self.rates = a, speed  # present a and speed
         self._moving = overriding(disturbances, "moved")
         self._varying = overriding(disturbances, "varied")
+        # per disturbance in `_varying`: which robots it holds, (N,)
+        self._held = [np.zeros(len(setup.names), dtype=np.bool_) for _ in self._varying]
         self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
         self._disturbs = bool(self._moving or self._varying)
         self._by_frame = self._disturbs or heading_walk > 0
@@ -133,13 +135,19 @@ class TrueMotion:
         drive, time_s = self.drive, now / SECOND
         seconds = (now - max(self._disturbed_ns, 0)) / SECOND
         self._disturbed_ns = now
-        moving = drive.moving
+        moves, commanded = drive.moving, drive.commanded
         for disturbance in self._moving:
+            moving = moves
+            for one, held in zip(self._varying, self._held, strict=True):
+                if one is disturbance:  # it is told the command also where it holds the robot
+                    moving = np.where(held, commanded, moves)
             drive.poses = disturbance.moved(drive.poses, moving, seconds, time_s)
         if self._varying:
             a, speed = self._a, self._speed
-            for disturbance in self._varying:
+            for i, disturbance in enumerate(self._varying):
+                able = (a > 0) | (speed > 0)
                 a, speed = disturbance.varied(a, speed, time_s)
+                self._held[i] = able & (a == 0) & (speed == 0)
             self.rates = a, speed
             drive.vary(a, speed)
 

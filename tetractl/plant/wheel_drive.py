@@ -216,10 +216,14 @@ class WheelDrive:
         return self.host.repeats_ns
 
     @property
+    def commanded(self) -> Floats:
+        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        return (self._targets != 0).any(axis=0).astype(np.float64)
+
+    @property
     def moving(self) -> Floats:
-        """1 for robots commanded to move, 0 for robots commanded to stand, (N,)."""
-        able = (self._turn_of > 0) | (self._way_of > 0)
-        return (able & (self._targets != 0).any(axis=0)).astype(np.float64)
+        """1 for robots that move, 0 for robots that stand, (N,)."""
+        return self.commanded * ((self._turn_of > 0) | (self._way_of > 0))
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""

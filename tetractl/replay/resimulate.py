@@ -187,6 +187,6 @@ class _Recorder(Recorder):
         """
         logged = self._log.result
         assert logged
-        if result.reason not in ("", ENDED, logged.reason):
+        if result.reason not in ("", ENDED, logged.reason, result.verdict.stood):
             self.failure = result.reason
         super().on_stop(stop, replace(result, outcome=logged.outcome, reason=logged.reason))

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.commands import STOOD
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
 from tetractl.experiment.experiment import Experiment, Reference, Scale
@@ -154,8 +155,9 @@ def flagged(batch: Batch) -> list[Flagged]:
     """Return the flagged trials, then the earlier attempts.
 
     A trial is flagged if it is not in the means, its log is damaged, a robot entered an obstacle,
-    left the arena, touched another one or was lost, or the trial ended at `steps max`. Warnings
-    flag trials in a lab only, since in a simulation the spec requests the disturbances.
+    left the arena, touched another one, was lost or stood though commanded to move, or the trial
+    ended at `steps max`. Warnings flag trials in a lab only, since in a simulation the spec
+    requests the disturbances.
     """
     found = []
     for trial in batch.trials:
@@ -187,6 +189,6 @@ def _notes(trial: ResultSummary) -> list[str]:
         notes.append(f"{trial.warnings} warning{'s' * (trial.warnings > 1)}")
     if trial.recovered:
         notes.append("read from a damaged log")
-    if not counts(trial):
+    if not counts(trial) or trial.result.reason.endswith(STOOD):
         notes.append(trial.result.reason or "its errors are unknown")
     return notes

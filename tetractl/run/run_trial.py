@@ -267,7 +267,7 @@ class Trial:
             self.start.setup,
             verdict,
             outcome=outcome,
-            reason=reason,
+            reason=reason or verdict.stood,
             duration_s=seconds(stopped - (opened_ns if self._began_ns is None else self._began_ns)),
             solve_ns=tuple(self._solve_ns),
             deadline_misses=self._misses,

@@ -7,7 +7,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
@@ -149,18 +149,18 @@ class TrialArrays:
 
     unit: str
     robots: Strings  # (N,) names
-    time_s: Floats  # (M,) when each frame was exposed
-    frame: NDArray[np.int64]  # (M,) number of each frame
-    poses: Floats  # (M, N, 3) as measured
-    valid: Bools  # (M, N) whether the robot was tracked
-    truth: Floats  # (M, N, 3)
-    distance: Floats  # (M, N) from the measured position to the target
-    step_time_s: Floats  # (K,) when each command was sent
-    direction: Floats  # (K,) the common direction u, NaN while the field is off
-    cost: Floats  # (K,) J of the chosen sequence, (7)
-    length: NDArray[np.int64]  # (K,) number of signals in the chosen sequence
-    evaluations: NDArray[np.int64]  # (K,) number of sequences whose cost was evaluated
-    solve_ms: Floats  # (K,) wall time
+    time_s: Floats = field(repr=False)  # (M,) when each frame was exposed
+    frame: NDArray[np.int64] = field(repr=False)  # (M,) number of each frame
+    poses: Floats = field(repr=False)  # (M, N, 3) as measured
+    valid: Bools = field(repr=False)  # (M, N) whether the robot was tracked
+    truth: Floats = field(repr=False)  # (M, N, 3)
+    distance: Floats = field(repr=False)  # (M, N) from the measured position to the target
+    step_time_s: Floats = field(repr=False)  # (K,) when each command was sent
+    direction: Floats = field(repr=False)  # (K,) the common direction u, NaN while the field is off
+    cost: Floats = field(repr=False)  # (K,) J of the chosen sequence, (7)
+    length: NDArray[np.int64] = field(repr=False)  # (K,) number of signals in the chosen sequence
+    evaluations: NDArray[np.int64] = field(repr=False)  # (K,) number of costs evaluated
+    solve_ms: Floats = field(repr=False)  # (K,) wall time
 
 
 def to_arrays(trial: TrialLog) -> TrialArrays:

@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import traceback
 from pathlib import Path
 
 import numpy as np
@@ -186,3 +187,18 @@ def test_importing_the_face_imports_next_to_nothing():
     done = subprocess.run(command, env=path, capture_output=True, text=True, check=True)
     assert len(done.stdout.split()) < 10, done.stdout
     assert not {"numpy", "numba", "pydantic", "typing"} & {*done.stdout.split()}
+
+
+def test_objects_are_shown_in_a_line_and_hints_with_their_errors(batch):
+    """An interactive session prints the `repr` of each result, and the notes of each error."""
+    folder, found = batch
+    spec = tetractl.parse_spec(SPEC)
+    log, group = tetractl.read_log(found.logs[0]), tetractl.summarise(found)
+    shown = [spec, spec.experiment, found, found.trials[0], log, log.steps[0], log.result, group]
+    shown += [tetractl.to_arrays(log), tetractl.compare(group, group), log.start]
+    assert {type(one).__name__: repr(one) for one in shown if len(repr(one)) > 1200} == {}
+    assert repr(spec.experiment) == "Experiment(name='two', plant='sim', trials=3)"
+    assert repr(found) == "Batch(3 trials)"
+    with pytest.raises(UsageError) as caught:
+        tetractl.run_trial(spec, folder=folder)
+    assert "hint: name another folder\n" in traceback.format_exception(caught.value)

@@ -26,6 +26,8 @@ class TetractlError(Exception):
     def __init__(self, message: str, hint: str | None = None) -> None:
         super().__init__(message)
         self.hint = hint
+        if hint:
+            self.add_note(f"hint: {hint}")  # Python prints it below the message
 
 
 class UsageError(TetractlError):

@@ -3,7 +3,7 @@ searches it was chosen from, or the end of the trial.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any, Protocol
 
@@ -113,9 +113,9 @@ class Search:
     """
 
     length: int
-    signals: Floats  # (length,) rad
+    signals: Floats = field(repr=False)  # (length,) rad
     cost: float  # J, (7)
-    history: Floats  # (iterations + 1,)
+    history: Floats = field(repr=False)  # (iterations + 1,)
     evaluations: int
     stopped: StopReason | str
 
@@ -168,15 +168,15 @@ class Plan:
     it is one more than the number of way-points.
     """
 
-    signals: Floats
-    path: Floats
+    signals: Floats = field(repr=False)
+    path: Floats = field(repr=False)
     cost: float
     target_cost: float
     obstacle_cost: float
-    searches: tuple[Search, ...]
+    searches: tuple[Search, ...] = field(repr=False)
     chosen: int
     generator: int
-    estimate: Estimate | None = None
+    estimate: Estimate | None = field(default=None, repr=False)
     field_off: bool = False
     pauses: bool = False
     delay_ns: int = 0

@@ -31,16 +31,17 @@ class Start:
     packages, other than tetractl, that provide a kind used by the spec.
     """
 
-    setup: Setup
-    spec_text: str  # as written
+    setup: Setup = field(repr=False)
+    spec_text: str = field(repr=False)  # as written
     spec_name: str  # file name of the spec
-    resolved: str
+    resolved: str = field(repr=False)
     spec_hash: str
     seed: int  # seed of all random numbers of the batch
     trial: int  # index in the batch, from 0
     plant: PlantInfo
     start_unix_ns: int  # trial clock 0 in Unix time; EPOCH_NS in simulation
-    attached: tuple[tuple[str, str], ...] = ()  # name and text of files that the spec names
+    # name and text of files that the spec names
+    attached: tuple[tuple[str, str], ...] = field(default=(), repr=False)
     packages: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -53,7 +54,7 @@ class Step:
     """
 
     k: int
-    observation: Observation
+    observation: Observation = field(repr=False)
     plan: Plan
     command: Command
     solve_ns: int
@@ -80,7 +81,7 @@ class Result:
     duration_s: float
     total_error: float
     robot_errors: tuple[float, ...]
-    verdict: Verdict
+    verdict: Verdict = field(repr=False)
     solve_ns: tuple[int, ...] = field(repr=False)
     deadline_misses: int = 0
     passed: tuple[float, ...] = ()
@@ -147,16 +148,16 @@ class TrialRecords:
     that did not arrive. `result` is None if the run crashed or the end of the log is lost.
     """
 
-    start: Start
-    frames: Integers
-    mocap_ns: Integers
-    received_ns: Integers
-    mocap: Floats
-    valid: Bools
-    truth: Floats | None
-    commands: tuple[Command, ...]
-    steps: tuple[Step, ...]
-    notes: tuple[Note, ...]
+    start: Start = field(repr=False)
+    frames: Integers = field(repr=False)
+    mocap_ns: Integers = field(repr=False)
+    received_ns: Integers = field(repr=False)
+    mocap: Floats = field(repr=False)
+    valid: Bools = field(repr=False)
+    truth: Floats | None = field(repr=False)
+    commands: tuple[Command, ...] = field(repr=False)
+    steps: tuple[Step, ...] = field(repr=False)
+    notes: tuple[Note, ...] = field(repr=False)
     result: Result | None
 
     @property

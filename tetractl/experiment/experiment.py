@@ -1,6 +1,7 @@
 """The experiment: a spec with everything that a batch of trials depends on."""
 
 import math
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Annotated, Literal, Self
 
@@ -202,6 +203,9 @@ class Experiment(Model):
     """A published result to compare with."""
     scale: Scale | None = None
     """Another kind of robot, to which the error is scaled."""
+
+    def __repr_args__(self) -> Iterator[tuple[str, object]]:
+        yield from (("name", self.name), ("plant", self.plant.type), ("trials", self.trials.count))
 
     @model_validator(mode="after")
     def _with_assigned_targets(self) -> Self:

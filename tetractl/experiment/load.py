@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -117,10 +117,10 @@ class LoadedSpec:
     """
 
     experiment: Experiment
-    text: str
+    text: str = field(repr=False)
     name: str  # file name, without its folder
     path: Path | None = None
-    attached: Attached = ()
+    attached: Attached = field(default=(), repr=False)
     notices: tuple[str, ...] = ()  # one line for each outdated name in the spec
 
     @cached_property

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
@@ -97,7 +97,7 @@ class GroupComparison:
     """Groups, and the contrasts of every two groups or of each group with a baseline."""
 
     groups: tuple[Group, ...]
-    contrasts: tuple[Contrast, ...] = ()
+    contrasts: tuple[Contrast, ...] = field(default=(), repr=False)
 
     @property
     def unit(self) -> str:

@@ -1,7 +1,7 @@
 """Describes a batch of trials: errors with intervals, outcomes, and logs to be examined."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -62,15 +62,15 @@ class Group:
 
     name: str
     batch: Batch
-    experiment: Experiment
+    experiment: Experiment = field(repr=False)
     origin: Origin
-    totals: Floats  # (n,) total errors
-    errors: Floats  # (n, N) errors of each robot
+    totals: Floats = field(repr=False)  # (n,) total errors
+    errors: Floats = field(repr=False)  # (n, N) errors of each robot
     total: Distribution
-    robots: tuple[Distribution, ...]
-    statistics: tuple[Value, ...]
-    published: Published | None
-    scaled: Scaled | None
+    robots: tuple[Distribution, ...] = field(repr=False)
+    statistics: tuple[Value, ...] = field(repr=False)
+    published: Published | None = field(repr=False)
+    scaled: Scaled | None = field(repr=False)
 
     @property
     def unit(self) -> str:

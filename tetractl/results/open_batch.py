@@ -44,6 +44,10 @@ class Batch:
     attempts: tuple[ResultSummary, ...] = ()
     damaged: tuple[Damaged, ...] = ()
 
+    def __repr__(self) -> str:
+        counts = (self.trials, "trials"), (self.attempts, "attempts"), (self.damaged, "damaged")
+        return f"Batch({', '.join(f'{len(these)} {what}' for these, what in counts if these)})"
+
     @classmethod
     def of(cls, found: Iterable[ResultSummary], damaged: Iterable[Damaged] = ()) -> "Batch":
         """Return the trials as a batch, with earlier attempts separated."""

@@ -1,6 +1,5 @@
 """Robots that a disturbance holds: what it is told of its own doing, and what the log says."""
 
-import json
 from typing import Literal
 
 import numpy as np

@@ -79,16 +79,16 @@ class TrialLog(TrialRecords):
     """
 
     path: str
-    experiment: Experiment
-    stop: Command | None
+    experiment: Experiment = field(repr=False)
+    stop: Command | None = field(repr=False)
     damage: Damage | None
-    host: dict[str, str]  # machine and time of the run
-    provenance: dict[str, str]  # versions of the code that ran the trial
+    host: dict[str, str] = field(repr=False)  # machine and time of the run
+    provenance: dict[str, str] = field(repr=False)  # versions of the code that ran the trial
     digest: str | None = None
     content_digest: str = ""
     host_altered: bool = False
-    run: dict[str, str] = field(default_factory=dict)
-    pictures: tuple[tuple[int, bytes], ...] = ()
+    run: dict[str, str] = field(default_factory=dict, repr=False)
+    pictures: tuple[tuple[int, bytes], ...] = field(default=(), repr=False)
 
     @property
     def began_ns(self) -> int:
@@ -135,7 +135,7 @@ class ResultSummary:
     """
 
     path: str
-    experiment: Experiment
+    experiment: Experiment = field(repr=False)
     seed: int  # root seed of the batch
     trial: int  # index in the batch, from 0
     origin: Origin

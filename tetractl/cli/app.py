@@ -41,6 +41,7 @@ from tetractl.cli import (
     what_if,
 )
 from tetractl.core.errors import Exit, TetractlError, printable
+from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 
 PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
     (
@@ -152,9 +153,12 @@ app.add_typer(lab_app)
 def run_app() -> int:
     """Run the command that the arguments name; return one of the codes of `Exit`."""
     try:
-        code = app(standalone_mode=False)
+        with plugins_blamed():
+            code = app(standalone_mode=False)
         sys.stdout.flush()  # here, so that an error of stdout is handled below
     except TetractlError as error:
+        if isinstance(error, FaultyPluginError) and sys.flags.dev_mode:
+            raise
         complain(str(error), error.hint)
         return error.exit
     except TyperException as error:

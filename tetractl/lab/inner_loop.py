@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Transmission
 from tetractl.core.errors import AbortError
+from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
@@ -161,7 +162,16 @@ class InnerLoop:
         except AbortError as error:
             self.guard.abort(str(error))
         except Exception as error:
-            self.guard.abort(f"{type(error).__name__}: {error}")
+            reason, now = f"{type(error).__name__}: {error}", self._clock.now()
+            self.guard.abort(reason)
+            if not self._aborted:
+                self._aborted, self._stops_left, self._next_ns = True, STOPS, now
+            if self._stops_left:  # here, as the next step may fail before its stop
+                with suppress(Exception):
+                    self._repeat_stop(now)
+            fault = plugin_fault(error)  # slow, so after the stop
+            if fault and self.guard.reason == reason:
+                self.guard.reason = str(fault)
 
     def _tick(self) -> None:
         guard, now = self.guard, self._clock.now()

@@ -10,6 +10,7 @@ from tetractl.core.clock import SECOND, Clock, seconds
 from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
+from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import Controller, Observer, Plant
 from tetractl.core.tour import TourMeasure
@@ -55,8 +56,8 @@ class Trial:
         """Run the trial and return its result.
 
         After any end or error, the robots are stopped first. A TetractlError or an interruption
-        becomes the outcome; any other exception is raised again after the observers were called
-        with the result.
+        becomes the outcome, and so does any exception of a plug-in; another exception is raised
+        again after the observers were called with the result.
         """
         bug: Exception | None = None
         try:
@@ -261,6 +262,9 @@ class Trial:
             self._tour.add(samples, stop.sent_ns)
         finally:
             self.plant.close()
+        if bug is not None and (fault := plugin_fault(bug)):
+            reason, bug = str(fault), None
+            news = [*news, *(Note(stop.sent_ns, "error", call) for call in fault.calls)]
         if verdict.not_at_rest and outcome is not Outcome.ABORTED:
             outcome, reason = Outcome.ABORTED, verdict.not_at_rest
         result = Result.of(

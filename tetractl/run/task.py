@@ -18,6 +18,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import Command, Note, PlantInfo, Sample
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
+from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.core.worker import Worker
@@ -235,7 +236,7 @@ def run_with(
     section, real_time = spec.experiment.plant, spec.experiment.plant.real_time
     clock, start_unix_ns = section.clock(), _unix_ns() if real_time else EPOCH_NS
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
-    with ExitStack() as stack:
+    with plugins_blamed(), ExitStack() as stack:
         if real_time:
             observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
         unsupervised = LabSupervision(cancelled=lambda: interrupt.requested)

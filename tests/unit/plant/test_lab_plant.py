@@ -191,14 +191,16 @@ def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
         lab.plant.steer(0.0)
 
 
-def test_a_bug_in_a_device_stops_the_robots_and_is_told():
+@pytest.mark.parametrize(("device", "method"), [("actuator", "steer"), ("camera", "frames")])
+def test_a_bug_in_a_device_stops_the_robots_and_is_told(device, method):
+    """A camera that cannot be read must not keep the stop from being sent."""
     lab = opened()
     drive(lab, 0.4)
 
     def broken(*arguments):
         raise ZeroDivisionError("a bug")
 
-    lab.actuator.steer = broken
+    setattr(getattr(lab, device), method, broken)
     wait(lab, 0.3)
     with pytest.raises(AbortError, match="ZeroDivisionError: a bug"):
         lab.plant.observe()

@@ -1,0 +1,116 @@
+"""An exception that a plug-in raises: the command says in one line whose it is and where."""
+
+import pytest
+from support.cli import process
+from support.packages import install
+
+SPEC = """
+name: one
+arena: {left: 0, bottom: 0, width: 1000, height: 1000}
+robots: [{name: a, start: [200, 500], target: [500, 500], a: 6, speed: 100}]
+controller: {type: east, steps_max: 20}
+trials: {count: 1}
+"""
+POINTS = """
+[tetractl.controllers]
+east = east:East
+[tetractl.disturbances]
+anchor = anchor:Anchor
+[tetractl.figures]
+nothing = nothing:nothing
+"""
+EAST = """
+import time
+from typing import Literal
+import numpy as np
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.experiment.controller import ControllerSection, same
+
+class East(ControllerSection):
+    type: Literal["east"]
+    fails_at: int = 99
+    def build(self, setup, key, wrap=same, timer=time.perf_counter_ns):
+        return Driver(self)
+
+class Driver:
+    def __init__(self, section):
+        self.section, self.k = section, -1
+    def plan(self, observation, last_command=None, earlier=()):
+        self.k += 1
+        if self.k > self.section.steps_max:
+            return Outcome.STEPS_MAX
+        1 / (self.section.fails_at - self.k)
+        cost, signals = 1.0, np.zeros(1)
+        search = Search(1, signals, cost, np.array([cost]), 1, StopReason.CRITERION)
+        path = np.stack([observation.poses.array()] * 2)
+        return Plan(signals, path, cost, cost, 0.0, (search,), 0, 0)
+"""
+ANCHOR = """
+from typing import Literal
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
+
+class Anchor(DisturbanceSection):
+    type: Literal["anchor"]
+    fails: bool = False
+    def build(self, setup, rng):
+        return Held(1 / (not self.fails))
+
+class Held(Disturbance):
+    def __init__(self, one):
+        pass
+    def varied(self, a, speed, time_s):
+        return 0 * a, 0 * speed
+"""
+NOTHING = """
+def nothing(logs):
+    return {}["figure"]
+"""
+MODULES = {"east": EAST, "anchor": ANCHOR, "nothing": NOTHING}
+
+
+@pytest.fixture
+def tetractl(tmp_path):
+    site = install(tmp_path / "site", "mine", "1.0", POINTS, **MODULES)
+    (tmp_path / "one.yaml").write_text(SPEC, encoding="utf-8")
+    return lambda *words: process(tmp_path, *words, env={"PYTHONPATH": str(site)})
+
+
+def place_of(folder, name, text):
+    lines = MODULES[name].splitlines()
+    return f"{folder}/site/{name}.py:{lines.index(next(one for one in lines if text in one)) + 1}"
+
+
+def test_a_controllers_exception_names_it_and_its_calls_are_in_the_log(tetractl, tmp_path):
+    done = tetractl("run", "one.yaml", "--out", "logs", "--set", "controller.fails_at=3", "--quiet")
+    where = place_of(tmp_path, "east", "1 / (self")
+    text = f"plug-in controller 'east' (mine 1.0, {where}) raised ZeroDivisionError: division by"
+    assert done.returncode == 1
+    assert done.stderr.startswith(f"error: trial 1: {text} zero\n")
+    shown = tetractl("info", "logs/trial-000.mcap").stdout
+    assert f"error    {where} in plan: 1 / (self.section.fails_at - self.k)" in shown
+    assert f"aborted ({text} zero) after 3 control steps" in shown
+
+
+def test_other_exceptions_name_their_plug_in_too(tetractl, tmp_path):
+    """That of a process of its own comes back without its traceback."""
+    failing = ("--set", "plant.disturbances=[{type: anchor, fails: true}]")
+    done = tetractl("run", "one.yaml", "--jobs", "2", "--set", "trials.count=2", *failing)
+    where = place_of(tmp_path, "anchor", "1 / (not")
+    assert done.returncode == 1
+    assert f"plug-in disturbance 'anchor' (mine 1.0, {where}) raised Zero" in done.stderr
+    tetractl("run", "one.yaml", "--out", "logs", "--quiet")
+    done = tetractl("plot", "logs/trial-000.mcap", "--kind", "nothing", "-o", "a.png")
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: plug-in figure 'nothing' (mine 1.0, ")
+    assert "KeyError: 'figure'\nhint: " in done.stderr
+
+
+def test_a_robot_that_a_plug_in_holds_for_ever_is_told_in_log_and_table(tetractl):
+    held = "plant.disturbances=[{type: anchor}]"
+    done = tetractl("run", "one.yaml", "--out", "logs", "--set", held)
+    assert done.returncode == 0
+    assert "a stood for 4 s though commanded to move" in " ".join(done.stdout.split())
+    shown = tetractl("info", "logs/trial-000.mcap").stdout
+    assert "warning  a does not move though commanded to" in shown
+    assert "steps max (a stood for 4 s though commanded to move) after 21" in shown
+    assert tetractl("verify", "logs").returncode == 0

@@ -94,7 +94,7 @@ analyze no.yaml | no.yaml: there is no such file
 analyze spec.yaml --plans 0 | --plans: must be at least 1
 kinds --set x=1 | --set needs --check
 kinds --check nowhere:X | nowhere:X: cannot be imported: ModuleNotFoundError
-kinds --check json:dumps | json:dumps: is neither a Motion nor a section of
+kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
 kinds --check tetractl.experiment.controller:Square | Square: there is no check for this kind
 lab stop | give either a SPEC or --port

@@ -1,5 +1,6 @@
 """`tetractl kinds --check`: every kind there is passes, and each thing wrong with one is found."""
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
@@ -9,17 +10,25 @@ import numpy as np
 import pytest
 from pydantic import PrivateAttr
 from support.cli import tetractl
+from support.controllers import CONTROLLERS
 
 from tetractl.cli.init import template
 from tetractl.control.optimizers.mppi import Mppi
+from tetractl.control.sequence import SequenceSection
+from tetractl.core.plan import Plan
+from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
-from tetractl.core.registries import MOTIONS
+from tetractl.core.registries import CONTROLLERS as CONTROLLER_KINDS
+from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.experiment.base import Positive
+from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
 from tetractl.kind_checks import (
     check_actuator,
     check_camera,
+    check_controller,
+    check_disturbance,
     check_kind,
     check_motion,
     check_optimizer,
@@ -200,6 +209,121 @@ def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
         check_optimizer(Other(type="mppi", iterations=6, particles=12, fault=fault), SETUP)
     )
     assert what in found if what else found == []
+
+
+@pytest.mark.parametrize("name", ["mpc, cem", "multistart, whole", "sequence", "ensemble", "rrt"])
+def test_every_controller_passes(name):
+    fields = CONTROLLERS.get(name) or CONTROLLERS[f"mpc, {name}"]
+    section = CONTROLLER_KINDS.load(fields["type"]).model_validate(fields)
+    assert wrong(check_controller(section, SETUP)) == []
+
+
+class Faulty(SequenceSection):
+    """A controller with a fault; `build` returns itself."""
+
+    fault: str
+    _inner: object = PrivateAttr()
+
+    def build(self, setup, key, wrap=None, timer=None):
+        self._inner = super().build(setup, key)
+        return self
+
+    def plan(self, observation, last_command=None, earlier=()):
+        plan, signals = self._inner.plan(observation), None
+        if not isinstance(plan, Plan):
+            return None if self.fault == "end" else plan
+        if self.fault == "random":
+            signals = np.random.random(1)  # noqa: NPY002
+        elif self.fault == "clock":
+            signals = np.array([time.perf_counter() % 1])
+        elif self.fault == "nan":
+            signals = np.full(1, np.nan)
+        elif self.fault == "changed":
+            observation.poses.x[0] += 1
+        return plan if signals is None else replace(plan, signals=signals)
+
+
+@pytest.mark.parametrize(
+    ("fault", "what"),
+    [
+        ("end", "plan: returns a Plan, an Outcome or an End"),
+        ("random", "random numbers: from the key"),
+        ("random", "key: same key, same decisions"),
+        ("clock", "clock: only timer"),
+        ("nan", "plan: signals, path and costs are finite"),
+        ("nan", "plan: at least one signal; a path (signals + 1, robots, 3)"),
+        ("changed", "observation: not changed"),
+    ],
+)
+def test_what_is_wrong_with_a_controller_is_found(fault, what):
+    section = Faulty(type="sequence", directions=(0.1,) * 9, fault=fault)
+    assert what in wrong(check_controller(section, SETUP))
+
+
+FIELDS = {
+    "battery": {"speed": 0.2},
+    "camera-latency": {"mean": 0.01},
+    "flow": {"speed": 10},
+    "heading-drift": {"rate": 0.1},
+    "frame-loss": {"share": 0.1},
+    "frozen-camera": {"duration": 0.2},
+    "marker-off": {"heading": 0.1},
+    "planning-time": {"least": 0.01},
+    "silent-radio": {"duration": 0.2},
+    "stale-camera": {"duration": 0.2, "age": 0.2},
+    "sticking": {"every": 1},
+    "tracking-loss": {"every": 1},
+    "wobble": {"radius": 3, "frequency": 2},
+}
+
+
+@pytest.mark.parametrize("name", DISTURBANCES.builtin)
+def test_every_disturbance_passes(name):
+    section = DISTURBANCES.load(name).model_validate({"type": name} | FIELDS.get(name, {}))
+    assert wrong(check_disturbance(section, SETUP)) == []
+
+
+class Ill(DisturbanceSection):
+    """A disturbance with a fault."""
+
+    type: Literal["ill"] = "ill"
+    fault: str
+
+    def build(self, setup, rng):
+        return IllOne(self.fault)
+
+
+class IllOne(Disturbance):
+    def __init__(self, fault):
+        self.fault = fault
+
+    def moved(self, poses, moving, seconds, time_s):
+        x = poses.x + 1.0 if self.fault == "at once" else poses.x
+        if self.fault == "in place":
+            poses.x[:] += seconds
+        return Poses(x, poses.y, poses.heading)
+
+    def varied(self, a, speed, time_s):
+        if self.fault == "random":
+            return a * np.random.default_rng().uniform(), speed
+        return -a if self.fault == "negative" else a, speed
+
+    def received(self, exposed_ns, received_ns):
+        return None if self.fault == "lost" else received_ns
+
+
+@pytest.mark.parametrize(
+    ("fault", "what"),
+    [
+        ("at once", "moved: finite, and unmoved in no time"),
+        ("in place", "moved: arguments unchanged"),
+        ("random", "varied: same seed, same results"),
+        ("negative", "varied: finite, not below 0, (N,)"),
+        ("lost", "received: not before the exposure; None only with loses_frames"),
+    ],
+)
+def test_what_is_wrong_with_a_disturbance_is_found(fault, what):
+    assert wrong(check_disturbance(Ill(fault=fault), SETUP)) == [what]
 
 
 class FakeCameraSection(CameraSection):

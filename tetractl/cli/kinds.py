@@ -14,8 +14,8 @@ def kinds(
         str | None,
         typer.Option(
             metavar="MODULE:NAME",
-            help="Check your own motion, or section of a shape, optimiser, camera or "
-            "actuator, given as module:NAME.",
+            help="Check your own motion, or section of a shape, optimiser, controller, "
+            "disturbance, camera or actuator, given as module:NAME.",
         ),
     ] = None,
     sets: Annotated[
@@ -36,8 +36,8 @@ def kinds(
 
     With --check it tests a kind of your own: that its NumPy functions, compiled functions and
     derivatives agree, that its bounds hold, and that equal seeds give equal results. Exits with 1
-    if something is wrong. A camera is opened if possible; an actuator is not opened, and nothing
-    moves.
+    if something is wrong. Controllers and disturbances are tested in simulations. A camera is
+    opened if possible; an actuator is not opened, and nothing moves.
 
     Example: tetractl kinds --check pivot:PIVOT
     """

@@ -1,0 +1,89 @@
+"""Checks a kind of another package against tetractl's requirements: `tetractl kinds --check`.
+
+Each check is a generator of findings. Random numbers come from a fixed seed, so findings repeat.
+"""
+
+from collections.abc import Callable, Mapping
+from functools import partial
+from importlib import import_module
+from typing import Any
+
+from pydantic import ValidationError
+
+from tetractl.core.errors import UsageError
+from tetractl.core.setup import Setup
+from tetractl.experiment.base import Model
+from tetractl.experiment.controller import ControllerSection, OptimizerSection
+from tetractl.experiment.disturbance import DisturbanceSection
+from tetractl.experiment.lab_section import ActuatorSection, CameraSection
+from tetractl.experiment.shape_section import ShapeSection
+from tetractl.experiment.yaml.explain import words
+from tetractl.kind_checks.controller_checks import check_controller
+from tetractl.kind_checks.device_checks import check_actuator, check_camera
+from tetractl.kind_checks.disturbance_checks import check_disturbance
+from tetractl.kind_checks.finding import Finding, Findings
+from tetractl.kind_checks.motion_checks import check_motion
+from tetractl.kind_checks.optimizer_checks import check_optimizer
+from tetractl.kind_checks.shape_checks import check_shape
+from tetractl.model.motion.motion import Motion
+
+CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
+    ShapeSection: check_shape,
+    OptimizerSection: check_optimizer,
+    ControllerSection: check_controller,
+    DisturbanceSection: check_disturbance,
+    CameraSection: check_camera,
+    ActuatorSection: check_actuator,
+}
+
+
+def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
+    """Check "module:attribute": a Motion, or the section of another kind with a check.
+
+    `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
+    UsageError if the object cannot be imported or is something else.
+    """
+    module, _, attribute = code.partition(":")
+    try:
+        found = getattr(import_module(module), attribute)
+    except Exception as error:
+        raise UsageError(f"{code}: cannot be imported: {type(error).__name__}: {error}") from None
+    if isinstance(found, Motion):
+        return _guarded(partial(check_motion, found))
+    for base, check in CHECKS.items():
+        if isinstance(found, type) and issubclass(found, base):
+            return _guarded(partial(check, _section(code, found, fields), setup))
+    kinds = ", ".join(kind.__name__ for kind in CHECKS)
+    raise UsageError(
+        f"{code}: there is no check for this kind", f"kinds with a check: {kinds} and Motion"
+    )
+
+
+def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
+    named = kind.model_fields["type"].annotation
+    options = getattr(named, "__args__", ())
+    if len(options) != 1:
+        raise UsageError(f"{code}: the field `type` must be a Literal with one name")
+    try:
+        return kind.model_validate({"type": options[0], **fields})
+    except ValidationError as error:
+        details = error.errors()[0]
+        where = ".".join(map(str, details["loc"]))
+        text = words(details, details["input"])
+        raise UsageError(
+            f"{code}: {where}: {text}", f"give the value by --set {where}=VALUE"
+        ) from None
+
+
+def _guarded(check: Callable[[], Findings]) -> Findings:
+    """Yield the findings; an exception in the kind's own code becomes the last finding."""
+    try:
+        yield from check()
+    except UsageError:
+        raise
+    except Exception as error:
+        frame = error.__traceback__
+        while frame is not None and frame.tb_next is not None:
+            frame = frame.tb_next
+        place = f"{frame.tb_frame.f_code.co_filename}:{frame.tb_lineno}: " if frame else ""
+        yield Finding("runs", f"{place}{type(error).__name__}: {error}")

@@ -1,0 +1,110 @@
+"""Checks of a disturbance: each method called as the plant does."""
+
+from dataclasses import astuple, is_dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
+from tetractl.kind_checks.finding import SEED, Finding, Findings, random_watched, same, true
+
+FRAME_NS = SECOND // 60
+FRAMES = 180
+PERIOD = 12  # camera frames in a control period
+FITS = {
+    "parameters": "finite, not below 0, (N,)",
+    "placed": "finite",
+    "varied": "finite, not below 0, (N,)",
+    "planning_s": "from 0 to planning_max_s",
+    "sent": "reaches no further robots, not before it was sent",
+    "moved": "finite, and unmoved in no time",
+    "measured": "finite where valid",
+    "received": "not before the exposure; None only with loses_frames",
+}
+
+
+def _fits(method: str, section: DisturbanceSection, given: Any, found: Any) -> bool:
+    """Return whether a method's result is what `FITS` says."""
+    if method == "planning_s":
+        return 0 <= found <= section.planning_max_s
+    if method == "received":
+        return section.loses_frames if found is None else found >= given[0]
+    if method == "sent":
+        acts_ns = found.due_ns + (0 if found.late_ns is None else found.late_ns)
+        return bool(
+            np.all(acts_ns >= given[0].sent_ns) and np.all(found.reached <= given[0].reached)
+        )
+    if method == "measured":
+        found = found[0].array()[found[1]]
+    elif method in ("parameters", "varied") and (
+        np.shape(found) != np.shape(given[:2]) or np.min(found) < 0
+    ):
+        return False
+    still = method == "moved" and given[2] == 0
+    return bool(np.isfinite(_flat(found)).all()) and not (
+        still and (_flat(found) != _flat(given[0])).any()
+    )
+
+
+def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[bool, bool, Floats]]]:
+    """Call the methods that a disturbance overrides as the plant does, for 3 s.
+
+    Returns by method, for each call: whether the result fits, whether the arguments are unchanged,
+    and the numbers in the result.
+    """
+    disturbance = section.build(setup, np.random.default_rng(SEED))
+    calls: dict[str, list[tuple[bool, bool, Floats]]] = {}
+
+    def call(method: str, *given: Any) -> Any:
+        if not overriding([disturbance], method):
+            return None
+        before = _flat(given)
+        found = getattr(disturbance, method)(*given)
+        kept = np.array_equal(before, _flat(given), equal_nan=True)
+        calls.setdefault(method, []).append(
+            (_fits(method, section, given, found), kept, _flat(found))
+        )
+        return found
+
+    every = np.ones(len(setup.names), dtype=np.bool_)
+    a, speed = call("parameters", setup.a.copy(), setup.speed.copy()) or (setup.a, setup.speed)
+    poses = Poses.of(setup.starts.array())
+    poses = call("placed", poses) or poses
+    for k in range(FRAMES):
+        now, passed_ns, moving = k * FRAME_NS, (k > 0) * FRAME_NS, np.full(every.size, float(k > 0))
+        poses = call("moved", poses, moving, passed_ns / SECOND, now / SECOND) or poses
+        call("varied", a.copy(), speed.copy(), now / SECOND)
+        call("measured", poses, every.copy(), now / SECOND)
+        call("received", now, now + FRAME_NS)
+        if k % PERIOD == 0:
+            call("planning_s", now / SECOND)
+            wheels = np.ones((2, every.size))
+            call("sent", DelayedCommand(now, now, 0.5, every, None, poses.heading.copy(), wheels))
+    return calls
+
+
+def check_disturbance(section: DisturbanceSection, setup: Setup) -> Findings:
+    """Check the results of each method, and that the seed alone determines them."""
+    with random_watched() as used:
+        calls = _calls(section, setup)
+    with random_watched():
+        again = _calls(section, setup)
+    yield Finding("methods: at least one", "" if calls else "overrides none")
+    for method, found in calls.items():
+        fit, kept, numbers = zip(*found, strict=True)
+        yield true(f"{method}: {FITS[method]}", fit, "not so")
+        yield true(f"{method}: arguments unchanged", kept, "changed")
+        yield same(f"{method}: same seed, same results", numbers, [one[2] for one in again[method]])
+    yield Finding("random numbers: from rng", f"uses {' and '.join(used)}" if used else "")
+
+
+def _flat(value: Any) -> Floats:
+    """Return all numbers of a value in a row, NaN for None."""
+    if is_dataclass(value):
+        value = astuple(value)
+    if isinstance(value, tuple | list):
+        return np.concatenate([np.zeros(0), *map(_flat, value)])
+    return np.ravel(np.nan if value is None else value).astype(float)

@@ -1,0 +1,104 @@
+"""Checks of a motion: its step, hold, compiled step and derivatives agree."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+from tetractl.kind_checks.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
+from tetractl.model.motion.motion import Held, Motion
+
+STEP = 1e-6  # step of a central difference [rad]
+SLOPE = 1e-4  # relative error up to which a derivative agrees with a central difference
+
+
+def check_motion(motion: Motion) -> Findings:
+    """Check the NumPy step, the plant's `hold`, the compiled step and its derivatives."""
+    rng = np.random.default_rng(SEED)
+    x, y = rng.uniform(-500, 500, (2, COUNT))
+    heading, u = rng.uniform(-math.pi, math.pi, (2, COUNT))
+    a, v, t = rng.uniform(0.5, 6, COUNT), rng.uniform(10, 300, COUNT), 0.2
+    case = (x, y, heading, u, a, v)
+    moved = motion.step(*case, t)
+    yield true("step: finite", np.isfinite(moved), "a pose is not finite")
+    yield same("step: repeats exactly", moved, motion.step(*case, t))
+    gone = np.hypot(moved[0] - x, moved[1] - y)
+    yield true("step: moves by <= v t", gone <= v * t * (1 + NEAR), "a robot moves further")
+    still = motion.step(*case, 0.0)
+    yield near("step: keeps x, y if t = 0", np.hypot(still[0] - x, still[1] - y), 0.0, v * t)
+    turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
+    angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
+    yield near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
+    if motion.turn is not None:
+        yield same("turn: same headings as step", [motion.turn(heading, u, a, t)], moved[2:])
+    if motion.strides is not None:
+        parts = motion.strides(heading, u, a, v, t)
+        added = (_add(x, parts[0]), _add(y, parts[1]), heading + parts[2])
+        yield same("strides: their sum is the result of step", added, moved)
+    held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
+    whole = np.full(COUNT, t)
+    driven = motion.hold(x, y, heading, held, a, v, whole)
+    for name, one, other in zip("xy", driven, moved, strict=False):
+        yield near(f"hold: same {name} as step", one, other, v * t)
+    resting = Held(u, 0 * u, heading, np.zeros(COUNT))
+    stood = motion.hold(x, y, heading, resting, a, 0 * v, whole)
+    yield near("hold: does not move a stopped robot", np.hypot(stood[0] - x, stood[1] - y), 0, v)
+    compiled = motion.lanes(a, t)
+    yield from _check_advance(compiled, case, moved, t)
+    yield from _check_derivatives(motion, compiled, case, moved, t)
+
+
+def _add(start: Floats, terms: tuple[Floats, ...]) -> Floats:
+    for term in terms:
+        start = start + term
+    return start
+
+
+def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:
+    x, y, heading, u, a, v = case
+    constants = compiled.of(a, v, t)
+    if constants.rows.shape != (COUNT, constants.size):
+        yield Finding("advance: rows", f"have shape {constants.rows.shape}, not (N, size)")
+        return
+    found = []
+    for i in range(COUNT):
+        state = (x[i], y[i], math.cos(heading[i]), math.sin(heading[i]))
+        for _ in range(constants.pieces):
+            state = constants.advance(*state, math.cos(u[i]), math.sin(u[i]), constants.rows[i])
+        found.append(state)
+    ends = np.array(found, dtype=float).T
+    yield near("advance: same x as step", ends[0], moved[0], v * t)
+    yield near("advance: same y as step", ends[1], moved[1], v * t)
+    yield near("advance: same cos(heading) as step", ends[2], np.cos(moved[2]), 1.0)
+    yield near("advance: same sin(heading) as step", ends[3], np.sin(moved[2]), 1.0)
+
+
+def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: float) -> Findings:
+    x, y, heading, u, a, v = case
+    cos_sin = (np.cos(heading), np.sin(heading), np.cos(u), np.sin(u))
+    cases = np.column_stack([*cos_sin, a, v]).tolist()
+    found = np.array([compiled.differentiate(*one, t) for one in cases]).T
+    change = np.remainder(moved[2] - heading + math.pi, math.tau) - math.pi
+    turn = np.remainder(found[2] - change + math.pi, math.tau) - math.pi
+    yield near("differentiate: same dx as step", found[0], moved[0] - x, v * t)
+    yield near("differentiate: same dy as step", found[1], moved[1] - y, v * t)
+    yield near("differentiate: same dheading as step", turn, 0.0, 1.0)
+
+    def slope(by_heading: float, by_u: float) -> Any:
+        ends = [
+            motion.step(x, y, heading + sign * by_heading, u + sign * by_u, a, v, t)
+            for sign in (0.5, -0.5)
+        ]
+        return [(one - other) / STEP for one, other in zip(*ends, strict=True)]
+
+    by_heading, by_u = slope(STEP, 0.0), slope(0.0, STEP)
+    for name, ours, theirs, scale in (
+        ("d(dx)/dheading", found[3], by_heading[0], v * t),
+        ("d(dy)/dheading", found[4], by_heading[1], v * t),
+        ("d(dx)/du", found[5], by_u[0], v * t),
+        ("d(dy)/du", found[6], by_u[1], v * t),
+        ("d(heading')/dheading", found[7], by_heading[2], 1.0),
+        ("d(heading')/du", 1.0 - found[7], by_u[2], 1.0),
+    ):
+        yield near(f"differentiate: {name}", ours, theirs, scale, SLOPE)

@@ -103,7 +103,7 @@ def check_disturbance(section: DisturbanceSection, setup: Setup) -> Findings:
 
 def _flat(value: Any) -> Floats:
     """Return all numbers of a value in a row, NaN for None."""
-    if is_dataclass(value):
+    if is_dataclass(value) and not isinstance(value, type):
         value = astuple(value)
     if isinstance(value, tuple | list):
         return np.concatenate([np.zeros(0), *map(_flat, value)])

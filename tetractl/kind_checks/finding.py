@@ -52,8 +52,9 @@ def same(what: str, one: Any, other: Any) -> Finding:
 
 @contextmanager
 def random_watched() -> Iterator[list[str]]:
-    """Seed the global random generators anew; after the `with` block, the list names those used."""
-    random.seed(), np.random.seed()  # noqa: NPY002
+    """Seed the global random generators again; after the `with` block, the list names those used."""
+    random.seed()
+    np.random.seed()  # noqa: NPY002
     used = list[str]()
     known, ours = random.getstate(), repr(np.random.get_state())  # noqa: NPY002
     yield used

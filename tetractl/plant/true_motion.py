@@ -139,7 +139,7 @@ class TrueMotion:
         for disturbance in self._moving:
             moving = moves
             for one, held in zip(self._varying, self._held, strict=True):
-                if one is disturbance:  # it is told the command also where it holds the robot
+                if one is disturbance:  # where it holds a robot itself: the command
                     moving = np.where(held, commanded, moves)
             drive.poses = disturbance.moved(drive.poses, moving, seconds, time_s)
         if self._varying:

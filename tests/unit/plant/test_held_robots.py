@@ -1,4 +1,4 @@
-"""Robots that a disturbance holds: what it is told of its own doing, and what the log says."""
+"""Robots that a disturbance holds: what `moving` is for it, and what the log says."""
 
 from typing import Literal
 
@@ -18,7 +18,7 @@ PLANTS = {
 
 
 class HoldsSection(DisturbanceSection):
-    """Holds the first robot from 1 s on, for `time`, counted by the time it is told to move."""
+    """Holds the first robot from 1 s on, for `time`, counted by its time of moving."""
 
     type: Literal["holds"] = "holds"
     time: float
@@ -62,7 +62,7 @@ def drive(plant, seconds, more=()):
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=list(PLANTS))
 def test_a_robot_that_is_held_for_a_time_of_driving_goes_on(plant):
-    """It was told that the robot stands, so that the time of driving stood still too."""
+    """It was given moving = 0 for that robot, so that the time of driving stood still too."""
     _, said, x = drive(plant, 2.0)
     still = np.abs(np.diff(x)) < (1e-9 if not plant.get("cells") else 0.5)
     assert still[150:350].all()
@@ -71,7 +71,7 @@ def test_a_robot_that_is_held_for_a_time_of_driving_goes_on(plant):
 
 
 @pytest.mark.parametrize("plant", PLANTS.values(), ids=list(PLANTS))
-def test_a_robot_that_never_moves_is_told_once(plant):
+def test_a_robot_that_never_moves_is_reported_once(plant):
     simulated, said, _ = drive(plant, 1000.0)
     ((when, text),) = said
     assert text == "green does not move though commanded to"

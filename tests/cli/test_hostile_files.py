@@ -138,7 +138,7 @@ def test_a_job_script_has_no_line_of_a_files_name(tmp_path):
     refused(tetractl(tmp_path, "study", "study.yaml", "--slurm", 2, "--out", "a\rb"), r"a\rb")
 
 
-@pytest.mark.parametrize("log", ["format-1-sim", "format-2-sim", "format-2-lab"])
+@pytest.mark.parametrize("log", ["format-2-sim", "format-2-lab"])
 def test_a_golden_log_is_exported_as_parquet(log, tmp_path):
     """Regression: their seed is above 2**63 - 1."""
     path = GOLDEN / f"{log}.mcap"

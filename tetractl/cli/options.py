@@ -40,13 +40,10 @@ Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 if a sp
 
 
 def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
-    """Load a spec; print one line on stderr for each outdated name in it."""
+    """Load a spec by its path, with `--set` applied."""
     from tetractl.experiment.load import load_spec
 
-    loaded = load_spec(path, sets)
-    for notice in loaded.notices:
-        print(f"notice: {notice}", file=sys.stderr)
-    return loaded
+    return load_spec(path, sets)
 
 
 def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...]":

@@ -119,7 +119,7 @@ def compare(log: Path, again: Path) -> int:
     if first.recovered or not first.outcome.complete:
         print(f"  {log} is damaged, or its trial did not run to its end", file=sys.stderr)
     if was.start.resolved != is_now.start.resolved:
-        print("  the log's spec uses names or fields of an earlier tetractl", file=sys.stderr)
+        print("  the log's spec lacks fields of this tetractl", file=sys.stderr)
     for line in host_differences(was):
         print(printable(f"  {line}"), file=sys.stderr)
     return Exit.FAILED

@@ -35,11 +35,6 @@ class Outcome(StrEnum):
             Outcome.ABORTED: "a fault or an error ended the trial",
         }[self]
 
-    @classmethod
-    def _missing_(cls, value: object) -> "Outcome | None":
-        """Return the outcome that log format 1 calls `value`, None if there is none."""
-        return cls.SEQUENCE_COMPLETED if value == "sequence used up" else None
-
     @property
     def complete(self) -> bool:
         """Whether the controller ended the trial, so that the trial's error counts."""

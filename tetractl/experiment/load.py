@@ -34,7 +34,6 @@ from tetractl.experiment.yaml.document import (
 )
 from tetractl.experiment.yaml.explain import explain
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
-from tetractl.experiment.yaml.upgrade import upgrade, upgraded_path
 
 
 def override(document: Document, setting: str) -> None:
@@ -50,10 +49,9 @@ def override(document: Document, setting: str) -> None:
             raise _wrong(
                 origin, "must be PATH=VALUE, for instance controller.optimizer.particles=200"
             )
-        written = path.strip().split(".")
-        if len(written) > MAX_DEPTH:
+        steps = path.strip().split(".")
+        if len(steps) > MAX_DEPTH:
             raise _wrong(origin, f"the path has more than {MAX_DEPTH} steps")
-        steps = upgraded_path(written)
         loc, holder = _descend(document, steps, origin)
         value = parse_value(text, origin, loc)
     except InvalidSpecError as error:
@@ -64,10 +62,6 @@ def override(document: Document, setting: str) -> None:
         for stale in [key for key in notes if key[: len(loc)] == loc]:
             del notes[stale]
     document.values[loc] = document.keys[loc] = Place(origin, text=printable(text, 60) or None)
-    if steps != written:
-        old, new = (printable(".".join(path), 200) for path in (written, steps))
-        document.notices.append(f"{origin}: {old} is now called {new}")
-    upgrade(document)
 
 
 def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
@@ -121,7 +115,6 @@ class LoadedSpec:
     name: str  # file name, without its folder
     path: Path | None = None
     attached: Attached = field(default=(), repr=False)
-    notices: tuple[str, ...] = ()  # one line for each outdated name in the spec
 
     @cached_property
     def resolved(self) -> str:
@@ -141,8 +134,8 @@ def load_spec(path: Path, sets: Sequence[str] = ()) -> LoadedSpec:
     wrong; what would be right`.
     """
     text = read_text(path)
-    experiment, notices, attached = _experiment(text, str(path), sets, path.parent)
-    return LoadedSpec(experiment, text, printable(path.name), path, attached, notices)
+    experiment, attached = _experiment(text, str(path), sets, path.parent)
+    return LoadedSpec(experiment, text, printable(path.name), path, attached)
 
 
 def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = False) -> LoadedSpec:
@@ -152,8 +145,8 @@ def parse_spec(text: str, name: str, sets: Sequence[str] = (), written: bool = F
     places of a resolved spec that tetractl has `written` are not checked: a trial may have measured
     them.
     """
-    experiment, notices, _ = _experiment(text, name, sets, None, written)
-    return LoadedSpec(experiment, text, name, notices=notices)
+    experiment, _ = _experiment(text, name, sets, None, written)
+    return LoadedSpec(experiment, text, name)
 
 
 def resolved_yaml(experiment: Experiment) -> str:
@@ -208,13 +201,12 @@ def attach(attached: Attached, path: Path, text: str) -> Attached:
 def document_of(
     text: str, origin: str, sets: Sequence[str], identified: tuple[Identified, str] | None = None
 ) -> Document:
-    """Parse the text of a spec, convert renamed keys to their current names, and apply `sets`.
+    """Parse the text of a spec and apply `sets`.
 
     Values `identified` in a file replace the text's values before `sets` are applied. Errors are
     added to the document's problems; InvalidSpecError if the text cannot be read as YAML.
     """
     document = parse_document(text, origin)
-    upgrade(document)
     if identified is not None:
         merge(document, *identified)
     for setting in sets:
@@ -224,9 +216,8 @@ def document_of(
 
 def _experiment(
     text: str, origin: str, sets: Sequence[str], folder: Path | None, written: bool = False
-) -> tuple[Experiment, tuple[str, ...], Attached]:
-    """Return the experiment, notices of renamed keys, and the texts of files in `folder` that the
-    spec names."""
+) -> tuple[Experiment, Attached]:
+    """Return the experiment, and the texts of files in `folder` that the spec names."""
     document = document_of(text, origin, sets)
     if "base" in document.data and "robots" not in document.data:
         hint = f"run it with: tetractl study {origin}"
@@ -260,7 +251,7 @@ def _experiment(
         document.problems.append(place.problem(loc, message, place.text))
     if document.found or experiment is None:
         raise InvalidSpecError(document.found)
-    return experiment, tuple(document.notices), attached
+    return experiment, attached
 
 
 def _valid_parts(data: dict[str, Any]) -> tuple[Arena | None, dict[int, Robot], dict[int, Any]]:

@@ -45,9 +45,9 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
 
 def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
     """Yield the first difference in each topic, and differences in the operator messages that
-    follow from the records; nothing for a damaged log, or for format 1, which is no longer written.
+    follow from the records; nothing for a damaged log.
     """
-    if log.damage or raw.run.version == 1:
+    if log.damage:
         return
     called_for: list[Entry] = []  # the required messages of /log
     yield from _messages(raw, log, same_host, called_for)

@@ -45,7 +45,7 @@ class Place:
 @dataclass(frozen=True, slots=True)
 class Document:
     """A parsed spec: data, the location of every value and key, and problems. `refused` holds the
-    errors of refused values, which are None in `data`. `notices` are lines about renamed keys.
+    errors of refused values, which are None in `data`.
     """
 
     origin: str
@@ -54,7 +54,6 @@ class Document:
     keys: dict[Loc, Place] = field(default_factory=dict)
     problems: list[SpecProblem] = field(default_factory=list)
     refused: dict[Loc, SpecProblem] = field(default_factory=dict)
-    notices: list[str] = field(default_factory=list)
 
     @property
     def found(self) -> list[SpecProblem]:

@@ -9,7 +9,6 @@ from typing import NamedTuple
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
@@ -19,9 +18,7 @@ from tetractl.log.format.tetractl_pb2 import (
     CellCrops,
     ControllerStep,
     Estimate,
-    MocapSample,
     StepTiming,
-    Truth,
     WheelCommand,
 )
 
@@ -46,7 +43,6 @@ PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
 """The channels of a camera that follows cells."""
 
-MOCAP, TRUTH, PLAN = "/mocap", "/truth", "/controller/plan"  # in format 1 only
 
 CHANNELS: dict[str, type[Message]] = {
     FRAMES: CameraFrames,
@@ -66,21 +62,6 @@ CHANNELS: dict[str, type[Message]] = {
 """Topic and message of each channel. The order is part of the format version: channels get the ids
 1, 2, ... in this order, which identify the messages of a log whose channel records are lost.
 """
-
-CHANNELS_1: dict[str, type[Message]] = {
-    MOCAP: MocapSample,
-    TRUTH: Truth,
-    TRANSFORMS: FrameTransforms,
-    STEP: ControllerStep,
-    PLAN: PosesInFrame,
-    COMMANDS: WheelCommand,
-    SCENE: SceneUpdate,
-    SCENE_PLAN: SceneUpdate,
-    LOG: Log,
-    HOST_TIMING: StepTiming,
-    ESTIMATE: Estimate,
-}
-"""The channels of format 1, in their order; this format had one message per camera frame."""
 
 RUN = "tetractl.run"
 HOST = "tetractl.host"

@@ -123,23 +123,16 @@ def encode_observation(observation: Observation) -> pb.MocapSample:
 
 def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
     """Decode one camera frame; ValueError for another number of robots than `robots`."""
-    if len(message.valid) != robots:
-        raise ValueError(f"a frame has {len(message.valid)} robots instead of {robots}")
+    found = {len(column) for column in (message.x, message.y, message.heading, message.valid)}
+    if found != {robots}:
+        raise ValueError(f"a frame has {sorted(found)} robots instead of {robots}")
     return Observation(
         frame=message.frame,
         sampled_ns=message.sampled_ns,
         received_ns=message.received_ns,
-        poses=decode_poses(message, robots),
+        poses=Poses(_floats(message.x), _floats(message.y), _floats(message.heading)),
         valid=np.array(message.valid, dtype=np.bool_),
     )
-
-
-def decode_poses(message: pb.MocapSample | pb.Truth, robots: int) -> Poses:
-    """Decode the poses of one frame; ValueError for another number of robots than `robots`."""
-    found = {len(message.x), len(message.y), len(message.heading)}
-    if found != {robots}:
-        raise ValueError(f"poses have {sorted(found)} robots instead of {robots}")
-    return Poses(_floats(message.x), _floats(message.y), _floats(message.heading))
 
 
 def encode_command(command: Command) -> pb.WheelCommand:

@@ -23,7 +23,6 @@ from tetractl.log.read.trial_log import Damage
 FORMAT = "format_version"
 WARNINGS = "warnings"
 _PLANT = "plant."
-_STORED = {Outcome.SEQUENCE_COMPLETED: "sequence used up"}  # name of the outcome in format 1
 
 
 def add_checksum(items: Mapping[str, str]) -> dict[str, str]:
@@ -109,7 +108,7 @@ def result_metadata(result: Result, unit: str, warnings: int = 0) -> dict[str, s
     """
     final = result.verdict.final
     return {
-        "outcome": _STORED.get(result.outcome, result.outcome.value),
+        "outcome": result.outcome.value,
         "reason": result.reason,
         "unit": unit,
         "steps": str(result.steps),

@@ -47,20 +47,6 @@ class MocapSample(_message.Message):
     valid: _containers.RepeatedScalarFieldContainer[bool]
     def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., received_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ...) -> None: ...
 
-class Truth(_message.Message):
-    __slots__ = ("frame", "sampled_ns", "x", "y", "heading")
-    FRAME_FIELD_NUMBER: _ClassVar[int]
-    SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
-    X_FIELD_NUMBER: _ClassVar[int]
-    Y_FIELD_NUMBER: _ClassVar[int]
-    HEADING_FIELD_NUMBER: _ClassVar[int]
-    frame: int
-    sampled_ns: int
-    x: _containers.RepeatedScalarFieldContainer[float]
-    y: _containers.RepeatedScalarFieldContainer[float]
-    heading: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, frame: _Optional[int] = ..., sampled_ns: _Optional[int] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ...) -> None: ...
-
 class WheelCommand(_message.Message):
     __slots__ = ("direction", "stop", "sent_ns", "delivered", "left", "right", "facing")
     DIRECTION_FIELD_NUMBER: _ClassVar[int]

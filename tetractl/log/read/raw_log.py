@@ -81,15 +81,15 @@ class RawLog:
             raise LogError(f"{self.path}: an MCAP file, but not a log of tetractl")
         try:
             version = int(items[FORMAT])
-            if version <= FORMAT_VERSION:
+            if version == FORMAT_VERSION:
                 return read_run(items)
         except (KeyError, RecursionError, TypeError, ValueError) as error:
             raise LogError(
                 f"{self.path}: the record of the run cannot be read: {_reason(error)}"
             ) from None
         raise LogError(
-            f"{self.path}: has log format {version}; this tetractl reads up to {FORMAT_VERSION}",
-            "update tetractl",
+            f"{self.path}: has log format {version}; this tetractl reads format {FORMAT_VERSION}",
+            "use the tetractl that wrote the log",
         )
 
     @property

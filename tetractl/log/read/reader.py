@@ -10,7 +10,7 @@ import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from google.protobuf.message import DecodeError
 
-from tetractl.core.commands import Command, Note, Sample, Verdict
+from tetractl.core.commands import Command, Note, Verdict
 from tetractl.core.errors import LogError, SpecError, printable
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Bools, Floats, Poses
@@ -224,44 +224,22 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
 
 
 @lru_cache(maxsize=16)
-def _resolved(text: str) -> tuple[Experiment, str | None]:
-    """Return the experiment, and its hash or None if the spec has names of an earlier tetractl.
-
-    The logged hash of such a spec covers the old names, so it cannot be compared.
-    """
-    spec = parse_spec(text, channels.RESOLVED_SPEC, written=True)
-    return spec.experiment, None if spec.notices else spec_hash(spec.experiment)
+def _resolved(text: str) -> tuple[Experiment, str]:
+    """Return the experiment of a resolved spec, and its hash."""
+    experiment = parse_spec(text, channels.RESOLVED_SPEC, written=True).experiment
+    return experiment, spec_hash(experiment)
 
 
 def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots; true poses are NaN if a damaged log lost them."""
-    if contents.run.version == 1:
-        if contents.by_topic[channels.FRAMES]:
-            raise ValueError(f"log format 1 has no {channels.FRAMES}")
-        found = _frames_1(contents, robots)
-    else:
-        parts = [Frames.of((), robots)]
-        for message in _messages(contents, channels.FRAMES):
-            _spend_frames(contents, robots, len(message.frame))
-            parts.append(codec.decode_frames(message, robots))
-        found = Frames.joined(parts)
+    parts = [Frames.of((), robots)]
+    for message in _messages(contents, channels.FRAMES):
+        cost = limits.NUMBER_COST * (7 * robots + 3) * len(message.frame)
+        contents.budget.spend(cost, "very many camera frames")
+        parts.append(codec.decode_frames(message, robots))
+    found = Frames.joined(parts)
     validate.check_frames(found)
     return found
-
-
-def _frames_1(contents: RawLog, robots: int) -> Frames:
-    """Decode the camera frames of format 1, which has one message per frame."""
-    true = _messages(contents, channels.TRUTH)
-    truth = {message.frame: codec.decode_poses(message, robots) for message in true}
-    lost = Poses.of(np.full((robots, 3), np.nan))
-    _spend_frames(contents, robots, len(contents.by_topic[channels.MOCAP]))
-    measured = _messages(contents, channels.MOCAP)
-    seen = (codec.decode_observation(message, robots) for message in measured)
-    return Frames.of([Sample(one, truth.get(one.frame, lost)) for one in seen], robots)
-
-
-def _spend_frames(contents: RawLog, robots: int, count: int) -> None:
-    contents.budget.spend(limits.NUMBER_COST * (7 * robots + 3) * count, "very many camera frames")
 
 
 def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
@@ -302,4 +280,4 @@ def _messages(contents: RawLog, topic: str) -> Iterator[Any]:
     longest = max(map(len, found), default=0)
     if longest > limits.MESSAGE:
         raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
-    return map((channels.CHANNELS_1 | channels.CHANNELS)[topic].FromString, found)
+    return map(channels.CHANNELS[topic].FromString, found)

@@ -10,7 +10,7 @@ from mcap.records import Attachment, Channel, Metadata, Schema
 from mcap.well_known import MessageEncoding
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS_1, HOST, HOST_TIMING, RECOVERED, TIMING, Entry
+from tetractl.log.format.channels import CHANNELS, HOST, HOST_TIMING, RECOVERED, TIMING, Entry
 from tetractl.log.format.metadata import damage_metadata
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.limits import file_limit
@@ -110,7 +110,7 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
 
 
 def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
-    for topic, message in CHANNELS_1.items():  # the channels, in case their records are lost
+    for topic, message in CHANNELS.items():  # the channels, in case their records are lost
         if topic not in contents.channels and contents.by_topic[topic]:
             name, encoding, data = protobuf_schema(message)
             channel = Channel(0, topic, MessageEncoding.Protobuf, {}, 0)

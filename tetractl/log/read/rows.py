@@ -204,10 +204,9 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
         spec = parse_spec(read_text(beside), str(beside), written=True)
     except SpecError as error:
         raise LogError(str(error)) from None
-    # a spec with names of an earlier tetractl has another hash
-    known_by = None if spec.notices else arm_hash(spec.experiment)
+    known_by = arm_hash(spec.experiment)
     found = read_rows(path, spec.experiment)
     for row in found.values():
-        if row is not None and row.arm_hash != (known_by or row.arm_hash):
+        if row is not None and row.arm_hash != known_by:
             raise LogError(f"{row.place}: belongs to another spec than that in {beside}")
     return {trial: row and row.summary(spec.experiment) for trial, row in found.items()}

@@ -31,8 +31,8 @@ from mcap.records import (
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, CHANNELS_1, METADATA, RUN, TIMING, Entry
-from tetractl.log.format.metadata import FORMAT, checksum_ok
+from tetractl.log.format.channels import CHANNELS, METADATA, RUN, TIMING, Entry
+from tetractl.log.format.metadata import checksum_ok
 from tetractl.log.read import limits
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog, read_file
@@ -287,8 +287,7 @@ class _Scan:
         found = {one.name: one for one in self._found.values() if isinstance(one, Metadata)}
         topics = {number: channel.topic for number, channel in self._channels.items()}
         if not topics and RUN in found:  # the first chunk and the index are lost
-            first = found[RUN].metadata.get(FORMAT) == "1"
-            topics = dict(enumerate(CHANNELS_1 if first else CHANNELS, start=1))
+            topics = dict(enumerate(CHANNELS, start=1))
         for offset, record in sorted(self._found.items()):
             if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
                 continue  # without a checksum it may be damaged, or written by another program

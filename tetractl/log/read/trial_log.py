@@ -14,9 +14,6 @@ from tetractl.experiment.experiment import Experiment
 ALTERED = "the content does not match the digest that the log states"
 
 
-_OLD_SERVER = "EMULATED"  # part of an emulated server's name, in logs without the fact EMULATED
-
-
 class Origin(StrEnum):
     """The kind of plant of a trial, which every table and figure states."""
 
@@ -33,8 +30,7 @@ class Origin(StrEnum):
         """
         if plant.simulated:
             return cls.DISTURBED if experiment.plant.disturbed else cls.UNDISTURBED
-        old = _OLD_SERVER in plant.facts.get("server", "")
-        return cls.EMULATED if plant.facts.get(EMULATED) or old else cls.LAB
+        return cls.EMULATED if plant.facts.get(EMULATED) else cls.LAB
 
     @property
     def simulated(self) -> bool:

@@ -6,9 +6,7 @@ import sys
 import pytest
 from support.paths import ROOT
 
-from tetractl.core.plan import Outcome
 from tetractl.log.format.channels import FORMAT_VERSION
-from tetractl.log.format.metadata import result_metadata
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.replay.verify import verify
 
@@ -42,18 +40,6 @@ def test_every_number_is_as_it_was(name):
 
 def test_its_decisions_still_follow_from_it():
     """By their costs on any processor; if this fails, the controller no longer does what it did."""
-    found = verify(FOLDER / "format-1-sim.mcap")
+    found = verify(FOLDER / "format-2-sim.mcap")
     assert found.problems == ()
     assert found.checked == found.steps > 0
-
-
-def test_a_used_up_sequence_is_called_a_completed_one():
-    """The file keeps the word of format 1: an older reader takes another for an aborted trial."""
-    log = read_trial(FOLDER / "format-1-lab.mcap")
-    assert log.result is not None
-    assert log.result.outcome is Outcome.SEQUENCE_COMPLETED
-    assert log.result.outcome.value == "sequence completed"
-    assert result_metadata(log.result, "mm")["outcome"] == "sequence used up"
-    assert Outcome("sequence used up") is log.result.outcome
-    with pytest.raises(ValueError, match="bored"):
-        Outcome("bored")

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from support.durable import small_disk
-from support.paths import ROOT
 from support.random_trials import trial, write
 from support.sameness import same
 
@@ -158,13 +157,3 @@ def test_a_full_disk_leaves_nothing_behind(log, tmp_path):
             recover(source, disk / "out.mcap")
         assert list(disk.iterdir()) == []
     assert recover(source).whole
-
-
-def test_a_log_of_format_1_without_channels_comes_back(tmp_path):
-    """Regression, found by benchmarks/fuzz.py: its channels are no longer written."""
-    data = (ROOT / "tests" / "golden" / "format-1-sim.mcap").read_bytes()
-    first = data.index(b"\x04\0\0\0zstd") + 60
-    cut = damaged(tmp_path, flipped(data, first)[:-9000])
-    assert len(scan(cut).by_topic["/mocap"]) > 10
-    after = scan(Path(str(recover(cut).path)))
-    assert after.by_topic["/mocap"] == scan(cut).by_topic["/mocap"]

@@ -28,8 +28,8 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.results.estimate import distributions
 
 CONTROLLER = (
-    "controller={type: mpc, motion: exact, horizon_max: 60, steps_max: 150, estimate: true,"
-    " optimizer: {type: multistart}}"
+    "controller={type: pso-mpc, motion: exact, horizon_max: 60, steps_max: 150, estimate: true,"
+    " optimizer: {type: multistart, rounds: 8}}"
 )
 
 

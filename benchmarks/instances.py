@@ -37,11 +37,8 @@ from tetractl.results.mean_difference import holm, paired_t, signed_rank
 
 SETTING = Mapping[str, Any]
 PUBLISHED: SETTING = {
-    "controller.motion": "euler",
-    "controller.estimate": False,
+    "controller.type": "pso-mpc",
     "controller.accept_error": 0,
-    "controller.stop_between": False,
-    "controller.initial_lengths": "all",
     "controller.collision": {"test": "samples"},
     "controller.optimizer": {
         "type": "pso",

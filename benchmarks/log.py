@@ -66,7 +66,7 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots:
   - {name: one, start: [100, 500], target: [300, 450], a: 6, speed: 200}
   - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
-controller: {horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
+controller: {type: pso-mpc, horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
 plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
 """
 

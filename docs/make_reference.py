@@ -122,7 +122,9 @@ def _number(value: float) -> str:
 
 
 def _default(field: dict[str, Any]) -> str:
-    value = field.get("default")
+    if "default" not in field:
+        return "computed"
+    value = field["default"]
     if value is None or value == "":
         return "none"
     if isinstance(value, dict):

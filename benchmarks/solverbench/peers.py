@@ -104,7 +104,7 @@ class _Readable(Pso):
 
 
 _TARGET = TargetStop(type="target", cost=GOOD)
-_MULTISTART = Multistart(tolerance=GOOD)
+_MULTISTART = Multistart(tolerance=GOOD, rounds=8)
 ours = _ours(_MULTISTART)
 ours_once = _ours(_MULTISTART, restarts=0)
 our_pso = _ours(Pso(particles=PARTICLES, iterations=400, stop=_TARGET))

@@ -16,7 +16,8 @@ robots:
   - {name: one, start: [100, 500], target: [300, 500], a: 6, speed: 200}
   - {name: two, start: [100, 200], target: [300, 250], a: 3, speed: 200}
 wheels: {radius: 45}
-controller: {horizon_max: 8, steps_max: 20, optimizer: {particles: 20, iterations: 20}}
+controller: {type: pso-mpc, horizon_max: 8, steps_max: 20,
+  optimizer: {particles: 20, iterations: 20}}
 plant: {type: sim, dead_time: 0.1, heading_noise: 0.1, lost_commands: 0.2}
 trials: {count: 2, seed: 7}
 """

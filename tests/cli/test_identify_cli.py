@@ -12,7 +12,8 @@ arena: {left: 0, bottom: 0, width: 1000, height: 800}
 robots:
   - {name: one, start: [300, 500], target: [600, 500], a: 6, speed: 100}
   - {name: two, start: [300, 200], target: [600, 250], a: 3, speed: 100}
-controller: {type: mpc, motion: exact, horizon_max: 20, optimizer: {particles: 20, iterations: 20}}
+controller: {type: pso-mpc, motion: exact, horizon_max: 20,
+  optimizer: {particles: 20, iterations: 20}}
 plant:
   type: sim
   dead_time: 0.1

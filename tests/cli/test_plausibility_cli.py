@@ -13,7 +13,8 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots:
   - {name: one, start: [100, 300], target: [300, 300], a: 6, speed: 200}
   - {name: two, start: [100, 700], target: [300, 750], a: 6, speed: 200}
-controller: {horizon_max: 6, steps_max: 6, optimizer: {type: pso, particles: 10, iterations: 10}}
+controller: {type: pso-mpc, horizon_max: 6, steps_max: 6,
+  optimizer: {type: pso, particles: 10, iterations: 10}}
 trials: {count: 1, seed: 7}
 """
 WARNINGS = [

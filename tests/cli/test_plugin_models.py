@@ -55,6 +55,7 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots: [{name: a, start: [150, 500], target: [850, 500], a: 6, speed: 180}]
 obstacles: [{type: diamond, center: [500, 510], radius: 120}]
 controller:
+  type: pso-mpc
   motion: pivot
   horizon_max: 30
   collision: {test: swept, margin: 10}

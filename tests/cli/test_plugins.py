@@ -17,6 +17,7 @@ robots:
   - {name: a, start: [200, 500], target: [400, 500], a: 6, speed: 180}
   - {name: b, start: [200, 700], target: [400, 750], a: 3, speed: 150}
 controller:
+  type: pso-mpc
   horizon_max: 7
   steps_max: 9
   optimizer: {type: random-search, iterations: 20}

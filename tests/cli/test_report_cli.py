@@ -15,7 +15,8 @@ robots:
   - {name: one, start: [100, 500], target: [300, 500], a: 6, speed: 200}
   - {name: two, start: [100, 200], target: [300, 250], a: 3, speed: 200}
 obstacles: [{type: circle, center: [600, 600], radius: 50}]
-controller: {horizon_max: 8, steps_max: 30, optimizer: {particles: 20, iterations: 20}}
+controller: {type: pso-mpc, horizon_max: 8, steps_max: 30,
+  optimizer: {particles: 20, iterations: 20}}
 plant: {type: sim, dead_time: 0.1, heading_noise: 0.1}
 trials: {count: 3, seed: 7}
 reference: {source: somewhere, n: 20, mean: 300, std: 100}

@@ -176,7 +176,7 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(log, tmp_path, word
     )
     assert done.returncode == 2
     assert done.stderr == (
-        "error: the live WebSocket needs websockets, which is not installed\n"
+        "error: this needs websockets, which is not installed\n"
         "hint: pip install 'tetractl[serve]'\n"
     )
     assert done.stdout == ""

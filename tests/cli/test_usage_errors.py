@@ -3,6 +3,8 @@
 import re
 import shlex
 import shutil
+import subprocess
+import sys
 
 import pytest
 from support.cli import tetractl
@@ -174,3 +176,35 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
     assert len(hints) == len(lines) - 1 <= 1
     assert hints or not hint
     assert contents(folder) == before
+
+
+DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+MISSING = """
+import sys
+sys.modules[sys.argv.pop(1)] = None  # as if it were not installed
+from tetractl.cli.app import run_app
+sys.exit(run_app())
+"""
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "extra"),
+    [
+        ("cv2", f"lab emulate {DISH} --port-link coils", "vision"),
+        ("cv2", f"lab survey {DISH} --yes", "vision"),
+        ("cv2", "track nowhere.mp4", "vision"),
+        ("pyarrow", "export logs/trial-000.mcap --format parquet -o out", "parquet"),
+        ("distributed", "study study.yaml --cluster tcp://localhost:1", "dask"),
+    ],
+)
+def test_a_missing_extra_is_named_in_one_line(folder, module, words, extra):
+    done = subprocess.run(
+        [sys.executable, "-c", MISSING, module, *words.split()],
+        cwd=folder, capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    error, hint = done.stderr.splitlines()[-2:]
+    assert error.startswith("error: ")
+    assert error.endswith("which is not installed")
+    assert f"pip install 'tetractl[{extra}]'" in hint
+    assert done.returncode in (1, 2)
+    assert "Traceback" not in done.stderr

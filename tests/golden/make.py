@@ -31,7 +31,7 @@ robots:
   - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
 obstacles: [{type: circle, center: [250, 400], radius: 20}]
 wheels: {radius: 40}
-controller: {horizon_max: 6, steps_max: 4, optimizer: {particles: 4, iterations: 12}}
+controller: {type: pso-mpc, horizon_max: 6, steps_max: 4, optimizer: {particles: 4, iterations: 12}}
 plant: {type: sim, camera_rate: 20, measurement_noise: {position: 1}, heading_noise: 0.1}
 trials: {count: 3, seed: 7}
 """

@@ -35,6 +35,7 @@ def experiment(robots: int = 3, **fields: Any) -> Experiment:
             for i in range(robots)
         ],
     }
+    fields["controller"] = {"type": "pso-mpc"} | fields.get("controller", {})
     return Experiment.model_validate(found | fields)
 
 

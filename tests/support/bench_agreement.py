@@ -31,7 +31,7 @@ from tetractl.run.task import trial_seeds
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (
-    "type: mpc, period: 0.05, hold: 4, motion: exact, steps_max: 400, "
+    "type: pso-mpc, period: 0.05, hold: 4, motion: exact, steps_max: 400, "
     "optimizer: {type: multistart}, collision: {test: swept, margin: 50, walls: true}"
 )
 BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"

@@ -43,7 +43,7 @@ def spec(
         for i in range(robots)
     ]
     controller = {
-        "type": "mpc",
+        "type": "pso-mpc",
         "motion": motion,
         "horizon_max": signals,
         "collision": {"test": "swept", "walls": bool(obstacles)},

@@ -38,7 +38,11 @@ MPC: dict[str, dict[str, Any]] = {
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
-    **{f"mpc, {name}": {"type": "mpc", "horizon_max": 14} | fields for name, fields in MPC.items()},
+    **{
+        f"mpc, {name}": {"type": "pso-mpc", "horizon_max": 14} | fields
+        for name, fields in MPC.items()
+    },
+    "mpc, recommended": {"type": "mpc", "horizon_max": 14, "optimizer": MULTISTART},
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "ensemble": {"type": "ensemble"},
     "rrt": {"type": "rrt", "margin": 40},

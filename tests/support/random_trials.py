@@ -68,6 +68,7 @@ def experiment(robots: int = 3, **fields: Any) -> Experiment:
         "obstacles": OBSTACLES,
         "trials": {"count": 3, "seed": 2**64 - 1},
     }
+    fields["controller"] = {"type": "pso-mpc"} | fields.get("controller", {})
     return Experiment.model_validate(found | fields)
 
 

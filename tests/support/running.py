@@ -21,7 +21,8 @@ QUICK = """\
 name: quick
 arena: {left: 0, bottom: 0, width: 2000, height: 1000}
 robots: [{name: r, start: [100, 500], target: [300, 500], a: 6, speed: 200}]
-controller: {horizon_max: 6, steps_max: 6, optimizer: {type: pso, particles: 10, iterations: 10}}
+controller: {type: pso-mpc, horizon_max: 6, steps_max: 6,
+  optimizer: {type: pso, particles: 10, iterations: 10}}
 plant: {type: sim, camera_rate: 20, measurement_noise: {position: 1}, lost_commands: 0.1}
 trials: {count: 3, seed: 7}
 """

@@ -21,7 +21,7 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots:
   - {name: a, start: [200, 500], target: [600, 500], a: 6, speed: 180}
   - {name: b, start: [200, 700], target: [500, 800], a: 3, speed: 150}
-controller: {period: 0.2, horizon_max: 8, steps_max: 6}
+controller: {type: pso-mpc, period: 0.2, horizon_max: 8, steps_max: 6}
 plant: {measurement_noise: {position: 2}}
 trials: {count: 3, seed: 4}
 """

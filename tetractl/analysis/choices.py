@@ -39,7 +39,8 @@ def ranked(
 
     Errors are predicted as by `tetractl analyze`, from the cells' poses: first along a few plans
     for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
-    them (successive halving), with the same random numbers. Only cells with a magnet count; [] if
+    them (successive halving), with the same random numbers. If no plan reaches the targets in the
+    first round, there are no further ones. Only cells with a magnet count; [] if
     there are too few.
     """
     choice = experiment.chosen
@@ -57,6 +58,8 @@ def ranked(
             done += 1
             on_done(done, sum(counts))
         found[:count] = sorted(found[:count], key=lambda one: one.error)
+        if found and math.isinf(found[0].error):
+            break  # no plan reaches the targets, and more plans of the same choices would not
     return found[: counts[-1]]
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
 from tetractl.control.mpc import MpcSection
+from tetractl.control.mpc_kinds import PsoMpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation
@@ -22,8 +23,9 @@ from tetractl.run.task import trial_seeds
 class Planned:
     """A plan of the robots at their starts, and the problem that it solves.
 
-    `reaches` is whether the plan's cost is at most the tolerance. `shortest` is the least number of
-    signals of the sequences found that reach the targets, None if none does.
+    `reaches` is whether the plan's cost is at most the tolerance, without the cost of obstacles if
+    a robot starts within a margin. `shortest` is the least number of signals of the sequences found
+    that reach the targets, None if none does.
     """
 
     plan: Plan
@@ -35,14 +37,14 @@ class Planned:
 def planner(experiment: Experiment) -> MpcSection:
     """Return the section of the model predictive control by which an experiment is analysed.
 
-    This is the spec's `controller` if its type is mpc, otherwise the default section with the
-    spec's period and number of steps. The optimiser is multistart, which has a tolerance, and a
-    step's evaluations and time are not limited.
+    This is the spec's `controller` if its type is mpc or pso-mpc, otherwise pso-mpc with the exact
+    motion and the spec's period and number of steps. The optimiser is multistart, which has a
+    tolerance, and a step's evaluations and time are not limited.
     """
     control = experiment.controller
     if not isinstance(control, MpcSection):
         period = {"period": control.period, "steps_max": control.steps_max}
-        return MpcSection(motion="exact", optimizer=Multistart(), **period)
+        return PsoMpc(motion="exact", optimizer=Multistart(), **period)
     optimizer = control.optimizer
     found = {
         "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
@@ -66,12 +68,16 @@ def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[
     observation = Observation(0, 0, 0, setup.starts, every)
     problem = section.problem(setup)
     enough = tolerance(section)
+    within = bool(problem.obstacles.contain(setup.starts.x, setup.starts.y).any())
     for trial in range(count):
         key, _ = trial_seeds(seed, trial)
         plan = section.build(setup, key).plan(observation)
         if isinstance(plan, Plan):
+            # robots that start within a margin are steered out of it; no plan avoids that cost
+            reaches = (plan.target_cost if within else plan.cost) <= enough
             good = [one.length for one in plan.searches if one.cost <= enough]
-            yield Planned(plan, problem, plan.cost <= enough, min(good, default=None))
+            good += [len(plan.signals)] if reaches else []
+            yield Planned(plan, problem, reaches, min(good, default=None))
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,17 @@ PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
 )
 
 
+EXTRAS = {
+    "cv2": ("OpenCV", "vision"),
+    "dask_jobqueue": ("dask-jobqueue", "dask"),
+    "distributed": ("Dask's distributed", "dask"),
+    "pandas": ("pandas", "dataframe"),
+    "pyarrow": ("pyarrow", "parquet"),
+    "pymmcore": ("pymmcore", "microscope"),
+    "websockets": ("websockets", "serve"),
+}
+"""For each optional module, the package's name and the extra of tetractl that installs it."""
+
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
 
 
@@ -168,6 +179,15 @@ def run_app() -> int:
     except (typer.Abort, KeyboardInterrupt):
         complain("interrupted")
         return Exit.INTERRUPTED
+    except ModuleNotFoundError as error:
+        module = (error.name or "").partition(".")[0]
+        if module not in EXTRAS:
+            raise
+        package, extra = EXTRAS[module]
+        complain(
+            f"this needs {package}, which is not installed", f"pip install 'tetractl[{extra}]'"
+        )
+        return Exit.USAGE
     except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
         return Exit.DONE
     except SystemExit as end:

@@ -62,6 +62,7 @@ def survey(
 
     from tetractl.analysis.choices import alike, ranked
     from tetractl.analysis.closed_loop import Noise
+    from tetractl.analysis.steering import planner, tolerance
     from tetractl.cli.options import load
     from tetractl.core.files import save_whole
     from tetractl.core.protocols import LabSupervision
@@ -105,7 +106,15 @@ def survey(
             error = f"{one.error:.0f} {unit}" if np.isfinite(one.error) else "none, no plan found"
             print(f"cells {numbers}: predicted mean total error {error}")
     if not found or not np.isfinite(found[0].error):
-        print("no choice of these cells can be steered to the targets", file=sys.stderr)
+        control, able = planner(experiment), sum(cell.magnetised for cell in cells)
+        horizon_s = control.horizon_max * control.hold * control.period
+        why = (
+            f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
+            f"{tolerance(control):g} {unit} of the targets"
+            if found
+            else f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
+        )
+        print(f"no choice of these cells can be steered to the targets: {why}", file=sys.stderr)
         return Exit.FAILED
     if output is not None:
         data = document_of(loaded.text, str(spec), sets or []).data

@@ -20,7 +20,6 @@ from tetractl.cli.serving import (
     layout_of,
     link,
     print_forwarding,
-    websockets_needed,
 )
 from tetractl.core.errors import Exit, UsageError
 
@@ -79,14 +78,13 @@ def serve(
         raise UsageError(f"--rate must be above 0, not {rate:g}")
     from tetractl.log.read.find import find_log
 
-    with websockets_needed():
-        from tetractl.serve.live import ServedReplay
     from tetractl.cli.replay import is_terminal
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.replay.player import Player, Recording, span
     from tetractl.run.interrupt import interrupted_once
+    from tetractl.serve.live import ServedReplay
     from tetractl.serve.server import FOXGLOVE, LoopbackServer
 
     path, wall = find_log(what), MonotonicClock()

@@ -59,10 +59,8 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
     if port is None:
         yield []
         return
-    with websockets_needed():
-        from tetractl.serve.live import Viewers
     from tetractl.core.clock import MonotonicClock
-    from tetractl.serve.live import ServedRun
+    from tetractl.serve.live import ServedRun, Viewers
     from tetractl.serve.server import LoopbackServer
 
     viewers = Viewers(name)
@@ -106,19 +104,3 @@ def answers(url: str) -> bool:
             return True
     except (OSError, ValueError, HTTPException):
         return False
-
-
-@contextmanager
-def websockets_needed() -> Iterator[None]:
-    """Raise UsageError if an import in the `with` block fails because the extra `serve` is not
-    installed.
-    """
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] != "websockets":
-            raise
-        raise UsageError(
-            "the live WebSocket needs websockets, which is not installed",
-            "pip install 'tetractl[serve]'",
-        ) from error

@@ -1,5 +1,6 @@
 """The fields of model predictive control in a spec; `tetractl.control.mpc` builds from them."""
 
+from collections.abc import Iterator
 from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveInt, model_validator
@@ -12,6 +13,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
+from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
@@ -43,7 +45,7 @@ class Collision(Model):
     is about to enter one, or if no plan within `accept_error` keeps clear. When they stand, a new
     plan is searched. If they cannot drive ahead safely, they turn on the spot first; the trial ends
     if no turn helps. With an `accept_error`, robots also pause at the end, and drive on if their
-    total error at rest is larger. Only for robots that can stand still."""
+    total error at rest is larger. Only for robots that can stand still, which have `wheels`."""
     silence: NonNegative = 0.0
     """Time for which robots may receive no command and keep their direction [s]. The planner
     prefers plans in which robots keep clear even if this happens after any one of the signals.
@@ -96,9 +98,8 @@ class PriorSection(Model):
 
 
 class MpcFields(ControllerSection):
-    """The fields of model predictive control."""
+    """The fields of model predictive control, with the paper's defaults."""
 
-    type: Literal["mpc"] = "mpc"
     hold: PositiveInt = 1
     """Number of control periods for which a plan holds each signal. The plan's time grid is `hold`
     times coarser than the control's, and a signal can still be changed at each control step."""
@@ -117,7 +118,8 @@ class MpcFields(ControllerSection):
     most this error and is as good as any plan. A smaller value makes trials longer. Each detour
     near the end of a plan raises the accepted error by a tenth; after half of the steps the
     accepted error grows up to fourfold; when too few steps for a detour are left, any error is
-    accepted. With 0, as in Algorithm 2, a trial ends only at the end of its sequence."""
+    accepted. With 0, as in Algorithm 2, a trial ends only at the end of its sequence. The default
+    of `mpc` is 0.45 of the path that all robots together drive in a control period."""
     stop_between: bool = False
     """Whether the stop may come between two control steps, at the moment that leaves the least
     error."""
@@ -134,7 +136,7 @@ class MpcFields(ControllerSection):
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
     collision: Collision = Collision()
-    """How the planner tests for obstacles."""
+    """How the planner of `pso-mpc` tests for obstacles."""
     evaluations_max: int | None = Field(default=None, ge=1)
     """Largest number of cost evaluations in one control step, shared equally by its horizons; the
     best sequence found within the limit is used. No limit by default.
@@ -174,10 +176,17 @@ class MpcFields(ControllerSection):
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
 
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield an error if robots that cannot stand still are to pause."""
+        if self.collision.stop_before_collision and setup.wheel_radius is None:
+            message = "is only for robots that can stand still, which have wheels"
+            yield ("collision", "stop_before_collision"), message
+
     def signals_within(self, steps: int) -> int:
         """Return the largest number of signals of a plan if `steps` control steps are left.
         Without `accept_error`, as in Algorithm 2, the steps left do not limit a plan."""
-        return min(self.horizon_max, steps // self.hold if self.accept_error else self.horizon_max)
+        left = max(1, steps // self.hold)
+        return min(self.horizon_max, left if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
         """Return the number of floats that the longest search stores: positions, velocities, bests

@@ -19,7 +19,8 @@ CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
     {
-        "mpc": "tetractl.control.mpc:MpcSection",
+        "mpc": "tetractl.control.mpc_kinds:RecommendedMpc",
+        "pso-mpc": "tetractl.control.mpc_kinds:PsoMpc",
         "sequence": "tetractl.control.sequence:SequenceSection",
         "ensemble": "tetractl.control.ensemble:EnsembleSection",
         "rrt": "tetractl.control.rrt:RrtSection",

@@ -1,9 +1,11 @@
 """The strict base class of all sections of a spec, and types of constrained numbers and names."""
 
-from typing import Annotated
+from collections.abc import Callable
+from copy import copy
+from typing import Annotated, Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field
-from pydantic_core import PydanticCustomError
+from pydantic_core import PydanticCustomError, PydanticUndefined
 
 
 class Model(BaseModel):
@@ -16,6 +18,26 @@ class Model(BaseModel):
         use_attribute_docstrings=True,
         str_max_length=10_000,
     )
+
+
+Section = TypeVar("Section", bound=Model)
+
+
+def defaults(**values: Any) -> Callable[[type[Section]], type[Section]]:
+    """Decorate a section that inherits fields: they get other defaults, given by name. A function
+    computes the default from the values of the fields before its own."""
+
+    def decorate(section: type[Section]) -> type[Section]:
+        for name, value in values.items():
+            field = section.model_fields[name] = copy(section.model_fields[name])
+            if callable(value):
+                field.default, field.default_factory = PydanticUndefined, value
+            else:
+                field.default = value
+        section.model_rebuild(force=True)
+        return section
+
+    return decorate
 
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]

@@ -7,7 +7,7 @@ Each section is in the file of the class that it configures, and named in
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
 
@@ -131,6 +131,11 @@ class ControllerSection(Model):
     def body_radius(self) -> float:
         """Radius of every robot's body [length unit], 0 if the spec gives none."""
         return 0.0
+
+    def fitted(self, stands: bool, speed: float) -> Self:
+        """Return the section with those defaults set that depend on the robots: whether they can
+        stand still, and the sum of their speeds [length unit/s]."""
+        return self
 
     def arrived(self, gaps: Floats) -> bool:
         """Return whether all robots, at distances `gaps` (N,) from their targets, have arrived."""

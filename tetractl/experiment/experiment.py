@@ -227,6 +227,13 @@ class Experiment(Model):
         return self
 
     @model_validator(mode="after")
+    def _with_a_controller_for_the_robots(self) -> Self:
+        speed = sum(robot.speed for robot in self.robots)
+        fitted = self.controller.fitted(self.wheels is not None, speed)
+        object.__setattr__(self, "controller", fitted)
+        return self
+
+    @model_validator(mode="after")
     def _all_have_as_many_way_points(self) -> Self:
         counts = {len(robot.via) for robot in self.robots}
         if len(counts) > 1:

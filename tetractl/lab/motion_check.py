@@ -39,6 +39,12 @@ STILL = (
 )
 BACKWARD = "moves backward: is its heading offset wrong, or its drive inverted?"
 WRONG_WAY = "turns the wrong way: is its drive swapped or inverted?"
+OF_CELLS = {
+    STILL: "does not swim: is it stuck or dead, or is the camera frozen?",
+    BACKWARD: "moves backward: is its heading reversed, or another cell tracked in its place?",
+    WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
+}
+"""The same, of robots without wheels."""
 
 
 class MotionCheck:
@@ -117,7 +123,8 @@ class MotionCheck:
         for then in reversed([row for _, row in past]):
             way, least, most = np.array([seen, *allowed]) - then
             if np.any((way < least - self._slack[i]) | (way > most + self._slack[i])):
-                return _diagnosis(way, least, most, self._slack[i])
+                found = _diagnosis(way, least, most, self._slack[i])
+                return found if self._radius else OF_CELLS.get(found, found)
         self._seen[i] = seen
         if not past or self._now_ns - past[-1][0] >= SPACING_NS:
             past.append((self._now_ns, np.array([seen, *allowed])))

@@ -45,6 +45,13 @@ class Moment:
         return self.setup.distances(self.poses[:, :2])
 
 
+def first_seen(trail: Floats, starts: Floats) -> Floats:
+    """Return the first measured position of each robot in a trail (M, N, 2), (N, 2); that of
+    `starts` (N, 2), the spec's, for a robot never seen. Cells start where they are found."""
+    every = np.concatenate([trail, starts[None]])
+    return every[np.isfinite(every[..., 0]).argmax(axis=0), np.arange(len(starts))]
+
+
 def tracked(mocap: Floats, valid: NDArray[np.bool_]) -> Floats:
     """Return positions (M, N, 2) of poses (M, N, 3), NaN if a robot was not tracked."""
     return np.where(valid[..., None], mocap[..., :2], np.nan)

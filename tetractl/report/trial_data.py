@@ -16,6 +16,7 @@ from tetractl.core.errors import unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import MOST, DishPictures
+from tetractl.replay.player import first_seen, tracked
 
 FRAMES_HZ = 30.0
 """Largest rate of camera frames on the page [Hz], since screens show no more."""
@@ -74,9 +75,9 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """
     setup, steps = log.start.setup, log.steps
     colors = robot_colors(setup.names, setup.colors)
-    starts, result = setup.starts.xy, log.result
-    keep = _thinned(log)
+    result, keep = log.result, _thinned(log)
     xy = np.where(log.valid[keep][..., None], log.mocap[keep][..., :2], np.nan)
+    starts = first_seen(tracked(log.mocap, log.valid), setup.starts.xy)
     sent = [log.elapsed_s(step.command.sent_ns) for step in steps]
     directions = [step.plan.direction for step in steps]
     observed = np.array([step.observation.poses.xy for step in steps])

@@ -33,7 +33,7 @@ class Cluster:
     to another worker, at most three times; then its trials are submitted one by one. Logs are
     returned with the results, so that workers need no shared folder.
 
-    Raises UsageError if distributed is not installed or no scheduler answers.
+    Raises UsageError if no scheduler answers.
     """
 
     def __init__(self, address: str, interrupt: Interrupt) -> None:
@@ -42,15 +42,10 @@ class Cluster:
         self._workers, self._count_at_s = 1, 0.0
 
     def __enter__(self) -> Self:
-        try:
-            from distributed import Client
-            from distributed.comm.addressing import get_address_host_port
-            from distributed.security import Security
-        except ImportError:
-            raise UsageError(
-                "--cluster needs Dask's distributed, which is not installed",
-                "pip install 'tetractl[dask]'",
-            ) from None
+        from distributed import Client
+        from distributed.comm.addressing import get_address_host_port
+        from distributed.security import Security
+
         # distributed logs tracebacks when it ends
         logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
         try:

@@ -24,7 +24,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, UsageError, unit_of
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.player import Moment, Recording
+from tetractl.replay.player import Moment, Recording, tracked
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, need_steps, robot_labels, unfinished
 from tetractl.view.figures.trajectory import DishGround, draw_scene
@@ -168,16 +168,16 @@ class FilmFrames:
             scene = figure.add_axes((left / size[0], lower, wide / size[0], high / size[1]))
             side = (left + wide + between) / size[0], SIDE_IN / size[0], 1 - above / size[1]
             self._ground = DishGround(scene, log)
-            self._moving = [*self._arena(scene), *self._course(figure, side, log)]
+            self._moving = [*self._arena(scene, log), *self._course(figure, side, log)]
             for artist in self._moving:
                 artist.set_animated(True)
             self._canvas.draw()
             self._still = self._canvas.copy_from_bbox(figure.bbox)
 
-    def _arena(self, axes: Axes) -> list[Line2D | Polygon]:
+    def _arena(self, axes: Axes, log: TrialLog) -> list[Line2D | Polygon]:
         """Draw the arena, and return the parts that move: plans, trails and robots."""
         arena = self._setup.arena
-        draw_scene(axes, self._setup, self._colors)
+        draw_scene(axes, self._setup, self._colors, [tracked(log.mocap, log.valid)])
         axes.set_xlim(arena.left, arena.right)
         axes.set_ylim(arena.bottom, arena.top)
         self._body = max(self._setup.wheel_radius or 0.0, BODY / 2 * max(arena.width, arena.height))

@@ -2,14 +2,20 @@
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
+from tetractl.analysis.choices import ranked
+from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Pose
 from tetractl.core.table.table_files import json_text
+from tetractl.experiment.choice import FoundCell
+from tetractl.experiment.load import load_spec
 from tetractl.view.figures.analysis import analysis_figure
 
 SETUP = experiment().setup
@@ -115,3 +121,26 @@ def test_any_controller_is_analysed_by_multistart():
     own = planner(experiment())  # of the particle swarm
     assert isinstance(own.optimizer, Multistart)
     assert own.motion == experiment().controller.motion
+
+
+@pytest.mark.parametrize("adaptive", [True, False])
+def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
+    """As the controller does: 4 mm from the edge, with a margin of 50."""
+    robot = THREE_M3PI["robots"][1] | {"start": [604, 1200]}
+    collision = {"test": "swept", "walls": True, "margin": 50, "adaptive": adaptive}
+    found = of(a=(6,), robots=[robot], controller=CONTROLLER | {"collision": collision})
+    assert found.steering is not None
+
+
+def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_round():
+    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["controller.horizon_max=3"])
+    cells = [
+        FoundCell(i, Pose(1000 + 300 * i, 900, 0.0), a=3.0 + i, a_sd=0.1, speed=400, speed_sd=4)
+        for i in range(4)
+    ]
+    counted = []
+    found = ranked(
+        spec.experiment, cells, Noise.of(spec.experiment.plant), 12, lambda *n: counted.append(n)
+    )
+    assert not np.isfinite([one.error for one in found]).any()
+    assert len(counted) == 4  # one prediction for each three of four cells

@@ -108,7 +108,7 @@ def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
     """The first predicted position is inside whatever the signal is: every plan costs the same."""
     box = {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}
     control = {
-        "type": "mpc",
+        "type": "pso-mpc",
         "motion": "exact",
         "horizon_max": 30,
         "obstacle_weight": 1e6,

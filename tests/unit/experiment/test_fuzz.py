@@ -100,7 +100,11 @@ def experiments(draw):
             "description": draw(st.text() | st.sampled_from(["1e3", "on", "0o7", "12:30", "~"])),
             "arena": {"left": 0, "bottom": 0, "width": 100, "height": 100},
             "robots": robots,
-            "controller": {"period": draw(PERIODS), "optimizer": {"stop": draw(STOPS)}},
+            "controller": {
+                "type": "pso-mpc",
+                "period": draw(PERIODS),
+                "optimizer": {"stop": draw(STOPS)},
+            },
             "trials": {"seed": draw(st.integers(0, 2**64 - 1))},
         }
     )

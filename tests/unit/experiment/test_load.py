@@ -24,6 +24,7 @@ obstacles:
   - {type: rectangle, left: 40, bottom: 40, width: 10, height: 10}
   - {type: circle, center: [60, 20], radius: 5}
 controller:
+  type: pso-mpc
   optimizer:
     stop: {type: relative, window: 5}
 """
@@ -55,7 +56,7 @@ controller:\n -> controller:\n  particles: 3\n
   s.yaml:10:3: controller.particles: unknown key here; did you mean
     'controller.optimizer.particles'?
 window: 5 -> frobnicate: 5
-  s.yaml:11:28: controller.optimizer.stop.frobnicate: unknown key; known here: type, window,
+  s.yaml:12:28: controller.optimizer.stop.frobnicate: unknown key; known here: type, window,
     decrease
 type: circle, -> type: circle, circle: 3,
   s.yaml:8:20: obstacles.1.circle: unknown key; known here: type, center, radius

@@ -150,3 +150,16 @@ def test_a_gap_in_the_frames_is_bridged():
         check.frame(round(t * 1e9))
         said.append(check.disagrees(0, before, pose))
     assert said == ["", "", ""]
+
+
+@pytest.mark.parametrize(("radius", "said"), [(RADIUS, "drive"), (0.0, "field's sign")])
+def test_a_cell_has_no_drive(radius, said):
+    check, before = MotionCheck([SPEED], radius, 2.0), None
+    for now in range(FRAME, 2_000_000_000, FRAME):
+        check.sent(now, [SPEED], [2.0], 0.12)
+        pose = Pose(900 + 180e-9 * now, 800.0, -2e-9 * now)
+        check.frame(now)
+        if before and (found := check.disagrees(0, before, pose)):
+            break
+        before = pose
+    assert said in found

@@ -38,7 +38,7 @@ robots:
   - {name: two, start: [100, 300], target: [300, 350], a: 3, speed: 150}
 obstacles: [{type: circle, center: [250, 400], radius: 20}]
 wheels: {radius: 40}
-controller: {horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
+controller: {type: pso-mpc, horizon_max: 6, steps_max: 5, optimizer: {particles: 6, iterations: 14}}
 plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1}
 trials: {count: 3, seed: 7}
 """

@@ -188,7 +188,7 @@ robots:
   - {{name: b, start: [0, 0], target: [0, -{big}], a: {big}, speed: 0, heading: 1.0e+300}}
   - {{name: c, start: [0, 0], target: [0, -{big}], a: 1.0e-300, speed: 1.0e-300}}
 obstacles: [{{type: rectangle, left: -{big}, bottom: 0, width: 1.0e-320, height: 1.0e-320}}]
-controller: {{period: 100, collision: {{margin: {big}, walls: true}}}}
+controller: {{type: pso-mpc, period: 100, collision: {{margin: {big}, walls: true}}}}
 """
     with np.errstate(all="ignore"):
         loaded = parse_spec(text, "big")

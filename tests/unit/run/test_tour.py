@@ -19,7 +19,7 @@ from tetractl.results.outcomes import TIME_INSIDE
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
-MPC = """{horizon_max: 30, steps_max: 200, accept_error: 20, motion: exact,
+MPC = """{type: pso-mpc, horizon_max: 30, steps_max: 200, accept_error: 20, motion: exact,
   optimizer: {type: multistart, tolerance: 1}}"""
 ONE = f"""
 name: one

@@ -136,7 +136,7 @@ def test_values_that_are_no_numbers_have_places_in_their_order(tmp_path):
             "ours-dead_time=0.07-a_error=0.1",
         ),
         ("", {"robots.r.a": 1, "robots.g.a": 2}, "robots.r.a=1-robots.g.a=2"),
-        ("", {"controller": {"type": "mpc"}}, "controller=_type_mpc_"),
+        ("", {"controller": {"type": "pso-mpc"}}, "controller=_type_pso-mpc_"),
         ("two words", {}, "two_words"),
         ("", {}, "base"),
     ],

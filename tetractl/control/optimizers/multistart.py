@@ -63,7 +63,7 @@ class Multistart(OptimizerSection):
     """
     polish_steps: int = Field(default=40, ge=1, le=10_000)
     """Largest number of Levenberg-Marquardt iterations for one start."""
-    rounds: int = Field(default=8, ge=1, le=10_000)
+    rounds: int = Field(default=10, ge=1, le=10_000)
     """Number of rounds of a search without a warm start. With a warm start there is one round, and
     only if polishing the start fails.
     """

@@ -70,6 +70,8 @@ def explain(
         loc = data_loc(details, document.data)
         value = _at(document.data, loc)
         context = details.get("ctx", {})
+        if details["type"] == "default_factory_not_called":
+            continue  # the field from which this default is computed is reported already
         if details["type"] == "too_short" and len(value or ()) >= context["min_length"]:
             continue  # pydantic counts only valid entries; the invalid ones are reported already
         if any(loc[:depth] in document.refused for depth in range(len(loc) + 1)):

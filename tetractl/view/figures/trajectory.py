@@ -22,7 +22,7 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
-from tetractl.replay.player import tracked
+from tetractl.replay.player import first_seen, tracked
 from tetractl.replay.redrive import Apart
 from tetractl.view import style
 from tetractl.view.figures.axes import (
@@ -91,7 +91,8 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
         figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * key.rows)
         axes = figure.subplots()
         key.draw(figure)
-        draw_scene(axes, setup, colors)
+        trails = [tracked(log.mocap, log.valid) for log in logs]
+        draw_scene(axes, setup, colors, trails)
         if len(logs) == 1:
             last = int(logs[0].mocap_ns.max(initial=0))
             DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
@@ -100,15 +101,14 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
             _many(axes, logs, colors)
         for robot, color in enumerate(colors):
             _end_marks(axes, ends[:, robot], color, alone=len(logs) == 1)
-        trails = [tracked(log.mocap, log.valid) for log in logs]
         beyond = _limits(axes, setup.arena, [ends, *trails])
         _signs(figure, logs, beyond)
     return figure
 
 
-def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
-    """Draw obstacles, starts and targets; NUMBERED or more robots have numbered starts and
-    targets.
+def draw_scene(axes: Axes, setup: Setup, colors: list[str], trails: Sequence[Floats]) -> None:
+    """Draw obstacles, the measured starts of one or several trails (M, N, 2), and targets; NUMBERED
+    or more robots have numbered starts and targets.
     """
     unit = unit_of(setup.unit)
     axes.set_aspect("equal")
@@ -123,15 +123,16 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
         patch = Polygon(obstacle.outline(), closed=True)
         patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
         axes.add_patch(patch)
-    starts, hold = setup.starts.xy, setup.hold
-    for robot, (start, target, color) in enumerate(zip(starts, setup.targets, colors, strict=True)):
+    starts = np.array([first_seen(trail, setup.starts.xy) for trail in trails])
+    hold = setup.hold
+    for robot, (target, color) in enumerate(zip(setup.targets, colors, strict=True)):
         look: dict[str, Any] = {
             "markeredgecolor": color,
             "linestyle": "none",
             "zorder": 4,
             "clip_on": False,
         }
-        axes.plot(*start, marker="o", markersize=6, markerfacecolor="white", **look)
+        axes.plot(*starts[:, robot].T, marker="o", markersize=6, markerfacecolor="white", **look)
         axes.plot(*target, marker="s", markersize=7, markerfacecolor="none", **look)
         for point in setup.legs[:-1, robot]:
             axes.plot(*point, marker="s", ms=4, markerfacecolor="none", **look)
@@ -139,7 +140,7 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str]) -> None:
             axes.add_patch(Circle(tuple(target), hold.radius, fill=False, ec=color, lw=0.6))
     if len(setup.names) >= NUMBERED:
         for robot, color in enumerate(colors):
-            for place, aside in ((starts[robot], (0, 0)), (setup.targets[robot], (6.5, 4))):
+            for place, aside in ((starts[0, robot], (0, 0)), (setup.targets[robot], (6.5, 4))):
                 axes.annotate(
                     str(robot + 1), tuple(place), aside, textcoords="offset points", ha="center",
                     va="center", fontsize=4.5, color=color, path_effects=HALO, zorder=7,
@@ -154,7 +155,8 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
     ahead = 0.028 * max(setup.arena.width, setup.arena.height)
     point = setup.arena.width / (72 * (style.COLUMN_IN - 0.65))
     ring = 4 * point * np.exp(1j * np.arange(0, 2 * np.pi, np.pi / 4))
-    marks = np.concatenate([final, setup.targets, setup.starts.xy])[:, None]
+    starts = first_seen(trail, setup.starts.xy)
+    marks = np.concatenate([final, setup.targets, starts])[:, None]
     marks = marks + np.column_stack([ring.real, ring.imag])
     crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), edge(setup.arena)]
     labels = Labels(axes, np.concatenate(crowd), point)

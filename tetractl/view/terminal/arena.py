@@ -12,7 +12,7 @@ from rich.style import Style
 
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Bounds, Shape
-from tetractl.replay.player import Moment
+from tetractl.replay.player import Moment, first_seen
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
 ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
@@ -136,7 +136,7 @@ def draw(frame: Moment, colors: list[str], glyphs: Glyphs, width: int, height: i
             canvas.dots(*view.dots(plan), Style(color=color, dim=True), ":")
     for robot, color in enumerate(colors):
         canvas.dots(*view.dots(frame.trail[:, robot]), Style(color=color), ".")
-    begin = setup.starts.xy
+    begin = first_seen(frame.trail, setup.starts.xy)
     for robot, color in enumerate(colors):
         canvas.put(*view.cell(*begin[robot]), glyphs.start, Style(color=color))
         for place in setup.legs[:, robot]:

@@ -15,6 +15,8 @@ from tetractl.core.errors import LogError, UsageError
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.registries import FIGURES
+from tetractl.replay.player import Recording, first_seen
+from tetractl.report.trial_data import trial_data
 from tetractl.view import style
 from tetractl.view.figures.draw import draw
 from tetractl.view.figures.labels import separated
@@ -549,3 +551,21 @@ def test_arms_without_a_complete_trial_or_in_several_units_are_refused(log):
             "arms",
             [log, replace(log, experiment=cells, start=replace(log.start, setup=cells.setup))],
         )
+
+
+def test_a_start_is_drawn_where_the_path_begins(log):
+    """A cell swims on while the first plan is computed: it starts elsewhere than the spec says."""
+    moved = replace(log, mocap=log.mocap + np.array([300.0, 0, 0]))
+    first = moved.mocap[0, :, :2]
+    (axes,) = trajectory_figure([moved]).axes
+    circles = [line for line in axes.lines if line.get_markerfacecolor() == "white"]
+    drawn = np.array([line.get_xydata()[0] for line in circles if line.get_marker() == "o"])
+    assert drawn == pytest.approx(first)
+    assert np.array([one["start"] for one in trial_data(moved, "x")["robots"]]) == pytest.approx(
+        first
+    )
+    unseen = replace(moved, valid=np.zeros_like(moved.valid))
+    starts = log.start.setup.starts.xy
+    assert [one["start"] for one in trial_data(unseen, "x")["robots"]] == starts.tolist()
+    trail = Recording(moved).at(moved.began_ns).trail  # what a terminal draws
+    assert first_seen(trail, starts) == pytest.approx(first)

@@ -3,15 +3,10 @@
 OpenCV is imported only if the camera is built.
 """
 
-from collections.abc import Callable
 from typing import Annotated, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import Clock
-from tetractl.core.errors import AbortError
-from tetractl.core.protocols import Camera
-from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.lab_section import CameraSection
 
@@ -94,15 +89,3 @@ class PictureSection(CameraSection):
     def source_name(self) -> str:
         """Name of the source for display, such as its address."""
         return named(self.source)
-
-    def build(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
-        """Return the camera of the setup's robots; AbortError without OpenCV."""
-        try:
-            return super().build(setup, clock, wake)
-        except ModuleNotFoundError as error:
-            if error.name != "cv2":
-                raise
-            raise AbortError(
-                f"the {self.type} camera needs OpenCV, which is not installed",
-                "pip install 'tetractl[vision]'",
-            ) from error

@@ -76,10 +76,9 @@ def serve(
         return run(what, serve=True, port=port)
     if not 0 < rate < float("inf"):
         raise UsageError(f"--rate must be above 0, not {rate:g}")
-    from tetractl.log.read.find import find_log
-
     from tetractl.cli.replay import is_terminal
     from tetractl.core.clock import MonotonicClock
+    from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.replay.player import Player, Recording, span

@@ -107,4 +107,4 @@ def _flat(value: Any) -> Floats:
         value = astuple(value)
     if isinstance(value, tuple | list):
         return np.concatenate([np.zeros(0), *map(_flat, value)])
-    return np.ravel(np.nan if value is None else value).astype(float)
+    return np.asarray(np.nan if value is None else value, dtype=float).ravel()

@@ -52,7 +52,7 @@ def same(what: str, one: Any, other: Any) -> Finding:
 
 @contextmanager
 def random_watched() -> Iterator[list[str]]:
-    """Seed the global random generators again; after the `with` block, the list names those used."""
+    """Seed the global random generators; after the `with` block, the list names those used."""
     random.seed()
     np.random.seed()  # noqa: NPY002
     used = list[str]()

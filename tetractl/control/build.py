@@ -13,8 +13,8 @@ AGAIN_S = 10.0  # time after which a message says that code is still being compi
 
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
-    """Return the controller of one trial; `key` seeds its random numbers. In virtual time its
-    timer counts work, otherwise it is the computer's clock."""
+    """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
+    work."""
     if experiment.plant.real_time:
         return experiment.controller.build(experiment.setup, key)
     work = WorkClock()

@@ -60,12 +60,11 @@ class Margins:
     ) -> None:
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
-        self._least_margins = [
-            _room(one, targets[:, 0], targets[:, 1], radius) for one in self._bare.shapes
-        ]
+        xy = targets[:, 0], targets[:, 1]
+        self._least_margins = [_room(one, *xy, radius) for one in self._bare.shapes]
         # indices of the robots of each pair
         self._one, self._other = np.triu_indices(len(targets), 1)
-        self._apart = self._least(targets[:, 0], targets[:, 1])
+        self._apart = self._least(*xy)
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no

@@ -96,14 +96,13 @@ def polish_each(
         u, cost = polished.signals[done], polished.costs[done : done + 1]
         u[:] = start
         left, merits, z, evaluations = budget - spent - 1, polished.merits[done], 0, 0
-        while z == 0 or (work.damping[0] < math.inf and not expired(evaluations + 1)):
+        work.damping[0] = 0.0
+        while work.damping[0] < math.inf and not (evaluations and expired(evaluations + 1)):
             rest, pause = left - evaluations, 2**62 if expired is never else z + stride
             _, z, more = polish(
                 work, u, tolerance, slack, iterations, patience, rest, factor, merits, z, pause
             )
             evaluations += more
-            if not z:
-                break
         u[:] = polynomials.wrap(u)
         costs(one, u.reshape(-1, 1), cost)
         polished.steps[done], polished.evaluations[done] = z, evaluations

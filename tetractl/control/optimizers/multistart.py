@@ -225,9 +225,7 @@ class _PolishedProgress(Progress):
     def _polish_some(self, starts: Floats) -> int:
         """Polish sequences within the limit of evaluations; return how many were polished."""
         most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
-        found, expired = self.polished, never
-        if self.limits.timed:  # then there is one start
-            expired = self._expired
+        found, expired = self.polished, self._expired if self.limits.timed else never
         done = self.kernels.polish_each(
             self.work,
             self.one,

@@ -2,8 +2,7 @@
 edge and to one another, and solve times.
 
 Distances are those of the robots' centres, on the true paths of a simulation and the measured ones
-in a lab. What must not happen is counted of the robots' bodies if the spec gives their radius, and
-of their centres. Percentiles of solve times are over all steps of all trials.
+in a lab; percentiles of solve times are over all steps of all trials.
 """
 
 from collections import Counter

@@ -164,7 +164,7 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
             median, robots, more = _arm_errors(found, time_s, *pair)
             drawn += [(pair[0], [median]), (pair[1], robots)]
             signs |= more
-            trials = f"{len(found)} trial{'s'[len(found) == 1 :]}"
+            trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
             what = f"total error of {trials}, the sum over the robots"
             each = "distance of each robot to its target, median of the trials"
             for axes, text in zip(pair, (what, each), strict=True):

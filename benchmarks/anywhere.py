@@ -157,9 +157,8 @@ def drive(numbers: range, seed: int, disturbed: bool, free: bool, predict: bool)
     every = [one for some in solved.values() for one in some]
     for name, some in (*solved.items(), ("all", every)):
         share = percent(proportion_interval(sum(some), len(some))).strip(" ()")
-        mine = (
-            spent[name] if name in spent else [one for some in spent.values() for one in some]
-        ) or [0.0]
+        sizes = SIZES if name == "all" else [name]
+        mine = np.concatenate([np.empty(0), *(spent[int(size)] for size in sizes)])
         ms = 1e3 * np.array([mine.mean(), np.quantile(mine, 0.99), mine.max()] if len(mine) else [])
         times = " / ".join(f"{one:.1f}" for one in ms)
         print(f"| {name} | {sum(some)} of {len(some)} | {share} | {times} |")

@@ -11,7 +11,7 @@ from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Optimizer
 
-ROBOT_STEP_NS = 6  # to predict one robot under one signal, in a rollout or a polish
+ROBOT_STEP_NS = 8  # to predict one robot under one signal, in a rollout or a polish
 SEARCH_NS = 600_000  # to lay out a search, and to check its result
 
 

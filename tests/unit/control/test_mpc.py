@@ -367,6 +367,13 @@ def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     assert controller.plan(there).pauses
 
 
+@pytest.mark.parametrize(("gap", "blocked"), [(1000, False), (1, True)])  # no turn is tight enough
+def test_a_plan_that_touches_an_obstacle_or_its_margin_is_known_as_blocked(gap, blocked):
+    controller, there = beside_a_wall(gap, stop=False)
+    controller.plan(there)
+    assert controller.blocked is blocked
+
+
 def test_a_first_plan_that_leads_a_body_into_a_wall_is_not_driven():
     """Regression: green, 5 mm of room before it, came to 21 mm from the edge with its centre."""
     collision = {"test": "swept", "walls": True, "radius": 47, "stop_before_collision": True}

@@ -10,9 +10,8 @@
 All rows have the same seeds. Everything is simulated. The plant without --bench: dead time 0.14 s,
 a and speed each +-10 %, heading walk 0.05 rad/sqrt(s), 5 % of the commands lost. That of `hurting`:
 dead time 0.11 s, a +-20 %, speed +-10 %, heading walk 0.03 rad/sqrt(s), 8 % lost, camera 0.3 mm and
-4 mrad at 120 Hz, with one more disturbance a row. Below each row is its floor: the same controller
-with perfect knowledge of poses, a, speed, dead time and lost commands at each moment. Rows in which
-only the camera is disturbed have the floor of the first.
+4 mrad at 120 Hz, with one more disturbance a row; benchmarks/floors.py compares these rows with
+perfect knowledge.
 """
 
 import argparse
@@ -40,7 +39,6 @@ from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
-from tetractl.plant.simulation import SimPlant
 from tetractl.results.estimate import distributions, percent
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
@@ -136,10 +134,6 @@ HURTING: list[Row] = [
     ("speed falls by 15 % in 20 s", (_more("{type: battery, speed: 0.15, over: 20}"),)),
     ("a and speed wander by 10 %", (_more("{type: wander, a: 0.1, speed: 0.1, time: 5}"),)),
 ]
-SEEN_ALONE = {name for name, settings in HURTING if "camera" in str(settings)} | {
-    "markers 0.1 rad off"
-}
-"""Rows whose floor is that of the first: only what the camera shows is disturbed."""
 
 
 M = TypeVar("M", bound=Mpc)
@@ -173,40 +167,6 @@ def counted(kind: type[M], section: MpcFields, setup: Setup, key: int) -> M:
     work = WorkClock()
     optimizers = work.wrap(section.optimizer), work.wrap(CircleSearch())
     return kind(section, setup, key, *optimizers, work)
-
-
-class Seeing(Knowing):
-    """A controller that knows the true poses, a and speed of a simulation at each control step."""
-
-    plant: SimPlant
-
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
-        a, speed = self.plant.rates
-        stands = speed == 0  # and will go on as before
-        rates = {
-            "a": np.where(stands, self.plant.a, a),
-            "speed": np.where(stands, self.plant.speed, speed),
-        }
-        self.estimator.problem = replace(self.estimator.problem, **rates)
-        now = self.plant.clock.now()
-        every = np.ones_like(observation.valid)
-        true = {"poses": self.plant.poses, "valid": every, "sampled_ns": now, "received_ns": now}
-        return super().plan(replace(observation, **true), last_command, earlier)
-
-
-def seeing(spec: Experiment, key: int, plant: Plant) -> Controller:
-    """The same controller, which knows the dead time and what `Seeing` does."""
-    assert isinstance(plant, SimPlant)
-    known = {"estimate": False, "dead_time": plant.spec.dead_time}
-    section = spec.controller.model_copy(update=known)
-    controller = counted(Seeing, section, spec.setup, key)
-    controller.plant = plant
-    return controller
 
 
 def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:
@@ -287,9 +247,9 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
         progress(name)
         found[name] = run(world.spec(OURS, settings), trials)
         print(row(name, found[name]), flush=True)
-    progress("floor")
+    progress("given a, speed, dead time, losses")
     spec = world.spec(OURS, (TOLD,))
-    print(row("floor: given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
+    print(row("given a, speed, dead time, losses", run(spec, trials, knowing)), flush=True)
     if published:
         print(row("the paper's, 5 Hz", run(world.spec(PAPER, (), slow=True), trials)))
         print(row("undisturbed", run(load_experiment(OURS, *world.rate), trials)), flush=True)
@@ -297,15 +257,11 @@ def table(rows: list[Row], world: "World", trials: int, published: bool) -> dict
 
 
 def hurting(world: "World", trials: int) -> None:
-    """Run every row of HURTING, each with its floor, and print the table."""
+    """Run every row of HURTING, and print the table."""
     print(f"| {' | '.join(HEAD)} |\n|{'---|' * len(HEAD)}")
     for name, settings in HURTING:
         progress(name)
-        spec = world.spec(OURS, settings)
-        print(row(name, run(spec, trials)), flush=True)
-        if name not in SEEN_ALONE:
-            progress(f"{name}: its floor")
-            print(row("its floor", run(spec, trials, seeing)), flush=True)
+        print(row(name, run(world.spec(OURS, settings), trials)), flush=True)
 
 
 def draw(found: dict[str, list[Result]], title: str, path: Path) -> None:

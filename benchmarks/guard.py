@@ -2,6 +2,7 @@
 
     python benchmarks/guard.py                    what a camera may show, in two plays each
     python benchmarks/guard.py --plays 1 along    one play of some
+    python benchmarks/guard.py --slow --plays 3   poses that leave slowly, from the start and later
     python benchmarks/guard.py --rate 30          frames as seldom as an AprilTag camera's
     python benchmarks/guard.py --alarms 1000      the same trials with nothing wrong
 
@@ -22,12 +23,23 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.bench_agreement import VirtualLab  # noqa: E402
-from support.ghosts import KINDS, Ghost, trial_of  # noqa: E402
+from support.ghosts import CAMERA, KINDS, Ghost, trial_of  # noqa: E402
 from support.labs import CAMERA_HZ  # noqa: E402
 
 from tetractl.emulate import virtual_wires  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
+SLOW = {  # what the long check is for
+    "turn": (0.1, 0.3, 0.6, 1.0, 1.25),  # rad/s
+    "along": (0.003, 0.01, 0.03, 0.1),
+    "against": (0.003, 0.01, 0.03, 0.1),
+    "sideways": (0.003, 0.01, 0.03, 0.1),
+    "origin": (0.003, 0.01),
+    "scale": (0.003, 0.01),  # 1/s
+    "rotation": (0.0087, 0.035),  # rad/s
+}
+NOTICED = ("another body", "all robots drift", "does not move", "backward", "the wrong way")
+UNITS = {"turn": "rad/s", "scale": "/s", "rotation": "rad/s"}
 ALL = (0, 1, 2)
 
 
@@ -54,6 +66,30 @@ def ghosts(kind: str) -> None:
         )
 
 
+def slow(kind: str) -> None:
+    """Print a row for each rate of a slow kind: plays from the start on, and from later on."""
+    for rate in SLOW[kind]:
+        cells: list[str] = []
+        for begins in ([0.0], [0.6, 1.35, 2.1]):
+            plays = [
+                Ghost(kind, rate, ALL if kind in CAMERA else (k % 3,), at_s=at_s, limit_s=60.0)
+                for at_s in begins
+                for k in range(PLAYS if begins == [0.0] else -(-PLAYS // 3))
+            ]
+            done = [trial_of(play.haunt, k, RATE_HZ) for k, play in enumerate(plays)]
+            noticed = [any(text in result.reason for text in NOTICED) for result in done]
+            offs = [play.off_mm for play in plays]
+            stopped = [off for off, was in zip(offs, noticed, strict=True) if was]
+            missed = [off for off, was in zip(offs, noticed, strict=True) if not was]
+            said = sum("all robots drift" in result.reason for result in done)
+            cells += [
+                f"{len(stopped)} of {len(plays)}" + f", {said} camera" * (kind in CAMERA),
+                f"{max(stopped):.0f}" if stopped else "",
+                f"{max(missed):.0f}" if missed else "",
+            ]
+        print(f"| {kind} | {rate:g} {UNITS.get(kind, 'm/s')} | {' | '.join(cells)} |", flush=True)
+
+
 def alarms(first: int, last: int) -> None:
     """Print each trial that did not end by itself or in which a pose was refused, and counts."""
     ended = refused = close = 0
@@ -78,6 +114,7 @@ def alarms(first: int, last: int) -> None:
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--plays", type=int, default=2, metavar="N")
 parser.add_argument("--rate", type=float, default=CAMERA_HZ, help="camera frames a second")
+parser.add_argument("--slow", action="store_true", help="poses that leave their robots slowly")
 parser.add_argument("--alarms", type=int, metavar="N", help="trials in which nothing is wrong")
 parser.add_argument("--first", type=int, default=0, metavar="K", help="the first of them")
 parser.add_argument("kinds", nargs="*", metavar="KIND", help=", ".join(KINDS))
@@ -88,8 +125,13 @@ if __name__ == "__main__":
     if options.alarms:
         virtual_wires.STEP_NS *= 2
         alarms(options.first, options.first + options.alarms)
+    elif options.slow:
+        print("| pose shown | | from the start | off [mm] | missed | later | off [mm] | missed |")
+        print("|---|---|--:|--:|--:|--:|--:|--:|")
+        for kind in options.kinds or SLOW:
+            slow(kind)
     else:
         print("| pose shown | | noticed | off [mm] | stop [s] | rest [s] | driven [mm] | later |")
         print("|---|---|--:|--:|--:|--:|--:|--:|")
-        for kind in options.kinds or KINDS:
+        for kind in options.kinds or KINDS[:-1]:
             ghosts(kind)

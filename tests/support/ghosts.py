@@ -1,5 +1,6 @@
 """Cameras that show robots elsewhere than they are, in the emulated lab in virtual time."""
 
+import cmath
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -15,7 +16,8 @@ from tetractl.lab.guard import GuardState
 
 NOISE = 0.3, 0.004  # mm, rad: of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
-KINDS = ("frozen", "along", "against", "sideways", "heading", "curve")
+KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn")
+CAMERA = ("origin", "scale", "rotation")
 
 
 @dataclass
@@ -24,7 +26,9 @@ class Ghost:
 
     `frozen` poses repeat. A ghost goes away from its robot at a speed [m/s]: `along` its heading,
     `against` it or `sideways`. The `heading` shown turns by the speed at the wheels, or the whole
-    ghost does, and drives on as a robot does (`curve`).
+    ghost does, and drives on as a robot does (`curve`); a `turn` is a curve whose speed is in
+    rad/s. Of the whole picture, the `origin` moves [m/s], the `scale` grows [1/s], or it turns
+    about its origin (`rotation`) [rad/s].
     """
 
     kind: str
@@ -59,7 +63,7 @@ class Ghost:
         if self._began is None or now < self._began:
             self._last = dict(enumerate(poses))
             return poses
-        self._turned += self.speed / WHEEL_M * dt
+        self._turned += self.speed / (WHEEL_M if self.kind in ("heading", "curve") else 1.0) * dt
         shown = list(poses)
         for i in self.who:
             shown[i] = self._ghost(i, poses[i], 1000 * self.speed * dt)
@@ -73,8 +77,13 @@ class Ghost:
             return self._shown.get(i, before)
         if self.kind == "heading":
             return Pose(pose.x, pose.y, pose.heading + self._turned)
+        if self.kind in CAMERA:
+            grown, turn = self._turned * (self.kind == "scale"), self._turned
+            turn, way = turn * (self.kind == "rotation"), 1000 * turn * (self.kind == "origin")
+            z = complex(pose.x, pose.y) * cmath.rect(1.0 + grown, turn) + way * (0.6 + 0.8j)
+            return Pose(z.real, z.imag, pose.heading + turn)
         dx, dy = self._paths.get(i, (0.0, 0.0))
-        if self.kind == "curve":
+        if self.kind in ("curve", "turn"):
             x, y = pose.x - before.x, pose.y - before.y
             cos, sin = math.cos(self._turned), math.sin(self._turned)
             self._paths[i] = dx + cos * x - sin * y - x, dy + sin * x + cos * y - y

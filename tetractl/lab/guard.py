@@ -19,12 +19,14 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.experiment.lab_section import LabLimits
+from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
 JUMP_HEADING = 0.7  # allowed heading error beyond the turning rate [rad]
 NOISE_MM = 2.0  # largest error of a pose
+RARELY = 3.0  # multiple of `untracked_abort`: the most time unseen, though not at once
 SWIMMERS = 0.7  # largest relative deviation of a cell's motion from the command
 
 
@@ -91,6 +93,7 @@ class Guard:
     outdated: int = 0  # frames dropped since the last start because they were not newer
     _filters: list[PoseFilter] = field(default_factory=list)
     _motion: MotionCheck = field(init=False)
+    _drift: DriftCheck = field(init=False)
     _swaps: SwapDetector = field(init=False)
     _last_frame_ns: int | None = None
     _outdated_in_a_row: int = 0
@@ -104,8 +107,7 @@ class Guard:
     _damaged: deque[tuple[int, int]] = field(default_factory=deque)
     _late: int = 0
     _disobedient: set[int] = field(default_factory=set)  # robots that disobeyed in the newest frame
-    # robots whose poses are not accepted any more, and why
-    _ghosts: dict[int, str] = field(default_factory=dict)
+    _ghosts: dict[int, str] = field(default_factory=dict)  # robots refused for good, and why
     # each robot's last time [ns] and heading [rad]
     _headings: dict[int, tuple[int, float]] = field(default_factory=dict)
 
@@ -119,6 +121,7 @@ class Guard:
         ]
         noise = NOISE_MM / mm if rules.individual else 0.0
         self._motion = MotionCheck(rules.speeds, rules.wheel_radius, noise)
+        self._drift = DriftCheck(rules.names, rules.wheel_radius, mm, limits.wheel_error)
         self._swaps = SwapDetector(rules.names)
 
     @property
@@ -139,6 +142,7 @@ class Guard:
             self._driven, self.outdated = True, 0
             self._swaps.restart()
             self._motion.restart()
+            self._drift.restart()
             self._disobedient.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
@@ -174,6 +178,7 @@ class Guard:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         share = self.rules.limits.wheel_error if self.rules.individual else SWIMMERS
         self._motion.sent(now_ns, speed, turning, share)
+        self._drift.sent(now_ns, speed, turning)
         self._swaps.sent(now_ns, turning)
 
     def see(self, frame: CameraFrame) -> AcceptedFrame | None:
@@ -198,6 +203,7 @@ class Guard:
         gone_ns = self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
+            track.frame(now, self.rules.limits.stale * SECOND)
             if self.rules.goes_on and now - track.seen_ns >= gone_ns:
                 self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:
@@ -205,7 +211,13 @@ class Guard:
             elif not track.add(pose, now, self._fault(i, pose, now)):
                 self.jumps += 1
             fresh.append(pose is not None and i not in self.lost and not track.refused)
-        return AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
+        accepted = AcceptedFrame(frame, tuple(track.pose for track in self._filters), tuple(fresh))
+        if self._active and self.rules.individual:
+            wrong, ghosts = self._drift.frame(accepted, self._motion.seen)
+            if wrong:
+                self.abort(wrong)
+                self._ghosts |= dict.fromkeys(ghosts, wrong)
+        return accepted
 
     def lose(self, i: int, reason: str) -> None:
         """Continue without a lost robot; abort if the rules forbid that or no robot is left."""
@@ -330,6 +342,8 @@ class Guard:
                 self.abort(f"{name} {track.refused}")
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
+            elif track.unseen_ns >= RARELY * limits.untracked_abort * SECOND:
+                self.lose(i, f"{name} is seen too rarely: it, or frames, are missing too often")
 
     @property
     def _left(self) -> tuple[bool, ...]:
@@ -350,13 +364,9 @@ class Guard:
                 pose = self._filters[i].pose  # the robot stands at its last pose
             if pose is None:
                 continue
-            still = i in self.lost or not self._ahead
-            way = 0.0 if still else rules.speeds[i] * limits.reaction
-            then = Pose(
-                pose.x + way * math.cos(pose.heading),
-                pose.y + way * math.sin(pose.heading),
-                pose.heading,
-            )
+            way = 0.0 if i in self.lost or not self._ahead else rules.speeds[i] * limits.reaction
+            dx, dy = way * math.cos(pose.heading), way * math.sin(pose.heading)
+            then = Pose(pose.x + dx, pose.y + dy, pose.heading)
             inside = rules.left <= then.x <= rules.right and rules.bottom <= then.y <= rules.top
             if not inside and self._outward(pose, then):
                 leave = self.abort if rules.individual else partial(self.lose, i)

@@ -45,6 +45,8 @@ OF_CELLS = {
     WRONG_WAY: "turns away from the field: is the camera's rotation or the field's sign wrong?",
 }
 """The same, of robots without wheels."""
+ANOTHER = "moves {} as no command does: does the camera track another body as this robot?"
+KINDS = ("along its heading", "sideways", "around")
 
 
 class MotionCheck:
@@ -69,7 +71,7 @@ class MotionCheck:
     def restart(self) -> None:
         """Forget all motion; called when robots start from rest."""
         n = len(self._slack)
-        self._seen = np.zeros((n, 3))  # motion since the start, by consistent poses
+        self.seen = np.zeros((n, 3))  # motion since the start, by consistent poses
         self._allowed = np.zeros((2, n, 3))  # integrals of the bounds since the start
         # per robot: times [ns], and the motion and integrals of both bounds up to then, (3, 3)
         self._past: list[deque[tuple[int, Floats]]] = [deque() for _ in range(n)]
@@ -119,13 +121,13 @@ class MotionCheck:
         obeyed, and the new pose is then the last consistent one.
         """
         past, allowed = self._past[i], self._allowed[:, i]
-        seen = self._seen[i] + _moved(before, pose) if past else self._seen[i]
+        seen = self.seen[i] + _moved(before, pose) if past else self.seen[i]
         for then in reversed([row for _, row in past]):
             way, least, most = np.array([seen, *allowed]) - then
             if np.any((way < least - self._slack[i]) | (way > most + self._slack[i])):
                 found = _diagnosis(way, least, most, self._slack[i])
                 return found if self._radius else OF_CELLS.get(found, found)
-        self._seen[i] = seen
+        self.seen[i] = seen
         if not past or self._now_ns - past[-1][0] >= SPACING_NS:
             past.append((self._now_ns, np.array([seen, *allowed])))
         while len(past) > 1 and self._now_ns - past[0][0] > WINDOW_NS:
@@ -159,5 +161,4 @@ def _diagnosis(way: Floats, least: Floats, most: Floats, slack: Floats) -> str:
         return BACKWARD
     if around and opposite[2]:
         return WRONG_WAY
-    kind = "along its heading" if along else "sideways" if across else "around"
-    return f"moves {kind} as no command does: does the camera track another body as this robot?"
+    return ANOTHER.format(KINDS[0 if along else 1 if across else 2])

@@ -21,7 +21,6 @@ Robots with the same commands cannot be distinguished.
 doubt lasts.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -30,9 +29,9 @@ from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
+from tetractl.lab.command_history import CommandHistory
 
 DELAYS_NS = tuple(round(delay * SECOND) for delay in (0.0, 0.04, 0.08, 0.12, 0.16, 0.2, 0.3))
-KEPT_NS = SECOND  # time for which transmissions are kept
 GAP_NS = 3 * SECOND // 20
 GAINS = (0.8, 1.25)  # least and greatest gain of a robot's own commands
 BIASES = (-0.5, -0.25, 0.0, 0.25, 0.5)  # rad/s: additional turning by wheels that are 10 % off
@@ -53,8 +52,7 @@ class SwapDetector:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
-        self._times: list[int] = []  # times of the turning rates in `_sent` [ns]
-        self._sent: list[Floats] = []
+        self._sent = CommandHistory(len(self._names))
         self._shared: tuple[tuple[int, int], Floats] | None = None  # a frame's commands
         self.restart()
 
@@ -73,11 +71,7 @@ class SwapDetector:
     def sent(self, now_ns: int, turning: Sequence[float]) -> None:
         """Take the turning rates of a transmission [rad/s], 0 for robots that stand."""
         self._shared = None
-        self._times.append(now_ns)
-        self._sent.append(np.array(turning, dtype=np.float64))
-        old = bisect_right(self._times, now_ns - KEPT_NS)
-        if old > 64:  # old entries are removed occasionally, all at once
-            del self._times[: old - 1], self._sent[: old - 1]
+        self._sent.sent(now_ns, turning)
 
     def turned(self, i: int, now_ns: int, dt_ns: int, angle: float) -> None:
         """Take a measured turn of robot i by `angle` [rad] within the last `dt_ns`.
@@ -90,7 +84,7 @@ class SwapDetector:
         self._found = None
         dt, key = dt_ns / SECOND, (now_ns, dt_ns)
         if self._shared is None or self._shared[0] != key:
-            commanded = np.array([self._mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
+            commanded = np.array([self._sent.mean(now_ns - delay, dt_ns) for delay in DELAYS_NS])
             self._shared = key, commanded
         commanded = self._shared[1]  # (D, N)
         self._all.add(i, commanded, angle, dt)
@@ -120,21 +114,6 @@ class SwapDetector:
             one, other = self._names[i], self._names[j]
             return f"{one} turns as {other} is commanded, not as {one} is: is its number wrong?"
         return ""
-
-    def _mean(self, until_ns: int, dt_ns: int) -> Floats:
-        """Return the mean turning rates (N,) commanded during the `dt_ns` before a time; rates are
-        0 before the first transmission.
-        """
-        total, first = np.zeros(len(self._names)), until_ns - dt_ns
-        while True:
-            k = bisect_left(self._times, until_ns) - 1
-            if k < 0:
-                return total / dt_ns
-            since = max(self._times[k], first)
-            total = total + self._sent[k] * (until_ns - since)
-            if since == first:
-                return total / dt_ns
-            until_ns = since
 
 
 class _TurnIntegrals:

@@ -107,6 +107,27 @@ def test_an_untracked_robot_stops_after_50_ms_alone_and_the_run_aborts_at_300():
     assert course.guard.reason.startswith("green is not tracked")
 
 
+def test_a_robot_that_is_seen_for_moments_only_ends_the_run():
+    """Regression: seen for 24 ms of every 304, a robot drove on to the end of the trial."""
+    course = running()
+    began = course.at
+    while course.guard.state is not GuardState.ABORT and course.at - began < 5 * SECOND:
+        course.frames(35, (None, PLACES[1]))
+        course.frames(3)
+    assert "green is seen too rarely" in course.guard.reason
+    assert course.at - began < 2.2 * SECOND
+
+
+@pytest.mark.parametrize(("period_ms", "goes_on"), [(167, False), (120, True)])
+def test_a_camera_that_is_too_slow_for_the_limits_ends_the_run(period_ms, goes_on):
+    """Regression: before a camera at 6 Hz robots were stopped and let go for ever."""
+    course = running()
+    for _ in range(60):
+        course.guard.steered(course.at)
+        course.frame(step=period_ms * MS)
+    assert (course.guard.state is not GuardState.ABORT) == goes_on, course.guard.reason
+
+
 @pytest.mark.parametrize("individual", [True, False])
 def test_a_run_that_goes_on_leaves_out_a_lost_robot_for_good_and_ends_with_the_last(individual):
     course = running(replace(RULES, goes_on=True, individual=individual))

@@ -1,0 +1,43 @@
+"""The rates commanded to the robots during the last second, for checks of their motion."""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats
+
+KEPT_NS = SECOND  # time for which transmissions are kept
+
+
+class CommandHistory:
+    """Rates in arrays of a `shape`, each commanded from its transmission until the next; 0 before
+    the first.
+    """
+
+    def __init__(self, *shape: int) -> None:
+        self._none = np.zeros(shape)
+        self._times: list[int] = []
+        self._sent: list[Floats] = []
+
+    def sent(self, now_ns: int, rates: Sequence[float] | Floats) -> None:
+        """Take the rates of a transmission."""
+        self._times.append(now_ns)
+        self._sent.append(np.array(rates, dtype=np.float64))
+        old = bisect_right(self._times, now_ns - KEPT_NS)
+        if old > 64:  # old entries are removed occasionally, all at once
+            del self._times[: old - 1], self._sent[: old - 1]
+
+    def mean(self, until_ns: int, dt_ns: int) -> Floats:
+        """Return the mean of the rates commanded during the `dt_ns` before a time."""
+        total, first = self._none, until_ns - dt_ns
+        while True:
+            k = bisect_left(self._times, until_ns) - 1
+            if k < 0:
+                return total / dt_ns
+            since = max(self._times[k], first)
+            total = total + self._sent[k] * (until_ns - since)
+            if since == first:
+                return total / dt_ns
+            until_ns = since

@@ -1,0 +1,177 @@
+"""Compares what a camera shows over the whole trial with what the robots' wheels can have done.
+
+The window of `motion_check` must allow for every command that may be acting, and so cannot see a
+pose that leaves its robot slowly. Here the motion of each block of BLOCK_NS, along, across and
+around the heading, is fitted by least squares over the whole trial. A robot of wheel distance r,
+commanded a speed v and a turning rate w, moves by
+
+    along:   (1 + s) v + d w r + l w,   across: b v + f w,   around:  (1 + s + k) w + d v / r,
+
+where s is the mean error of its wheels and d half their difference, k the error of 1 / r, b that of
+its heading, and (f, l) where its pose is measured from. Each is unknown but constant, with a normal
+prior. A command acts after a delay between the TAPS: weights of the earlier and later ones are
+fitted too. What no command explains is
+
+    one robot:   a constant velocity along, across and around its heading,
+    the camera:  one shift, turn and growth of the whole picture, of all robots,
+
+since some moment of the trial: for each moment of a grid, the statistic is the gain of the sum of
+squares by the best such motion (a generalised likelihood ratio over the time of a change; a
+cumulative sum is the case of known parameters). The grid begins with the trial, so a motion that
+was there from the start is found as far as no error of a wheel explains it. A lost packet matters
+the more the commands differ: so much more uncertain is the block. Lengths are mm.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Pose
+from tetractl.lab.command_history import CommandHistory
+from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS
+from tetractl.lab.pose_filter import AcceptedFrame
+
+BLOCK_NS = SECOND // 20
+TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first
+NOISE = np.array([0.4, 0.4, 0.005])  # of a pose [mm, mm, rad]
+LATEST = 3  # taps within which commands differ where a packet is lost
+SLIP = np.array([1.5, 1.5, 0.02])  # random walk of a robot [mm, mm, rad, each per sqrt(s)]
+LOST = np.array([0.15, 0.0, 0.15])  # error of a motion, over how much the commands differ
+CLIP = 1.7  # standard deviations beyond which a residual counts no more
+# standard deviations of s, k, d, b, f, l (see the module) and of the weights of delays
+PRIOR = np.array([0.04, 0.05, 0.04, 0.06, 5.0, 1.0, *[0.2] * (2 * len(TAPS_NS) - 2)])
+KNOWN = len(PRIOR)
+ERRORS = np.zeros((3, KNOWN))  # of the left and right wheel and the heading, by these
+ERRORS[:, [0, 2, 3]] = (1, -1, 0), (1, 1, 0), (0, 0, 1)
+LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2  # of motions [mm/s, rad/s]
+LEAST_BLOCKS = 8  # younger changes are left to `motion_check`
+SPACING, GRID = 5, 32  # blocks between two moments of the grid, and the most moments
+LIMIT = 13.0  # of the statistic; good trials of the emulated lab reach about 10
+SURE = 3.0  # standard deviations by which a wheel must be beyond its largest error
+TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
+WRONG = (
+    "{}'s left wheel is {:+.0%} off its commanded speed, and its right one {:+.0%}: is it "
+    "calibrated, or does the camera track another body as this robot?"
+)
+
+Found = tuple[str, tuple[int, ...]]
+NOTHING: Found = "", ()
+
+
+class DriftCheck:
+    """Checks N robots of wheel distance `radius` and wheels that are wrong by up to `share`; `mm`
+    is the number of millimetres per length unit of what it is given.
+    """
+
+    def __init__(self, names: Sequence[str], radius: float, mm: float, share: float) -> None:
+        self._names, self._mm, self._share = names, mm, share
+        self._radius = radius * mm
+        self._sent = CommandHistory(2, len(names))
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget all motion; called when robots start from rest."""
+        n, size = len(self._names), 1 + KNOWN + len(LARGEST)
+        self._sums = np.zeros((n, size, size))  # of products of residual, regressors and motions
+        self._grid: list[tuple[int, Floats]] = [(0, self._sums.copy())]
+        self._blocks = 0
+        self._spread = np.array([np.diag(PRIOR**2)] * n)  # covariance of the fit
+        self._fit = np.zeros((n, KNOWN))
+        self.worst = 0.0  # the statistic, at the worst moment of the grid
+        self._then_ns = 0
+        self._then: list[tuple[Pose, Floats] | None] = [None] * n
+
+    def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
+        """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
+        self._sent.sent(now_ns, np.array([np.array(speed) * self._mm, turning]))
+
+    def frame(self, frame: AcceptedFrame, seen: Floats) -> Found:
+        """Take a frame and the robots' motion `seen` (N, 3) since the start; return what is wrong:
+        a text, "" if nothing is, and the robots whose poses are false.
+        """
+        now_ns = frame.frame.sampled_ns
+        dt_ns = now_ns - self._then_ns
+        if dt_ns < BLOCK_NS:
+            return NOTHING
+        moved, poses = seen * (self._mm, self._mm, 1.0), [frame.pose(i) for i in range(len(seen))]
+        if dt_ns < WATCHDOG_NS:
+            commanded = np.array([self._sent.mean(now_ns - tap, dt_ns) for tap in TAPS_NS])
+            for i, (then, pose) in enumerate(zip(self._then, poses, strict=True)):
+                if then is not None and pose is not None:
+                    self._add(i, *then, moved[i], commanded[:, :, i], dt_ns / SECOND)
+            self._blocks += 1
+        self._then_ns = now_ns
+        self._then = [p and (p, way) for p, way in zip(poses, moved, strict=True)]
+        return self._fault() if self._blocks % 2 == 0 else NOTHING
+
+    def _add(self, i: int, then: Pose, was: Floats, now: Floats, sent: Floats, dt: float) -> None:
+        """Add a block of robot i: its motion from `was` to `now` under the commands (TAPS, 2)."""
+        r, (v, w) = self._radius, sent[0] * dt
+        x = np.zeros((3, 1 + KNOWN + len(LARGEST)))
+        x[:, 0] = now - was - (v, 0.0, w)
+        others, taps = (sent[1:] - sent[0]).T * dt, 1 + 6 + len(TAPS_NS) - 1
+        x[0, [1, 3, 6]], x[0, 7:taps] = (v, w * r, w), others[0]
+        x[1, [4, 5]] = v, w
+        x[2, [1, 2, 3]], x[2, taps : 1 + KNOWN] = (w, w, v / r if r else 0.0), others[1]
+        (cos, sin), (px, py) = (np.cos(then.heading), np.sin(then.heading)), (then.x, then.y)
+        px, py = px * self._mm, py * self._mm
+        shift = np.array([[1.0, 0.0, -py, px], [0.0, 1.0, px, py]])
+        x[:, 1 + KNOWN : 4 + KNOWN] = np.eye(3) * dt
+        x[:2, 4 + KNOWN :] = np.array([[cos, sin], [-sin, cos]]) @ shift * dt
+        x[2, 6 + KNOWN] = dt
+        unlike = np.ptp(sent[:LATEST], axis=0)[[0, 0, 1]] * dt
+        calm, doubt = 2 * NOISE**2 + SLIP**2 * dt, (LOST * unlike) ** 2
+        x /= np.sqrt(calm + doubt)[:, None]
+        known = x[:, 1 : 1 + KNOWN]
+        expected = known @ self._fit[i]
+        bound = CLIP * np.sqrt(1 + np.einsum("rp,pq,rq->r", known, self._spread[i], known))
+        lost = (np.abs(x[:, 0] - expected) > bound) & (doubt > calm)  # by a packet
+        x[:, 0] = np.clip(x[:, 0], expected - bound, expected + bound)
+        x[lost] = 0.0
+        self._sums[i] += x.T @ x
+
+    def _fault(self) -> Found:
+        sums, known, motion = self._sums, slice(1, 1 + KNOWN), slice(1 + KNOWN, None)
+        self._spread = np.linalg.inv(sums[:, known, known] + np.diag(PRIOR**-2.0))
+        self._fit = np.einsum("npq,nq->np", self._spread, sums[:, known, 0])
+        squares = sums[:, 0, 0] - np.einsum("np,np->n", self._fit, sums[:, known, 0])
+        count = 3.0 * max(self._blocks, 1)
+        self.worst, found = 0.0, NOTHING
+        for block, then in self._grid:
+            if self._blocks - block < LEAST_BLOCKS:
+                break
+            since = sums - then
+            mixed = since[:, known, motion]
+            left = since[:, motion, motion] - mixed.swapaxes(1, 2) @ self._spread @ mixed
+            pull = since[:, motion, 0] - np.einsum("npf,np->nf", mixed, self._fit)
+            one = np.linalg.solve(left[:, :3, :3] + np.diag(LARGEST[:3]), pull[:, :3, None])[..., 0]
+            gain = np.einsum("nf,nf->n", pull[:, :3], one)
+            gain /= np.maximum(1.0, (squares - gain) / count)  # noise above that assumed
+            i = int(gain.argmax())
+            if gain[i] > self.worst:
+                self.worst, kind = gain[i], int((pull[i, :3] * one[i]).argmax())
+                found = f"{self._names[i]} {ANOTHER.format(KINDS[kind])}", (i,)
+            noise = np.maximum(1.0, squares / count)[:, None]
+            total = (pull[:, 3:] / noise).sum(axis=0)
+            every = (left[:, 3:, 3:] / noise[..., None]).sum(axis=0) + np.diag(LARGEST[3:])
+            shift = np.linalg.solve(every, total)
+            if len(gain) > 1 and total @ shift > max(self.worst, gain.max()):
+                self.worst, found = total @ shift, (TOGETHER, tuple(range(len(gain))))
+        if self._blocks - self._grid[-1][0] >= SPACING:
+            self._grid.append((self._blocks, sums.copy()))
+            if len(self._grid) > GRID:  # old moments are kept less densely
+                del self._grid[1 : 3 * GRID // 4 : 2]
+        return found if self.worst > LIMIT else self._wheels()
+
+    def _wheels(self) -> Found:
+        """Return which robot's wheels or heading are wrong by more than allowed."""
+        wrong = self._fit @ ERRORS.T  # (N, 3)
+        spread = np.einsum("ep,npq,eq->ne", ERRORS, self._spread, ERRORS)
+        sure = np.abs(wrong) - SURE * np.sqrt(spread) > self._share
+        for name, each, far in zip(self._names, wrong, sure, strict=True):
+            if far[2]:
+                return f"{name} {ANOTHER.format(KINDS[1])}", ()
+            if far.any():
+                return WRONG.format(name, *each), ()
+        return NOTHING

@@ -35,7 +35,8 @@ def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit,
     done = tetractl("run", "first.yaml", "--trials", 2, "--json")
     assert done.returncode == 0, done.stderr
     result = json.loads(done.stdout)
-    assert (result["arrived"], result["obstacle_violations"]) == (2, 0)
+    assert (result["n_counted"], result["obstacle_violations"]) == (2, 0)
+    assert result["total_error"]["max"] < (50 if unit == "um" else 1)
 
 
 def test_the_lab_of_a_new_spec_can_be_used(tetractl):

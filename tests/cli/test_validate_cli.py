@@ -29,9 +29,9 @@ def test_good_specs_are_ok(tetractl):
 def test_all_problems_of_all_bad_specs_are_printed(tetractl, tmp_path):
     good = EXPERIMENTS / "three_m3pi.yaml"
     text = good.read_text("utf-8")
-    number = {word: text[: text.index(word)].count("\n") + 1 for word in ("a: 6", "horizon_max:")}
+    number = {word: text[: text.index(word)].count("\n") + 1 for word in ("a: 6", "accept_error:")}
     (tmp_path / "one.yaml").write_text(
-        text.replace("a: 6", "a: -6").replace("horizon_max:", "horizon_mx:"), encoding="utf-8"
+        text.replace("a: 6", "a: -6").replace("accept_error:", "accept_eror:"), encoding="utf-8"
     )
     (tmp_path / "two.yaml").write_text("name: [x\n", encoding="utf-8")
     result = tetractl("validate", "one.yaml", good, "two.yaml")
@@ -40,8 +40,8 @@ def test_all_problems_of_all_bad_specs_are_printed(tetractl, tmp_path):
     assert one_a.startswith(f"one.yaml:{number['a: 6']}:")
     assert one_a.endswith("robots.0.a: -6: must be greater than 0")
     assert one_horizon == (
-        f"one.yaml:{number['horizon_max:']}:3: controller.horizon_mx: unknown key; "
-        "did you mean 'horizon_max'?"
+        f"one.yaml:{number['accept_error:']}:3: controller.accept_eror: unknown key; "
+        "did you mean 'accept_error'?"
     )
     assert ok.startswith(f"{good}: ok")
     assert two.startswith("two.yaml:2:1: not valid YAML")

@@ -212,7 +212,7 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
 
 
 def test_a_value_under_an_earlier_name_is_found_where_it_was_written():
-    text = THREE.read_text("utf-8").replace("motion: exact  ", "model: euler  ")
+    text = THREE.read_text("utf-8").replace("type: mpc\n", "type: mpc\n  model: euler\n")
     sets = ["controller.period=0.4", ON]
     (warning,) = find_warnings(parse_spec(text, "old", sets), sets)
     assert warning.origin == "--set controller.period=0.4"

@@ -67,7 +67,7 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     done = tetractl(folder, "warm", "spec.yaml", "study.yaml")
     assert done.returncode == 0
     kinds, seconds = done.stdout.split(": ")
-    assert kinds == "mpc, pso, euler"
+    assert kinds == "pso-mpc, pso, euler"
     assert float(seconds.removesuffix(" s\n")) >= 0
     assert done.stderr.startswith("kept in /")
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")

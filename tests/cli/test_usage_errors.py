@@ -25,7 +25,7 @@ run . | .: is a folder
 run empty.yaml | empty.yaml: is empty
 run binary.yaml | binary.yaml: is a binary file
 run wrong.yaml | wrong.yaml:3:
-run huge.yaml | huge.yaml:8:45: reference.std: 1.0e+308: must be at most 1e+09
+run huge.yaml | huge.yaml:9:45: reference.std: 1.0e+308: must be at most 1e+09
 run spec.yaml --trials 0 | --trials: must be at least 1 | try
 run spec.yaml --seed -1 | --seed: must be at least 0 | try
 run spec.yaml --seed x | --seed: is not a whole number | try

@@ -52,7 +52,7 @@ PLANTS = Registry(
     {
         "sim": "tetractl.plant.simulation:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
-        "emulated": "tetractl.emulate.plant:EmulatedPlantSection",
+        "emulated": "tetractl.emulate.virtual_plant:EmulatedPlantSection",
     },
     "tetractl.experiment.plant:PlantSection",
 )

@@ -324,7 +324,7 @@ def test_cells_that_do_not_move_as_commanded_are_warned_of_once():
     assert course.guard.state is GuardState.RUN
     backward, still = warnings
     assert backward.startswith("blue moves backward")
-    assert still.startswith("green does not move though commanded to")
+    assert still.startswith("green does not swim")
 
 
 def test_a_cell_whose_pose_repeats_ends_the_run():

@@ -209,11 +209,3 @@ def test_what_the_optimiser_solves_is_never_called_out_of_reach():
     assert len(solved) > 5
     assert len(warned) > 3
     assert not solved & warned
-
-
-def test_a_value_under_an_earlier_name_is_found_where_it_was_written():
-    text = THREE.read_text("utf-8").replace("type: mpc\n", "type: mpc\n  model: euler\n")
-    sets = ["controller.period=0.4", ON]
-    (warning,) = find_warnings(parse_spec(text, "old", sets), sets)
-    assert warning.origin == "--set controller.period=0.4"
-    assert "by equation (6) its heading overshoots" in warning.message

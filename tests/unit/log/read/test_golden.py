@@ -38,14 +38,6 @@ def test_every_number_is_as_it_was(name):
     assert summary.recovered == (log.damage is not None)
 
 
-@pytest.mark.parametrize("name", EXPECTED)
-def test_what_it_leaves_out_has_the_defaults_of_then(name):
-    """They were the paper's, and `mpc` of these logs is what `pso-mpc` is now."""
-    controller = read_trial(FOLDER / name).experiment.controller
-    assert controller.type == "pso-mpc"
-    assert (controller.collision.silence, controller.accept_error) == (0, 0)
-
-
 def test_its_decisions_still_follow_from_it():
     """By their costs on any processor; if this fails, the controller no longer does what it did."""
     found = verify(FOLDER / "format-2-sim.mcap")

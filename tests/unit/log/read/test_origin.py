@@ -34,7 +34,6 @@ def test_any_disturbance_disturbs_a_simulation(disturbance):
         ({}, Origin.LAB),
         ({"server": "Motive"}, Origin.LAB),
         ({"server": "Motive", "emulated": "camera"}, Origin.EMULATED),
-        ({"server": "Motive (EMULATED by tetractl)"}, Origin.EMULATED),  # of an earlier tetractl
     ],
 )
 def test_an_emulated_device_makes_an_emulated_lab(facts, origin):

@@ -197,9 +197,9 @@ def _with_run(path, facts):
 def test_a_log_of_a_newer_format_is_refused(tmp_path, log):
     facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
     del facts[CHECKSUM]
-    with pytest.raises(LogError, match="has log format 3; this tetractl reads up to 2") as caught:
+    with pytest.raises(LogError, match="has log format 3; this tetractl reads format 2") as caught:
         read_trial(_with_run(tmp_path / "new.mcap", facts))
-    assert caught.value.hint == "update tetractl"
+    assert caught.value.hint == "use the tetractl that wrote the log"
 
 
 def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):

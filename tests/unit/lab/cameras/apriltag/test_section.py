@@ -1,14 +1,9 @@
 """The camera's part of a spec; needs no OpenCV."""
 
-import builtins
-import sys
-
 import pytest
 from pydantic import ValidationError
-from support.trials import experiment
 
-from tetractl.core.clock import VirtualClock
-from tetractl.core.errors import AbortError, SpecError
+from tetractl.core.errors import SpecError
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
 ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
@@ -49,21 +44,3 @@ def test_a_robot_without_a_tag_is_named():
     section = AprilTagSection.model_validate(GOOD)
     with pytest.raises(SpecError, match="no tag for blue, red"):
         section.ordered(["green", "blue", "red"])
-
-
-def test_without_opencv_one_line_tells_what_to_install(monkeypatch):
-    imported = builtins.__import__
-
-    def without(name, *args, **kwargs):
-        if name == "cv2":
-            raise ModuleNotFoundError("No module named 'cv2'", name="cv2")
-        return imported(name, *args, **kwargs)
-
-    for name in list(sys.modules):
-        if name.startswith("tetractl.lab.cameras.apriltag.") and not name.endswith("section"):
-            monkeypatch.delitem(sys.modules, name)
-    monkeypatch.setattr(builtins, "__import__", without)
-    section = AprilTagSection.model_validate(GOOD)
-    with pytest.raises(AbortError, match="needs OpenCV") as caught:
-        section.build(experiment().setup, VirtualClock(), lambda: None)
-    assert caught.value.hint == "pip install 'tetractl[vision]'"

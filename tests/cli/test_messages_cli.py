@@ -71,7 +71,7 @@ def test_warm_compiles_what_specs_and_studies_name(folder):
     assert float(seconds.removesuffix(" s\n")) >= 0
     assert done.stderr.startswith("kept in /")
     done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
-    assert done.stdout.startswith("mpc, pso, exact: ")
+    assert done.stdout.startswith("pso-mpc, pso, exact: ")
 
 
 def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, monkeypatch):

@@ -48,6 +48,7 @@ LARGEST = np.array([500.0, 500.0, 5.0, 500.0, 500.0, 5.0, 5.0]) ** -2  # of moti
 LEAST_BLOCKS = 8  # younger changes are left to `motion_check`
 SPACING, GRID = 5, 32  # blocks between two moments of the grid, and the most moments
 LIMIT = 20.0  # of the statistic; good trials of the emulated lab reach about 13
+STEADY = 0.25  # largest error of wheels whose error is constant; a dead zone causes a larger one
 SURE = 3.0  # standard deviations by which a wheel must be beyond its largest error
 TOGETHER = "all robots drift together: has the camera, its origin or its scale moved?"
 WRONG = (
@@ -88,11 +89,12 @@ class DriftCheck:
 
     def frame(self, frame: AcceptedFrame, seen: Floats) -> Found:
         """Take a frame and the robots' motion `seen` (N, 3) since the start; return what is wrong:
-        a text, "" if nothing is, and the robots whose poses are false.
+        a text, "" if nothing is, and the robots whose poses are false. Wheels that may be wrong by
+        more than STEADY, as before they are calibrated, would explain any drift.
         """
         now_ns = frame.frame.sampled_ns
         dt_ns = now_ns - self._then_ns
-        if dt_ns < BLOCK_NS:
+        if dt_ns < BLOCK_NS or self._share > STEADY:
             return NOTHING
         moved, poses = seen * (self._mm, self._mm, 1.0), [frame.pose(i) for i in range(len(seen))]
         if dt_ns < WATCHDOG_NS:

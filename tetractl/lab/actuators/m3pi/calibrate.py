@@ -156,7 +156,8 @@ class _Bench:
         wake = threading.Event()
         camera = lab.camera.build(setup, self.clock, wake.set)
         self.actuator = ManualActuator(section, setup, self.clock)
-        self.rig = Rig(camera, self.actuator, lab.limits, setup, self.clock, emergency, wake)
+        limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN})
+        self.rig = Rig(camera, self.actuator, limits, setup, self.clock, emergency, wake)
         self.limit = min(limit, self.actuator.drivetrains[0].limit)
         guard = self.rig.guard
         guard.rules = replace(
@@ -164,7 +165,6 @@ class _Bench:
             speeds=(FASTEST_MM_S / self.rig.mm,),
             turning=(FASTEST_RAD_S,),
             silence_ns=SILENCE_NS,
-            limits=lab.limits.model_copy(update={"wheel_error": UNKNOWN}),
         )
 
     def open(self) -> None:

@@ -60,7 +60,7 @@ TURNS = 3 * TURN_STEPS  # largest number of these steps before robots drive agai
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
-MOMENTS = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
+TESTED = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
@@ -294,7 +294,7 @@ class Mpc:
         held = self.estimator.held_at_action(observation)
         ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
-        x, y, _ = driven(problem, problem.poses, ahead, seconds * MOMENTS[:, None])
+        x, y, _ = driven(problem, problem.poses, ahead, seconds * TESTED[:, None])
         return self.margins.entered(x, y)
 
     def _decide(self, problem: Problem) -> Plan:

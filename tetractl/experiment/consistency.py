@@ -59,12 +59,12 @@ def misplaced(
 
 def overlapping(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
     """Yield location and text of each start at which a robot's body overlaps an earlier robot's."""
-    collision = getattr(experiment.controller, "collision", None)
-    if collision is None or experiment.chosen is not None:
+    radius = experiment.controller.body_radius
+    if experiment.chosen is not None:
         return
     for field, i, other, gap in nearest(experiment.setup):
-        if field == "start" and gap < 2 * collision.radius:
-            message = f"bodies of radius {collision.radius:g} overlap; move one of them"
+        if field == "start" and gap < 2 * radius:
+            message = f"bodies of radius {radius:g} overlap; move one of them"
             yield ("robots", i, field), f"is {gap:.4g} from the start of {other}: {message}"
 
 

@@ -21,6 +21,7 @@ from support.running import (
 )
 from support.studies import tetractl
 
+from tetractl.experiment.load import load_spec
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 EXPERIMENTS = [
@@ -58,14 +59,16 @@ def work(tmp_path, batch):
 
 @pytest.mark.parametrize("path", first_of(EXPERIMENTS), ids=lambda path: path.stem)
 def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp_path):
-    done = run(path, "--trials", 1, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path)
+    # cells that stay at their targets circle there: where one trial ends is chance
+    trials = 1 if load_spec(path).experiment.hold is None else 10
+    done = run(path, "--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
-    found = read_result(tmp_path / "logs" / "trial-000.mcap")
-    assert found.outcome.complete
-    assert not found.recovered
-    for robot, error in zip(found.experiment.robots, found.result.robot_errors, strict=True):
+    results = [read_result(tmp_path / "logs" / f"trial-00{i}.mcap") for i in range(trials)]
+    assert all(found.outcome.complete and not found.recovered for found in results)
+    errors = zip(*(found.result.robot_errors for found in results), strict=True)
+    for robot, found in zip(results[0].experiment.robots, errors, strict=True):
         way = sum((t - s) ** 2 for s, t in zip(robot.start, robot.target, strict=True)) ** 0.5
-        assert error < 0.15 * way, robot.name
+        assert sum(found) / trials < 0.15 * way, robot.name
 
 
 def test_a_run_writes_a_log_a_trial_and_says_where(batch):

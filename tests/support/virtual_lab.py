@@ -145,8 +145,7 @@ def virtual_lab(
     setup, lab = experiment.setup, experiment.lab
     assert lab is not None
     clock = LabClock()
-    robots: list[EmulatedRobot] = []
-    clock.timeline = Timeline(lambda until: [robot.advance(until) for robot in robots])
+    clock.timeline = Timeline(lambda until: side.advance(until))
 
     def ignore(*_: object, **__: object) -> None:
         pass
@@ -160,7 +159,7 @@ def virtual_lab(
     actuator.link._port.open()
     actuator.link.open = ignore  # the module on it is not checked
     side.port.written = side.radio.readable
-    robots += side.robots
+    robots = side.robots
     for robot, (x, y, heading) in zip(robots, np.asarray(starts), strict=True):
         robot.place(float(x), float(y), float(heading))
     eye, supervision = EmulatedEye(clock, robots, seed, noise), LabSupervision()

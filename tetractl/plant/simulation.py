@@ -383,7 +383,7 @@ class SimPlant:
         return Command(direction, now, tuple(reached.tolist()), left, right, off, facing)
 
     def _transmit(self, now: int) -> Command:
-        """Send the wheel speeds for the held direction, from `WheelHost.speeds`."""
+        """Send the wheel speeds for the held direction, from `SimHost.speeds`."""
         host, seen = self._drive.host, self._camera.newest
         assert host is not None, "repeated transmissions need wheels"
         assert seen is not None, "there is no frame: call open() first"

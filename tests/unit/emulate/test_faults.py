@@ -47,7 +47,10 @@ def state(lab):
             {k: v for k, v in fields(body).items() if k != "robot"} for body in camera.tracked
         ]
     if hasattr(actuator, "radio"):
-        parts += [actuator.radio.loss, *({**fields(r), "program": 0} for r in actuator.robots)]
+        parts += [
+            actuator.radio.loss,
+            *({**vars(r), "program": 0, "robots": 0} for r in actuator.robots),
+        ]
     else:
         driver = actuator.driver
         parts += [driver.powered, driver.mute, driver.supply_mv, driver.temperature_dc]

@@ -16,7 +16,7 @@ from pydantic import Field
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import UsageError, WireError
 from tetractl.core.setup import Setup
-from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
+from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Timeline
@@ -27,6 +27,7 @@ from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
+from tetractl.model.swimmers import walls_of
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm

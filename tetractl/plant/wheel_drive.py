@@ -56,9 +56,8 @@ class WheelDriveSection(Model):
 class SimHost:
     """The host of N simulated robots: computes wheel speeds sent, and the resulting true speeds.
 
-    `repeats_ns` is the time of the next transmission [ns]. `direction` is the held direction [rad],
-    None while the field is off: both wheels then have equal speeds. If `ahead` is False, robots
-    turn on the spot. The generator `erring` draws true gains and dead zones, once per trial.
+    `repeats_ns` is the time of the next transmission [ns]. The generator `erring` draws true gains
+    and dead zones, once per trial.
     """
 
     def __init__(
@@ -67,8 +66,6 @@ class SimHost:
         assert setup.wheel_radius is not None, "the wheels need a radius"
         both = 2, setup.a.size
         self.repeats_ns = NEVER
-        self.direction: float | None = 0.0
-        self.ahead = True
         self._section = section
         self._gains = 1 + section.gain_error * erring.uniform(-1, 1, both)
         more = section.dead_zone_error
@@ -84,23 +81,24 @@ class SimHost:
         self._wheels = WheelHost(setup.a, setup.speed, radius, lag_s, known)
         self._last: tuple[Floats, Floats] | None = None
 
-    def direct(self, direction: float | None, ahead: bool = True) -> None:
-        """Hold a direction u [rad] from now on, None for no field.
-
-        The caller sends wheel speeds for this direction at once.
-        """
-        self.direction, self.ahead, self._last = direction, ahead, None
+    def direct(self) -> None:
+        """Compute the speeds that are sent next anew, because of a new direction."""
+        self._last = None
 
     def halt(self, now: int) -> None:
         """Hold no direction from now on, because a stop is sent `now` [ns]."""
         self.repeats_ns = NEVER
         self._wheels.sent(self._acts_ns(now), np.zeros_like(self._gains))
 
-    def speeds(self, now: int, seen: Observation) -> tuple[Floats, Floats]:
+    def speeds(
+        self, now: int, seen: Observation, direction: float | None, ahead: bool
+    ) -> tuple[Floats, Floats]:
         """Return the wheel speeds to send `now` [ns], and the resulting true wheel speeds.
 
-        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received. Also
-        schedules the next transmission, as the lab's inner loop does.
+        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received,
+        `direction` is u [rad], None while the field is off: both wheels then have equal speeds. If
+        not `ahead`, robots turn on the spot. Also schedules the next transmission, as the lab's
+        inner loop does.
         """
         rate = self._section.rate
         if rate is not None:
@@ -109,9 +107,9 @@ class SimHost:
             self.repeats_ns = max(before + period, now + period // 2)
         if self._last is None or self._section.recompute:
             heading, acts_ns = seen.poses.heading, self._acts_ns(now)
-            u = heading if self.direction is None else np.array(self.direction)
+            u = heading if direction is None else np.array(direction)
             since_ns = acts_ns if self._section.lead is None else seen.sampled_ns
-            wished = self._wheels.wished(heading, u, since_ns, acts_ns, self.ahead)
+            wished = self._wheels.wished(heading, u, since_ns, acts_ns, ahead)
             self._wheels.sent(acts_ns, wished)
             self._last = wished, wished * self._gains
             if self._true is not None and self._wheels.drivetrains is not None:

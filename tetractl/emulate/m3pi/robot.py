@@ -5,7 +5,6 @@ Lengths are millimetres.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import Protocol
 
 import numpy as np
@@ -49,84 +48,41 @@ class FirmwareProgram(RobotCore):
         self.push(data, now_ms)
 
 
-class Motor(Enum):
-    """A motor; M1 is the left one unless the spec swaps them."""
-
-    M1 = M1
-    M2 = M2
+_MOTORS = {M1: (0, 1), M1 + 1: (0, -1), M2: (1, 1), M2 + 1: (1, -1)}  # motor, sign of the count
 
 
-@dataclass(frozen=True, slots=True)
-class MotorCount:
-    """A motor and its count, from -127 to 127."""
+class SlaveProgram:
+    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on.
 
-    motor: Motor
-    count: int
-
-
-class Query(Enum):
-    """A request that the robot answers."""
-
-    SIGNATURE = SIGNATURE_REQUEST[0]
-    BATTERY = BATTERY_REQUEST[0]
-
-
-class SlaveDecoder:
-    """Decodes commands from a serial stream, given in chunks that may end anywhere.
-
+    Bytes may come in chunks that end anywhere. `obeyed` is the number of commands to a motor;
     `ignored` counts data bytes without a command, commands without their data byte, and unknown
     commands.
     """
 
     def __init__(self) -> None:
-        self.ignored = 0
-        # motor and sign of a command whose data byte has not arrived
-        self._pending: tuple[Motor, int] | None = None
-
-    def feed(self, data: bytes) -> list[MotorCount | Query]:
-        """Take a chunk of bytes; return the commands it completes."""
-        commands: list[MotorCount | Query] = []
-        for byte in data:
-            if byte < 0x80:
-                if self._pending is None:
-                    self.ignored += 1
-                    continue
-                motor, sign = self._pending
-                self._pending = None
-                commands.append(MotorCount(motor, sign * byte))
-                continue
-            self.ignored += self._pending is not None
-            self._pending = _MOTORS.get(byte)
-            if byte in _QUERIES:
-                commands.append(Query(byte))
-            elif self._pending is None:
-                self.ignored += 1
-        return commands
-
-
-_QUERIES = frozenset(query.value for query in Query)
-_MOTORS = {motor.value + back: (motor, 1 - 2 * back) for motor in Motor for back in (0, 1)}
-
-
-class SlaveProgram:
-    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on."""
-
-    def __init__(self) -> None:
-        self._decoder = SlaveDecoder()
+        self.obeyed = self.ignored = 0
         self._counts = [0, 0]
         self._answer = b""
+        # motor and sign of a command whose data byte has not arrived
+        self._pending: tuple[int, int] | None = None
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Execute each command that the bytes complete."""
-        for command in self._decoder.feed(data):
-            match command:
-                case MotorCount(motor, count):
-                    self._counts[motor is Motor.M2] = count
-                case Query.SIGNATURE:
-                    self._counts = [0, 0]
-                    self._answer += SIGNATURE
-                case Query.BATTERY:
-                    self._answer += battery_mv.to_bytes(2, "little")
+        for byte in data:
+            if byte < 0x80 and self._pending is not None:
+                motor, sign = self._pending
+                self._counts[motor] = sign * byte
+                self._pending, self.obeyed = None, self.obeyed + 1
+                continue
+            self.ignored += self._pending is not None or byte < 0x80
+            self._pending = _MOTORS.get(byte)
+            if byte == SIGNATURE_REQUEST[0]:
+                self._counts = [0, 0]
+                self._answer += SIGNATURE
+            elif byte == BATTERY_REQUEST[0]:
+                self._answer += battery_mv.to_bytes(2, "little")
+            elif byte >= 0x80 and self._pending is None:
+                self.ignored += 1
 
     def counts(self, now_ms: int) -> Counts:
         """Return the counts commanded last, which never expire."""

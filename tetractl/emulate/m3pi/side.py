@@ -19,10 +19,7 @@ from tetractl.emulate.m3pi.robot import (
     EmulatedRobot,
     EmulatedRobots,
     FirmwareProgram,
-    Motor,
-    MotorCount,
     Program,
-    SlaveDecoder,
     SlaveProgram,
 )
 from tetractl.emulate.port import PluggedDevice
@@ -50,7 +47,7 @@ class CommandLog:
         self._slave = slave
         self._api = Decoder(escaped=mode == 2) if mode else None
         self._splitters: dict[int, Splitter] = {}
-        self._slaves: dict[int, tuple[SlaveDecoder, list[int]]] = {}
+        self._slaves: dict[int, SlaveProgram] = {}
 
     def read(self, data: bytes) -> None:
         """Take bytes read from the port, and record the commands that they complete."""
@@ -79,12 +76,11 @@ class CommandLog:
             )
 
     def _slave_bytes(self, address: int, data: bytes) -> None:
-        decoder, wheels = self._slaves.setdefault(address, (SlaveDecoder(), [0, 0]))
-        counts = [item for item in decoder.feed(data) if isinstance(item, MotorCount)]
-        for each in counts:
-            wheels[each.motor is Motor.M2] = each.count
-        if counts:
-            self._note("command", address=address, wheels=[list(wheels)])
+        program = self._slaves.setdefault(address, SlaveProgram())
+        before = program.obeyed
+        program.hear(data, 0, 0)
+        if program.obeyed > before:
+            self._note("command", address=address, wheels=[program.counts(0)])
 
 
 Count = Annotated[int, Field(ge=-127, le=127)]

@@ -82,7 +82,7 @@ class SimHost:
         self._last: tuple[Floats, Floats] | None = None
 
     def direct(self) -> None:
-        """Compute the speeds that are sent next anew, because of a new direction."""
+        """Compute the next speeds for a new direction, rather than repeat the last ones."""
         self._last = None
 
     def halt(self, now: int) -> None:

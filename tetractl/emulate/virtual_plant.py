@@ -50,11 +50,15 @@ class EmulatedPlantSection(LabPlantSection):
         in the dish; the trial's `seed` gives everything else.
         """
         from tetractl.emulate.sides import Options
-        from tetractl.emulate.virtual_lab import connected, started
-        from tetractl.emulate.virtual_wires import LabClock
+        from tetractl.emulate.virtual_wires import LabClock, started
 
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
         own = int(seed.generate_state(2)[1])
         options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
-        return connected(started(self, setup, clock, options), self, setup, clock, emergency)
+        emulation, wake = started(self, setup, clock, options), threading.Event()
+        camera = emulation.camera.connected(setup, clock, wake.set)
+        actuator = emulation.actuator.connected(setup, clock)
+        rig = Rig(camera, actuator, self.limits, setup, clock, emergency, wake, threaded=False)
+        clock.steps.append(rig.loop.turn)
+        return rig

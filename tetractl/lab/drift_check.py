@@ -69,26 +69,28 @@ class DriftCheck:
         self._names, self._mm, self._share = names, mm, share
         self._radius = radius * mm
         self._sent = CommandHistory(2, len(names))
-        self.restart()
-
-    def restart(self) -> None:
-        """Forget all motion; called when robots start from rest."""
-        n, size = len(self._names), 1 + KNOWN + len(LARGEST)
+        n, size = len(names), 1 + KNOWN + len(LARGEST)
         self._sums = np.zeros((n, size, size))  # of products of residual, regressors and motions
         self._grid: list[tuple[int, Floats]] = [(0, self._sums.copy())]
         self._blocks = 0
         self._spread = np.array([np.diag(PRIOR**2)] * n)  # covariance of the fit
         self._fit = np.zeros((n, KNOWN))
         self.worst = 0.0  # the statistic, at the worst moment of the grid
+        self.rest()
+
+    def rest(self) -> None:
+        """Leave out the motion from the last pose to the next, but keep the fit; called when robots
+        start from rest.
+        """
         self._then_ns = 0
-        self._then: list[tuple[Pose, Floats] | None] = [None] * n
+        self._then: list[tuple[Pose, Floats] | None] = [None] * len(self._names)
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
         self._sent.sent(now_ns, np.array([np.array(speed) * self._mm, turning]))
 
     def frame(self, frame: AcceptedFrame, seen: Floats) -> Found:
-        """Take a frame and the robots' motion `seen` (N, 3) since the start; return what is wrong:
+        """Take a frame and the robots' motion `seen` (N, 3) since their rest; return what is wrong:
         a text, "" if nothing is, and the robots whose poses are false. Wheels that may be wrong by
         more than STEADY, as before they are calibrated, would explain any drift.
         """

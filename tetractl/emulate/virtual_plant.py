@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from tetractl.core.clock import Clock
+from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlantSection
@@ -57,8 +58,9 @@ class EmulatedPlantSection(LabPlantSection):
         own = int(seed.generate_state(2)[1])
         options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
         emulation, wake = started(self, setup, clock, options), threading.Event()
-        camera = emulation.camera.connected(setup, clock, wake.set)
-        actuator = emulation.actuator.connected(setup, clock)
+        join, ports = emulation.camera.join, emulation.wires.ports
+        camera = imported(self.camera.device)(self.camera, setup, clock, wake.set, join)
+        actuator = imported(self.actuator.device)(self.actuator, setup, clock, ports)
         rig = Rig(camera, actuator, self.limits, setup, clock, emergency, wake, threaded=False)
         clock.steps.append(rig.loop.turn)
         return rig

@@ -81,6 +81,11 @@ def memory_wires(clock: LabClock) -> Wires:
 
         return MemoryCamera(*arguments, **settings)
 
+    def make_socket(turn: Callable[[], None]) -> MemorySocket:
+        if turn not in clock.steps:
+            clock.steps.insert(1, turn)  # after the emulation, before the guard
+        return MemorySocket(network)
+
     def bound(host: str, port: int) -> MemorySocket:
         opened = MemorySocket(network)
         opened.bind((host, port))
@@ -92,8 +97,7 @@ def memory_wires(clock: LabClock) -> Wires:
         bound,
         network_camera,
         partial(MemorySerial, plugged),
-        partial(MemorySocket, network),
-        clock.steps.append,
+        make_socket,
     )
 
 

@@ -2,16 +2,15 @@
 bodies.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import SpecError
-from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.optitrack.motive import Motive
@@ -19,7 +18,6 @@ from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming, Tro
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
-from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
@@ -251,7 +249,7 @@ class EmulatedOptitrack:
             stage.options.seed,
             stage.wires.bound,
         )
-        self._section, self._wires = section, stage.wires
+        self.join = stage.wires.make_socket
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports; return their addresses."""
@@ -264,12 +262,6 @@ class EmulatedOptitrack:
             "data_port": self.motive.data_port,
             "transport": streaming.transport,
         }
-
-    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> OptitrackCamera:
-        """Return our NatNet client, connected to the server."""
-        camera = OptitrackCamera(self._section, setup, clock, wake, self._wires.make_socket)
-        self._wires.each_step(camera.turn)
-        return camera
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""

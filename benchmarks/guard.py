@@ -16,7 +16,9 @@ Worst of the plays: how far off its robot the pose shown was when that robot was
 """
 
 import argparse
+import math
 import sys
+from functools import partial
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -27,6 +29,7 @@ from support.ghosts import CAMERA, KINDS, Ghost, trial_of  # noqa: E402
 from support.labs import CAMERA_HZ  # noqa: E402
 
 from tetractl.emulate import virtual_wires  # noqa: E402
+from tetractl.lab.drift_check import LIMIT  # noqa: E402
 
 SPEEDS = (0.05, 0.1, 0.2, 0.4)  # m/s
 SLOW = {  # what the long check is for
@@ -41,6 +44,7 @@ SLOW = {  # what the long check is for
 NOTICED = ("another body", "all robots drift", "does not move", "backward", "the wrong way")
 UNITS = {"turn": "rad/s", "scale": "/s", "rotation": "rad/s"}
 ALL = (0, 1, 2)
+TAIL = 5.0  # statistic above which the tail of good trials is fitted
 
 
 def ghosts(kind: str) -> None:
@@ -90,12 +94,34 @@ def slow(kind: str) -> None:
         print(f"| {kind} | {rate:g} {UNITS.get(kind, 'm/s')} | {' | '.join(cells)} |", flush=True)
 
 
+def watched(labs: list[VirtualLab], peaks: list[float], lab: VirtualLab) -> None:
+    """Note a lab, and the greatest statistic of its drift check."""
+    labs.append(lab)
+    peaks.append(0.0)
+
+    def look() -> None:
+        peaks[-1] = max(peaks[-1], lab.plant.rig.guard._drift.worst)
+
+    lab.clock.steps.append(look)
+
+
+def beyond(peaks: list[float]) -> float:
+    """Return how many of 1,000 trials would exceed the limit, by the peaks above TAIL."""
+    over = [peak - TAIL for peak in peaks if peak > TAIL]
+    far = math.exp((TAIL - LIMIT) * len(over) / sum(over)) if over else 0.0
+    return 1000 * len(over) / len(peaks) * far
+
+
 def alarms(first: int, last: int) -> None:
-    """Print each trial that did not end by itself or in which a pose was refused, and counts."""
+    """Print each trial that did not end by itself or in which a pose was refused, and counts; of
+    the drift check, the greatest statistic and how many of 1,000 trials would exceed its limit, if
+    what is above TAIL falls off exponentially.
+    """
     ended = refused = close = 0
+    peaks: list[float] = []
     for trial in range(first, last):
         labs: list[VirtualLab] = []
-        result = trial_of(labs.append, trial, RATE_HZ)
+        result = trial_of(partial(watched, labs, peaks), trial, RATE_HZ)
         guard = labs[0].plant.rig.guard
         near = "too close" in result.reason  # which they truly are
         close += near
@@ -106,7 +132,8 @@ def alarms(first: int, last: int) -> None:
         if trial == last - 1 or trial % 10 == 9:
             print(
                 f"{trial + 1 - first} trials: {ended} false alarms, {refused} with refused poses, "
-                f"{close} ended as robots came too close",
+                f"{close} ended as robots came too close; statistic {max(peaks):.1f}, "
+                f"{beyond(peaks):.2f} of 1,000 trials above {LIMIT:g}",
                 flush=True,
             )
 

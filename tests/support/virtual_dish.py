@@ -17,7 +17,7 @@ from tetractl.core.clock import SECOND
 from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options
-from tetractl.emulate.virtual_lab import started
+from tetractl.emulate.virtual_wires import started
 from tetractl.experiment.load import LoadedSpec, load_spec
 from tetractl.experiment.plants import lab_of, on_plant
 from tetractl.lab.cameras.cells.camera import CellCamera

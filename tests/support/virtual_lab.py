@@ -25,6 +25,7 @@ from tetractl.emulate.optitrack.motive import JITTER_S, OptitrackSettings
 from tetractl.emulate.sides import Options, Stage
 from tetractl.emulate.virtual_wires import STEP_NS, LabClock, VirtualLoop, memory_wires
 from tetractl.experiment.experiment import Experiment
+from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.inner_loop import IDLE_S
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlant
@@ -154,7 +155,7 @@ def virtual_lab(
     wires = memory_wires(clock)
     stage = Stage(lab, setup, clock.timeline, Options(seed=seed), *reports, wires)
     side = EmulatedM3pi(stage, settings)
-    actuator = side.connected(setup, clock)
+    actuator = M3piActuator(lab.actuator, setup, clock, wires.ports)
     side.open(VirtualLoop(clock.timeline, ignore))
     actuator.link._port.open()
     actuator.link.open = ignore  # the module on it is not checked

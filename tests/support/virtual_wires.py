@@ -50,9 +50,7 @@ class Joined:
     wires: Wires
 
     def __new__(cls, section, setup, clock, wake):
-        camera = OptitrackCamera(section, setup, clock, wake, cls.wires.make_socket)
-        cls.wires.each_step(camera.turn)
-        return camera
+        return OptitrackCamera(section, setup, clock, wake, cls.wires.make_socket)
 
 
 @contextlib.contextmanager

@@ -13,9 +13,8 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND, Clock
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
-from tetractl.core.setup import Setup
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
@@ -23,7 +22,6 @@ from tetractl.emulate.loop import Timeline
 from tetractl.emulate.port import PluggedDevice, PseudoPort, SerialDevice
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
-from tetractl.lab.actuators.field.actuator import FieldActuator
 from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
@@ -203,7 +201,6 @@ class EmulatedField(PluggedDevice):
         assert isinstance(section, FieldSection), "the actuator's section has the type field"
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = stage.wires.port(stage.options.link or Path(section.port))
-        self._section, self._ports = section, stage.wires.ports
         self.driver = self.wired = CurrentDriver(
             stage.timeline, self.port, _limits(section), section.baud, tell=stage.note
         )
@@ -219,10 +216,6 @@ class EmulatedField(PluggedDevice):
         reference_mt = section.strength_mt
         self.dish = Dish(self.driver, section.coils, reference_mt, cells, start_ns, seed, walls)
         self._bodies = [CellBody(name, self.dish, row) for row, name in enumerate(names)]
-
-    def connected(self, setup: Setup, clock: Clock) -> FieldActuator:
-        """Return our actuator, connected to the driver."""
-        return FieldActuator(self._section, setup, clock, self._ports)
 
     @property
     def bodies(self) -> Sequence[CellBody]:

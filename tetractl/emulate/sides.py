@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
-from tetractl.core.clock import Clock
-from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop, Timeline
@@ -109,8 +107,9 @@ class EmulatedSide(Protocol):
 class EmulatedCamera(EmulatedSide, Protocol):
     """Shows `bodies`, in order, to its clients; constructed with (stage, settings, bodies)."""
 
-    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
-        """Return our camera of a setup's robots, which the stage's wires connect to this one."""
+    @property
+    def join(self) -> Any:
+        """What our camera is given to reach this one over wires in memory."""
         ...
 
     def hide(self, hidden: bool) -> None:
@@ -120,10 +119,6 @@ class EmulatedCamera(EmulatedSide, Protocol):
 
 class EmulatedActuator(EmulatedSide, Protocol):
     """Moves its `bodies`, in the setup's order; constructed with (stage, settings)."""
-
-    def connected(self, setup: Setup, clock: Clock) -> Actuator:
-        """Return our actuator of a setup's robots, which the stage's wires connect to this one."""
-        ...
 
     @property
     def bodies(self) -> Sequence[Body]:

@@ -21,9 +21,6 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.poses import Floats, Grey
-from tetractl.core.protocols import Camera
-from tetractl.core.registry import imported
-from tetractl.core.setup import Setup
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Facts, Stage
@@ -312,10 +309,10 @@ class StreamedCamera(ABC):
             self._opened = False
         return {"pictures": self._exposures}
 
-    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> Camera:
-        """Return our camera, which is given the pictures of this one."""
-        section = self._stage.lab.camera
-        return imported(section.device)(section, setup, clock, wake, self.camera.join)
+    @property
+    def join(self) -> Any:
+        """The function that gives our camera the pictures of this one, in memory."""
+        return self.camera.join
 
     def _joined(self) -> None:
         """Do nothing, unless overridden; called when a client begins to watch."""

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from tetractl.core.clock import Clock
+from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlantSection
@@ -50,11 +51,16 @@ class EmulatedPlantSection(LabPlantSection):
         in the dish; the trial's `seed` gives everything else.
         """
         from tetractl.emulate.sides import Options
-        from tetractl.emulate.virtual_lab import connected, started
-        from tetractl.emulate.virtual_wires import LabClock
+        from tetractl.emulate.virtual_wires import LabClock, started
 
         assert isinstance(clock, LabClock), "`clock` returned it"
         assert isinstance(seed.entropy, int), "the root seed is one number"
         own = int(seed.generate_state(2)[1])
         options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
-        return connected(started(self, setup, clock, options), self, setup, clock, emergency)
+        emulation, wake = started(self, setup, clock, options), threading.Event()
+        join, ports = emulation.camera.join, emulation.wires.ports
+        camera = imported(self.camera.device)(self.camera, setup, clock, wake.set, join)
+        actuator = imported(self.actuator.device)(self.actuator, setup, clock, ports)
+        rig = Rig(camera, actuator, self.limits, setup, clock, emergency, wake, threaded=False)
+        clock.steps.append(rig.loop.turn)
+        return rig

@@ -1,4 +1,4 @@
-"""Wires in memory, in virtual time: UDP, serial ports, and the clock of both ends.
+"""Wires in memory, in virtual time: UDP, serial ports, the clock of both ends, and an emulated lab.
 
 What travels is what travels on real wires, byte for byte; nothing is lost or late.
 """
@@ -11,9 +11,14 @@ from typing import Any
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import AbortError
+from tetractl.core.setup import Setup
+from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.emulate.port import PseudoPort
+from tetractl.emulate.script import NOTHING, Script
+from tetractl.emulate.sides import Options
 from tetractl.emulate.wires import Wires
+from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
 
 STEP_NS = SECOND // 1000
@@ -54,6 +59,18 @@ class VirtualLoop(Loop):
             act()
 
 
+def started(
+    lab: LabSection, setup: Setup, clock: LabClock, options: Options, script: Script = NOTHING
+) -> EmulatedLab:
+    """Return an emulated lab that runs on a clock; nothing in it has to be released."""
+    loop, wires = VirtualLoop, memory_wires(clock)
+    emulation = EmulatedLab(lab, setup, script, options, make_loop=loop, wires=wires).__enter__()
+    assert isinstance(emulation.loop, VirtualLoop)
+    clock.timeline = emulation.timeline
+    clock.steps.insert(0, emulation.loop.poll)
+    return emulation
+
+
 def memory_wires(clock: LabClock) -> Wires:
     """Return wires in memory between an emulated lab and our side, both on a clock."""
     network: Network = {}
@@ -63,6 +80,11 @@ def memory_wires(clock: LabClock) -> Wires:
         from tetractl.emulate.memory_camera import MemoryCamera  # imports OpenCV
 
         return MemoryCamera(*arguments, **settings)
+
+    def make_socket(turn: Callable[[], None]) -> MemorySocket:
+        if turn not in clock.steps:
+            clock.steps.insert(1, turn)  # after the emulation, before the guard
+        return MemorySocket(network)
 
     def bound(host: str, port: int) -> MemorySocket:
         opened = MemorySocket(network)
@@ -75,8 +97,7 @@ def memory_wires(clock: LabClock) -> Wires:
         bound,
         network_camera,
         partial(MemorySerial, plugged),
-        partial(MemorySocket, network),
-        clock.steps.append,
+        make_socket,
     )
 
 
@@ -120,7 +141,7 @@ class MemoryPort(PseudoPort):
         super().__init__(link)
         self.near: MemorySerial | None = None
         self.written: Callable[[], None] = lambda: None
-        self.stalled, self._plugged, self._taken = False, plugged, b""
+        self.stalled, self.taken, self._plugged = False, b"", plugged
 
     def plug(self) -> None:
         """Make the port known by its name."""
@@ -132,7 +153,7 @@ class MemoryPort(PseudoPort):
         self.fd = -1
         self._plugged.pop(str(self.link), None)
         if self.near is not None:
-            self.near.gone()
+            self.near.hear(b"")
 
     def stall(self, stalled: bool) -> None:
         """Refuse bytes, or accept them again."""
@@ -144,18 +165,13 @@ class MemoryPort(PseudoPort):
 
     def read(self) -> bytes:
         """Return the bytes that our end has written."""
-        data, self._taken = self._taken, b""
+        data, self.taken = self.taken, b""
         return data
 
     def write(self, data: bytes) -> None:
         """Pass bytes to our end, if it is open."""
         if self.fd >= 0 and self.near is not None:
-            self.near.came(data)
-
-    def take(self, data: bytes) -> None:
-        """Take bytes that our end writes."""
-        self._taken += data
-        self.written()
+            self.near.hear(data)
 
 
 class MemorySerial(SerialPort):
@@ -181,7 +197,8 @@ class MemorySerial(SerialPort):
             raise AbortError(self.failure or f"the port {self._name} is not open", self._hint)
         if self._far.stalled:
             raise self._fail(f"takes no more bytes: {self._device} is stuck")
-        self._far.take(data)
+        self._far.taken += data
+        self._far.written()
         return self._clock.now()
 
     def set_baud(self, baud: int) -> None:
@@ -194,14 +211,11 @@ class MemorySerial(SerialPort):
             self._far.near = None
         self._far = None
 
-    def came(self, data: bytes) -> None:
-        """Receive bytes from the device."""
+    def hear(self, data: bytes) -> None:
+        """Receive bytes from the device; fail if there are none, since it was unplugged."""
+        if not data:
+            self._fail("is gone: Input/output error")
         self._heard(data, self._clock.now())
-
-    def gone(self) -> None:
-        """Fail, since the device was unplugged."""
-        self._fail("is gone: Input/output error")
-        self._heard(b"", self._clock.now())
 
 
 Network = dict[tuple[str, int], MemorySocket]

@@ -41,7 +41,7 @@ class Wires:
     Of the emulation: `port` makes a serial port from the name that programs open, `bound` a UDP
     socket at an address and port, `network_camera` a camera from the arguments of
     EmulatedNetworkCamera, and `clock` its clock. Of programs: `ports` and `make_socket`, None for
-    the devices' own. `each_step` takes a function that replaces a thread of a program.
+    the devices' own.
     """
 
     clock: Callable[[], Clock] = MonotonicClock
@@ -49,5 +49,4 @@ class Wires:
     bound: Callable[[str, int], Any] = bound_udp
     network_camera: Callable[..., Any] = _network_camera
     ports: Ports | None = None
-    make_socket: Callable[[], Any] | None = None
-    each_step: Callable[[Callable[[], None]], None] = lambda turn: None
+    make_socket: Callable[[Callable[[], None]], Any] | None = None

@@ -6,6 +6,7 @@ Each check is a generator of findings. Random numbers come from a fixed seed, so
 from collections.abc import Callable, Mapping
 from functools import partial
 from importlib import import_module
+from traceback import extract_tb
 from typing import Any
 
 from pydantic import ValidationError
@@ -18,13 +19,10 @@ from tetractl.experiment.disturbance import DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.explain import words
-from tetractl.kind_checks.controller_checks import check_controller
-from tetractl.kind_checks.device_checks import check_actuator, check_camera
-from tetractl.kind_checks.disturbance_checks import check_disturbance
+from tetractl.kind_checks.control_checks import check_controller, check_optimizer
 from tetractl.kind_checks.finding import Finding, Findings
-from tetractl.kind_checks.motion_checks import check_motion
-from tetractl.kind_checks.optimizer_checks import check_optimizer
-from tetractl.kind_checks.shape_checks import check_shape
+from tetractl.kind_checks.model_checks import check_motion, check_shape
+from tetractl.kind_checks.plant_checks import check_actuator, check_camera, check_disturbance
 from tetractl.model.motion.motion import Motion
 
 CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
@@ -82,8 +80,5 @@ def _guarded(check: Callable[[], Findings]) -> Findings:
     except UsageError:
         raise
     except Exception as error:
-        frame = error.__traceback__
-        while frame is not None and frame.tb_next is not None:
-            frame = frame.tb_next
-        place = f"{frame.tb_frame.f_code.co_filename}:{frame.tb_lineno}: " if frame else ""
-        yield Finding("runs", f"{place}{type(error).__name__}: {error}")
+        at = extract_tb(error.__traceback__)[-1]
+        yield Finding("runs", f"{at.filename}:{at.lineno}: {type(error).__name__}: {error}")

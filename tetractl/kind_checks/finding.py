@@ -38,7 +38,7 @@ def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> 
     return Finding(what, f"{values} in case {worst} of {off.size}")
 
 
-def true(what: str, good: Any, problem: str) -> Finding:
+def true(what: str, good: Any, problem: str = "not so") -> Finding:
     """Check that all cases are good; the error names the first that is not."""
     bad = np.flatnonzero(~np.asarray(good, bool).ravel())
     return Finding(what, f"{problem} in case {bad[0]} of {np.size(good)}" if bad.size else "")

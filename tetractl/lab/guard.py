@@ -142,7 +142,7 @@ class Guard:
             self._driven, self.outdated = True, 0
             self._swaps.restart()
             self._motion.restart()
-            self._drift.restart()
+            self._drift.rest()
             self._disobedient.clear()
             for track in self._filters:  # motion before the run is ignored: robots were carried
                 track.forget()
@@ -199,11 +199,11 @@ class Guard:
             return None
         self._last_frame_ns, self._outdated_in_a_row = now, 0
         self._motion.frame(now)
-        fresh: list[bool] = []
-        gone_ns = self.rules.limits.untracked_abort * SECOND
+        fresh, gone_ns = list[bool](), self.rules.limits.untracked_abort * SECOND
         for i, (track, pose) in enumerate(zip(self._filters, frame.poses, strict=True)):
             self._disobedient.discard(i)
-            track.frame(now, self.rules.limits.stale * SECOND)
+            if self._active:
+                track.frame(now, self.rules.limits.stale * SECOND)
             if self.rules.goes_on and now - track.seen_ns >= gone_ns:
                 self.lose(i, self._untracked(i, now))
             if pose is None or i in self.lost:

@@ -50,17 +50,18 @@ class PoseFilter:
     pose: Pose | None = None
     seen_ns: int = 0
     refused: str = ""
-    unseen_ns: float = 0.0  # time without a recent pose, less a part of the time with one
+    # time of the runs without a recent pose, less a part of their time with one
+    unseen_ns: float = 0.0
     _frame_ns: int = 0  # time of the newest frame
     _past: deque[tuple[int, Pose]] = field(default_factory=deque)
 
     def forget(self) -> None:
         """Forget all poses except the last; called before a run, since robots were carried."""
         self._past = deque([(self.seen_ns, self.pose)] if self.pose is not None else [])
-        self.refused, self.unseen_ns, self._frame_ns = "", 0.0, self.seen_ns
+        self.refused, self._frame_ns = "", self.seen_ns
 
     def frame(self, now_ns: int, stale_ns: float) -> None:
-        """Take the time of a frame, before its pose; a pose is recent for `stale_ns`."""
+        """Take the time of a frame of a run, before its pose; a pose is recent for `stale_ns`."""
         unseen_ns = max(0.0, now_ns - max(self._frame_ns, self.seen_ns + stale_ns))
         seen_ns = now_ns - self._frame_ns - unseen_ns
         self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)

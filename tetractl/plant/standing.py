@@ -27,8 +27,7 @@ class StandingCheck:
         self._setup, self._delay_ns = setup, DELAY_NS + round(dead_time_s * SECOND)
         self._since_ns: int | None = None  # since when all robots are commanded to drive
         self._last: Observation | None = None
-        self._stood_s = np.zeros(len(setup.names))  # for how long each robot has stood
-        self._longest_s = self._stood_s
+        self._stood_s = self._longest_s = np.zeros(len(setup.names))  # how long each robot stands
 
     def sent(self, now_ns: int, drives: bool) -> None:
         """Take a command sent `now_ns`, by which the robots drive or not."""
@@ -48,17 +47,13 @@ class StandingCheck:
             return []
         self._last = seen
         x, y = (seen.poses.xy - last.poses.xy).T
-        stands = np.hypot(x, y) < STANDS * self._setup.speed * seconds
-        stands &= seen.valid & last.valid
+        stands = (np.hypot(x, y) < STANDS * self._setup.speed * seconds) & seen.valid & last.valid
         self._stood_s = np.where(stands, self._stood_s + seconds, 0.0)
-        known = self._longest_s >= LEAST_S
+        new = np.flatnonzero((self._stood_s >= LEAST_S) & (self._longest_s < LEAST_S))
         self._longest_s = np.maximum(self._longest_s, self._stood_s)
-        new = [self._setup.names[i] for i in np.flatnonzero((self._stood_s >= LEAST_S) & ~known)]
-        if not new:
-            return []
-        does = "does" if len(new) == 1 else "do"
-        text = f"{', '.join(new)} {does} not move though commanded to"
-        return [Note(seen.received_ns, "warning", text)]
+        names = ", ".join(self._setup.names[i] for i in new)
+        text = f"{names} {'does' if len(new) == 1 else 'do'} not move though commanded to"
+        return [Note(seen.received_ns, "warning", text)] * (new.size > 0)
 
     @property
     def found(self) -> str:

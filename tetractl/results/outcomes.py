@@ -113,16 +113,12 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
         return found | {body: any(of(verdict, radius)) if radius else None}
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
-        columns = [of_trial(trial) for trial in trials]
-        items: dict[str, Any] = {body: None, f"{body}_ci95": None}
-        text = f"{NONE} (no radius)"
-        keys = [centre] if centre else []
-        for key, column in keys + [(body, body)] * (
-            trials[0].experiment.controller.body_radius > 0
-        ):
-            found, text = fraction(key, [one[column] for one in columns])
-            items |= found
-            text += f", {counted_by(trials[0].experiment)}"
+        columns, counted = [of_trial(trial) for trial in trials], counted_by(trials[0].experiment)
+        items, text = {body: None, f"{body}_ci95": None}, f"{NONE} (no radius)"
+        for key, column in ([centre] if centre else []) + [(body, body)]:
+            if columns[0][column] is not None:
+                found, share = fraction(key, [one[column] for one in columns])
+                items, text = items | found, f"{share}, {counted}"
         return Value(items, ((f"{label}, 95 % interval", text),))
 
     return Statistic(of_batch, of_trial)

@@ -115,6 +115,23 @@ def test_a_robot_that_is_seen_for_moments_only_ends_the_run():
         course.frames(35, (None, PLACES[1]))
         course.frames(3)
     assert "green is seen too rarely" in course.guard.reason
+
+
+def test_a_pause_forgets_neither_how_seldom_a_robot_is_seen_nor_what_its_wheels_are():
+    """Regression: a robot seen for moments only drove on if the robots paused now and then."""
+    course = running(replace(RULES, wheel_radius=40.0))
+    began, fits = course.at, []
+    while course.guard.state is not GuardState.ABORT and course.at - began < 5 * SECOND:
+        course.frames(35, (None, PLACES[1]))
+        course.frames(3)
+        if course.guard.state is not GuardState.ABORT:
+            course.guard.rest()
+            course.frames(30)
+            course.guard.go(course.at)
+            fits.append(course.guard._drift._blocks)
+    assert "green is seen too rarely" in course.guard.reason
+    assert course.at - began < 4 * SECOND
+    assert fits == sorted(set(fits))  # each stretch adds to the fit
     assert course.at - began < 2.2 * SECOND
 
 

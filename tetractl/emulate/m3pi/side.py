@@ -9,9 +9,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import Clock
 from tetractl.core.errors import WireError
-from tetractl.core.setup import Setup
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
@@ -25,7 +23,7 @@ from tetractl.emulate.m3pi.robot import (
 from tetractl.emulate.port import PluggedDevice
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Model, Name, Positive
-from tetractl.lab.actuators.m3pi.actuator import M3piActuator, drivetrains, radius_mm
+from tetractl.lab.actuators.m3pi.actuator import drivetrains, radius_mm
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.xbee.frames import Decoder, Transmit16
@@ -199,7 +197,6 @@ class EmulatedM3pi(PluggedDevice):
         self.robots = [_robot(section, true) for true in trues]
         self._wheels = _wheels(stage, section, trues, self.robots)
         self.port = stage.wires.port(stage.options.link or Path(section.port))
-        self._section, self._ports = section, stage.wires.ports
         module = _module(section, settings)
         self.radio = self.wired = EmulatedRadio(
             stage.timeline,
@@ -212,10 +209,6 @@ class EmulatedM3pi(PluggedDevice):
             CommandLog(module.mode, not section.protocol.watchdog, stage.note).read,
             lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
         )
-
-    def connected(self, setup: Setup, clock: Clock) -> M3piActuator:
-        """Return our actuator, connected to the radio."""
-        return M3piActuator(self._section, setup, clock, self._ports)
 
     @property
     def bodies(self) -> Sequence[EmulatedRobot]:

@@ -2,15 +2,14 @@
 bodies.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND, Clock
-from tetractl.core.setup import Setup
+from tetractl.core.clock import SECOND
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.optitrack.motive import (
@@ -23,7 +22,6 @@ from tetractl.emulate.optitrack.motive import (
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
-from tetractl.lab.cameras.optitrack.camera import OptitrackCamera
 from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
@@ -192,11 +190,11 @@ class EmulatedOptitrack:
             [BodyName(body.body_name, body.id) for body in self.tracked],
             lambda: expose(self.tracked, self.view, self.swapped, self.hidden),
         )
-        self._section, self._wires = section, stage.wires
+        self.join = stage.wires.make_socket
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports; return their addresses."""
-        motive, transport = self.motive, self._section.transport
+        motive, transport = self.motive, self.motive.section.transport
         loop.watch(motive.open(), lambda: motive.readable(loop.catch_up))
         return {
             "camera": f"{motive.address}:{motive.command_port} ({transport})",
@@ -205,12 +203,6 @@ class EmulatedOptitrack:
             "data_port": motive.data_port,
             "transport": transport,
         }
-
-    def connected(self, setup: Setup, clock: Clock, wake: Callable[[], None]) -> OptitrackCamera:
-        """Return our NatNet client, connected to the server."""
-        camera = OptitrackCamera(self._section, setup, clock, wake, self._wires.make_socket)
-        self._wires.each_step(camera.turn)
-        return camera
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""

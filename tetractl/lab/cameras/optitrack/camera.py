@@ -56,7 +56,7 @@ class OptitrackCamera:
     """Tracks the setup's robots by their rigid bodies; see `tetractl.core.protocols.Camera`.
 
     Times are ns on `clock`. `wake` is called, in the receiver's thread, after every new frame. If
-    `make_socket` makes UDP sockets in memory, there is no thread: the owner calls `turn`.
+    `make_socket` makes UDP sockets in memory, it calls `turn`, its argument, in place of a thread.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class OptitrackCamera:
         setup: Setup,
         clock: Clock,
         wake: Callable[[], None] = lambda: None,
-        make_socket: Callable[[], Any] | None = None,
+        make_socket: Callable[[Callable[[], None]], Any] | None = None,
     ) -> None:
         self.names = setup.names
         robots = [section.robot(name) for name in setup.names]
@@ -198,11 +198,11 @@ class OptitrackCamera:
 
     def _open_sockets(self) -> None:
         section = self.section
-        command = self._make_socket()
+        command = self._make_socket(self.turn)
         self._sockets.append(command)
         command.bind((section.interface, 0))
         if not self._unicast:
-            data = self._make_socket()
+            data = self._make_socket(self.turn)
             self._sockets.append(data)
             data.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             # on Linux, a socket bound to the group receives only that; other systems refuse it
@@ -319,5 +319,5 @@ class OptitrackCamera:
         return wait_for(self._clock, done, timeout_s)
 
 
-def _udp() -> socket.socket:
+def _udp(turn: Callable[[], None]) -> socket.socket:
     return socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

@@ -1,5 +1,8 @@
-"""Checks of a controller: its decisions in short undisturbed simulations."""
+"""Checks of an optimiser: its searches are consistent, bounded and repeatable; and of a controller:
+its decisions in short undisturbed simulations.
+"""
 
+import math
 import sys
 from dataclasses import replace
 from itertools import count
@@ -8,16 +11,54 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.plan import End, Outcome, Plan
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
-from tetractl.kind_checks.finding import SEED, Finding, Findings, random_watched, same, true
+from tetractl.kind_checks.finding import SEED, Finding, Findings, near, random_watched, same, true
+from tetractl.model.obstacles import Obstacles
 from tetractl.plant.simulation import SimSection
 
 STEPS_MAX = 3
 CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "now", "utcnow", "today"}
+
+
+def check_optimizer(optimizer: OptimizerSection, setup: Setup) -> Findings:
+    """Check that an optimiser's search records are consistent, and that its searches repeat."""
+    from tetractl.control.evaluate import compiled_costs
+
+    problem = Problem(
+        poses=setup.starts, targets=setup.targets, a=setup.a, speed=setup.speed, motion="exact",
+        period=0.2, first_period=0.2, obstacles=Obstacles.of(setup.obstacles),
+        obstacle_weight=1000.0, swept=True,
+    )  # fmt: skip
+    rng = np.random.default_rng(SEED)
+    for length in (1, 12):
+        for warm in (None, rng.uniform(-math.pi, math.pi, length)):
+            kept, what = None if warm is None else warm.copy(), f"{length} signals: "
+            found = optimizer.search(problem, length, warm, SEED, Limits())
+            again = optimizer.search(problem, length, warm, SEED, Limits())
+            if warm is not None:
+                what = f"{length} signals, warm start: "
+                yield same(f"{what}not changed", [warm], [kept])
+            shape = np.shape(found.signals)
+            if shape != (length,):
+                yield Finding(f"{what}signals", f"have shape {shape}, not ({length},)")
+                return
+            pair = [(one.signals, one.history, one.evaluations) for one in (found, again)]
+            yield same(f"{what}same search for the same key", *pair)
+            cost = float(compiled_costs(problem, 1)(found.signals[:, None])[0])
+            yield near(f"{what}cost: equals J of signals", found.cost, cost, max(abs(cost), 1e-9))
+            yield near(f"{what}history: ends with cost", found.history[-1], found.cost, 1 + cost)
+            yield true(f"{what}history: never rises", np.diff(found.history) <= 0, "it rises")
+            yield true(f"{what}evaluations: at least 1", found.evaluations >= 1, "there are none")
+            if (most := optimizer.evaluations_max) is not None:
+                text = f"{what}evaluations: at most evaluations_max"
+                yield true(text, found.evaluations <= most, str(found.evaluations))
+            budget = optimizer.evaluations_min + 5
+            spent = optimizer.search(problem, length, warm, SEED, Limits(budget)).evaluations
+            yield true(f"{what}evaluations: in budget", spent <= budget, f"{spent} of {budget}")
 
 
 class Play:
@@ -33,11 +74,8 @@ class Play:
             self._drive(section, setup)
         finally:
             sys.setprofile(None)
-
-    @property
-    def plans(self) -> list[Plan]:
-        """The decisions that do not end the trial."""
-        return [one for one in self.decisions if isinstance(one, Plan)]
+        self.plans = [one for one in self.decisions if isinstance(one, Plan)]
+        self.numbers = [_numbers(one) for one in self.plans]
 
     def _drive(self, section: ControllerSection, setup: Setup) -> None:
         clock, timer = VirtualClock(), count(step=SECOND // 1000)
@@ -77,37 +115,33 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     setup = replace(setup, period_s=section.period, steps_max=STEPS_MAX)
     section.warm_up(setup)
     with random_watched() as used:
-        play = Play(section, setup)
-    with random_watched():
-        again = Play(section, setup)
-    odd = [repr(one) for one in play.decisions if not isinstance(one, Plan | Outcome | End)]
+        play, again = Play(section, setup), Play(section, setup)
+    plans, decisions, robots = play.plans, play.decisions, len(setup.names)
+    odd = [repr(one) for one in decisions if not isinstance(one, Plan | Outcome | End)]
     yield Finding("plan: returns a Plan, an Outcome or an End", ", ".join(odd))
     if odd:
         return
-    plans, robots = play.plans, len(setup.names)
     yield true(
         "plan: at least one signal; a path (signals + 1, robots, 3)",
         [one.signals.size and one.path.shape == (one.signals.size + 1, robots, 3) for one in plans],
-        "not so",
     )
-    finite = [bool(np.isfinite(_numbers(one)).all()) for one in plans]
-    yield true("plan: signals, path and costs are finite", finite, "one is not")
+    finite = [np.isfinite(each).all() for each in play.numbers]
+    yield true("plan: signals, path and costs are finite", finite)
     chosen = [np.array_equal(one.signals, one.search.signals) for one in plans]
-    yield true("plan: signals of the chosen search", chosen, "they differ")
-    off = any(one.field_off for one in plans) and not section.switches_field
-    yield Finding("plan: field_off only with switches_field", "a plan switches it off" * off)
-    late = len(plans) == len(play.decisions) or len(plans) > STEPS_MAX + 1
-    yield Finding("steps_max: ends the trial", "it goes on" * late)
+    yield true("plan: signals of the chosen search", chosen)
+    off = [section.switches_field or not one.field_off for one in plans]
+    yield true("plan: field_off only with switches_field", off)
+    late = len(plans) == len(decisions) or len(plans) > STEPS_MAX + 1
+    yield true("steps_max: ends the trial", not late)
     there = Poses.of(np.column_stack([setup.targets, np.zeros(robots)]))
     seen = Observation(0, 0, 0, there, np.ones(robots, dtype=np.bool_))
     late = isinstance(section.build(setup, SEED).plan(seen), Plan)
-    yield Finding("arrival_tolerance: ends the trial", "it goes on" * late)
-    yield Finding("observation: not changed", "it is changed" * play.changed)
+    yield true("arrival_tolerance: ends the trial", not late)
+    yield true("observation: not changed", not play.changed)
     searches = any(isinstance(one, OptimizerSection) for _, one in section)
-    yield Finding("wrap: gets the optimiser", "it does not" * (searches and not play.wrapped))
-    pair = ([_numbers(one) for one in each.plans] for each in (play, again))
-    yield same("key: same key, same decisions", *pair)
-    yield Finding("random numbers: from the key", f"uses {' and '.join(used)}" if used else "")
+    yield true("wrap: gets the optimiser", play.wrapped or not searches)
+    yield same("key: same key, same decisions", play.numbers, again.numbers)
+    yield Finding("random numbers: from the key", " and ".join(used))
     yield Finding("clock: only timer", ", ".join(sorted(play.clocks)))
 
 

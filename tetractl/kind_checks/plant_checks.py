@@ -1,0 +1,160 @@
+"""Checks of a disturbance, each method called as the plant does; and of a camera and an actuator,
+with which no robot moves.
+"""
+
+from dataclasses import astuple, is_dataclass
+from threading import Event
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import SECOND, MonotonicClock, seconds
+from tetractl.core.errors import AbortError
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.setup import Setup
+from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
+from tetractl.experiment.lab_section import ActuatorSection, CameraSection
+from tetractl.kind_checks.finding import SEED, Finding, Findings, random_watched, same, true
+
+FRAME_NS = SECOND // 60
+FRAMES = 180
+PERIOD = 12  # camera frames in a control period
+FITS = {
+    "parameters": "finite, not below 0, (N,)",
+    "placed": "finite",
+    "varied": "finite, not below 0, (N,)",
+    "planning_s": "from 0 to planning_max_s",
+    "sent": "reaches no further robots, not before it was sent",
+    "moved": "finite, and unmoved in no time",
+    "measured": "finite where valid",
+    "received": "not before the exposure; None only with loses_frames",
+}
+STARTED_S = 5.0  # time in which an opened camera must deliver two frames
+
+
+def _fits(method: str, section: DisturbanceSection, given: Any, found: Any) -> Any:
+    """Return whether a method's result is what `FITS` says."""
+    match method:
+        case "planning_s":
+            return 0 <= found <= section.planning_max_s
+        case "received":
+            return section.loses_frames if found is None else found >= given[0]
+        case "sent":
+            late = (found.due_ns + (found.late_ns or 0)) >= given[0].sent_ns
+            return np.all(late) and np.all(found.reached <= given[0].reached)
+        case "measured":
+            found = found[0].array()[found[1]]
+        case "parameters" | "varied" if np.shape(found) != np.shape(given[:2]) or np.min(found) < 0:
+            return False
+        case "moved" if given[2] == 0 and (_flat(found) != _flat(given[0])).any():
+            return False
+    return np.isfinite(_flat(found)).all()
+
+
+def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[Any, bool, Floats]]]:
+    """Call the methods that a disturbance overrides as the plant does, for 3 s.
+
+    Returns by method, for each call: whether the result fits, whether the arguments are unchanged,
+    and the numbers in the result.
+    """
+    disturbance = section.build(setup, np.random.default_rng(SEED))
+    calls: dict[str, list[tuple[Any, bool, Floats]]] = {}
+
+    def call(method: str, *given: Any) -> Any:
+        if not overriding([disturbance], method):
+            return None
+        before = _flat(given)
+        found = getattr(disturbance, method)(*given)
+        kept = np.array_equal(before, _flat(given), equal_nan=True)
+        row = _fits(method, section, given, found), kept, _flat(found)
+        calls.setdefault(method, []).append(row)
+        return found
+
+    every = np.ones(len(setup.names), dtype=np.bool_)
+    a, speed = call("parameters", setup.a.copy(), setup.speed.copy()) or (setup.a, setup.speed)
+    poses = Poses.of(setup.starts.array())
+    poses = call("placed", poses) or poses
+    for k in range(FRAMES):
+        now, passed_ns, moving = k * FRAME_NS, (k > 0) * FRAME_NS, np.full(every.size, float(k > 0))
+        poses = call("moved", poses, moving, passed_ns / SECOND, now / SECOND) or poses
+        call("varied", a.copy(), speed.copy(), now / SECOND)
+        call("measured", poses, every.copy(), now / SECOND)
+        call("received", now, now + FRAME_NS)
+        if k % PERIOD == 0:
+            call("planning_s", now / SECOND)
+            wheels = np.ones((2, every.size))
+            call("sent", DelayedCommand(now, now, 0.5, every, None, poses.heading.copy(), wheels))
+    return calls
+
+
+def check_disturbance(section: DisturbanceSection, setup: Setup) -> Findings:
+    """Check the results of each method, and that the seed alone determines them."""
+    with random_watched() as used:
+        calls, again = _calls(section, setup), _calls(section, setup)
+    yield Finding("methods: at least one", "" if calls else "overrides none")
+    for method, found in calls.items():
+        fit, kept, numbers = zip(*found, strict=True)
+        yield true(f"{method}: {FITS[method]}", fit)
+        yield true(f"{method}: arguments unchanged", kept, "changed")
+        yield same(f"{method}: same seed, same results", numbers, [one[2] for one in again[method]])
+    yield Finding("random numbers: from rng", " and ".join(used))
+
+
+def _flat(value: Any) -> Floats:
+    """Return all numbers of a value in a row, NaN for None."""
+    if is_dataclass(value) and not isinstance(value, type):
+        value = astuple(value)
+    if isinstance(value, tuple | list):
+        return np.concatenate([np.zeros(0), *map(_flat, value)])
+    return np.asarray(np.nan if value is None else value, dtype=float).ravel()
+
+
+def check_camera(section: CameraSection, setup: Setup) -> Findings:
+    """Check that a camera can be built and, if it can be opened, that its frames are valid."""
+    woken, clock = Event(), MonotonicClock()
+    camera = section.build(setup, clock, woken.set)
+    yield _members("camera", camera, Camera)
+    try:
+        with camera:
+            newest = "" if camera.newest else "there is no frame"
+            yield Finding("newest: a frame after opening", newest)
+            until, found = clock.now() + STARTED_S * SECOND, camera.frames()
+            while len(found) < 5 and clock.now() < until:
+                woken.wait(0.1)
+                woken.clear()
+                found += camera.frames()
+            now = clock.now()
+    except AbortError as error:
+        yield Finding(f"not opened, so its frames are not checked ({error})")
+        return
+    if len(found) < 2:
+        yield Finding("frames: at least 2", f"{len(found)} in {seconds(now):.0f} s")
+        return
+    numbers, times = [one.number for one in found], [one.sampled_ns for one in found]
+    yield true("frames: numbers rise", numbers == sorted(set(numbers)), str(numbers))
+    yield true("frames: times rise", times == sorted(times), str(times))
+    due = [one.sampled_ns <= one.received_ns <= now for one in found]
+    yield true("frames: received after their exposure", due)
+    count = [len(one.poses) for one in found]
+    yield true("frames: one pose per robot", np.equal(count, len(setup.names)), f"not so: {count}")
+
+
+def check_actuator(section: ActuatorSection, setup: Setup) -> Findings:
+    """Check that an actuator can be built; nothing is opened or moved."""
+    actuator = section.build(setup, MonotonicClock())
+    yield _members("actuator", actuator, Actuator)
+    yield Finding("period_ns: above 0", "" if actuator.period_ns > 0 else f"{actuator.period_ns}")
+    for name in ("individual", "halts"):
+        value = getattr(actuator, name)
+        yield Finding(f"{name}: true or false", "" if isinstance(value, bool) else repr(value))
+    yield Finding("failure: None before the device is opened", actuator.failure or "")
+    wrong = (f"{'.'.join(map(str, loc))} {text}" for loc, text in section.contradictions(setup))
+    yield Finding("section: fits the spec's robots", "; ".join(wrong))
+
+
+def _members(what: str, device: Any, protocol: type) -> Finding:
+    names = {name for base in protocol.__mro__ for name in vars(base) if not name.startswith("_")}
+    names |= {"__enter__", "__exit__"}
+    lacking = ", ".join(sorted(name for name in names if not hasattr(device, name)))
+    return Finding(f"{what}: all members", f"lacks {lacking}" if lacking else "")

@@ -65,7 +65,7 @@ class Drivetrains:
 
     def speeds(self, counts: CountArray) -> Floats:
         """Return the wheel speeds [length unit/s] for counts."""
-        own = np.where(self.swap, counts[::-1], counts)
+        own = self._swapped(counts)
         return self.gain * (np.sign(own) * np.maximum(np.abs(own) - self.dead_zone, 0))
 
     def counts(self, speeds: Floats, owed: Floats) -> tuple[CountArray, Floats]:
@@ -80,12 +80,14 @@ class Drivetrains:
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
         span = self.limit - self.dead_zone
         scale = 1.0 / np.maximum(1.0, (np.abs(speeds / self.gain) / span).max(axis=0))
-        wish = speeds * scale / self.gain
-        total = wish + owed
-        steps = np.where(wish == 0, 0, np.clip(np.rint(total), -span, span)).astype(np.int64)
-        owed = np.where(wish == 0, owed, np.clip(total - steps, -0.5, 0.5)) * speeds.any(axis=0)
-        own = np.sign(steps) * (np.abs(steps) + self.dead_zone * (steps != 0))
-        return np.where(self.swap, own[::-1], own), owed
+        total = speeds * scale / self.gain + owed  # of a wheel of speed 0: rounds to 0
+        steps = np.rint(np.maximum(np.minimum(total, span), -span))
+        owed = np.maximum(np.minimum(total - steps, 0.5), -0.5) * speeds.any(axis=0)
+        own = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
+        return self._swapped(own), owed
+
+    def _swapped(self, pairs: CountArray) -> CountArray:
+        return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
 
 
 class LaggingTurns:
@@ -203,6 +205,7 @@ class WheeledRobots:
         self.targets = np.zeros((2, radius.size))
         self.wheels = np.zeros((2, radius.size))
         self._radius, self._lag, self._still = radius, lag_s, still
+        self._lags = bool(np.any(lag_s))
         self.scale(np.ones(radius.size), np.ones(radius.size))
 
     def scale(self, turning: Floats, speed: Floats) -> None:
@@ -243,7 +246,7 @@ class WheeledRobots:
         and advance the wheel speeds to the last of these times.
         """
         target = self.targets
-        if not np.any(self._lag):
+        if not self._lags:
             self.wheels = target
             return target * t
         share = -np.expm1(t / -self._lag)  # completed fraction of the change

@@ -114,7 +114,7 @@ class Client:
 
     def __init__(self, lab):
         self.lab = lab
-        self.version = lab.camera.motive.streaming.version
+        self.version = lab.camera.motive.own_version
         self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self.socket.setblocking(False)
         self.socket.bind(("127.0.0.1", 0))

@@ -3,7 +3,7 @@
 import cmath
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from support.bench_agreement import lab_spec, lab_trial
 from support.labs import CAMERA_HZ
@@ -12,6 +12,7 @@ from support.virtual_lab import VirtualLab
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Result
+from tetractl.emulate.optitrack.motive import OptitrackSettings
 from tetractl.lab.guard import GuardState
 
 NOISE = 0.3, 0.004  # mm, rad: of a real capture
@@ -125,7 +126,7 @@ def trial_of(
     """Run a trial of the lab changed by `change`, with noisy frames and wheels up to 10 % off."""
 
     def changed(lab: VirtualLab) -> None:
-        lab.eye.streaming = replace(lab.eye.streaming, rate_hz=rate_hz)
+        lab.eye.settings = OptitrackSettings(rate=rate_hz)
         change(lab)
 
     spec = lab_spec("controller.optimizer.rounds=2")

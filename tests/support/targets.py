@@ -22,7 +22,7 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.core.poses import CameraFrame
-from tetractl.emulate.m3pi.robot import SlaveDecoder
+from tetractl.emulate.m3pi.robot import SlaveProgram
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
@@ -159,7 +159,7 @@ def natnet(data: bytes) -> None:
 def serial(data: bytes) -> None:
     """One byte for the mode, one for where reads are cut, then what comes from the port."""
     mode, cut, stuff = data[:1] or b"\0", (data[1:2] or b"\1")[0] % 64 + 1, data[2:]
-    decoder, splitter, program = (Decoder(bool(mode[0] & 1)), cobs.Splitter(), SlaveDecoder())
+    decoder, splitter, program = (Decoder(bool(mode[0] & 1)), cobs.Splitter(), SlaveProgram())
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]
         for frame in decoder.feed(piece):
@@ -170,7 +170,7 @@ def serial(data: bytes) -> None:
                 with only(WireError):
                     decode(frame)
         assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
-        program.feed(piece)
+        program.hear(piece, 0, 0)
         with only(WireError):
             assert 0 <= slave.decode_battery(piece) <= 65535
     assert decoder.dropped_bytes <= len(stuff)

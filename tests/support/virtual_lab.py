@@ -21,7 +21,7 @@ from tetractl.core.protocols import Controller, LabSupervision
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
-from tetractl.emulate.optitrack.natnet_server import Streaming
+from tetractl.emulate.optitrack.motive import JITTER_S, OptitrackSettings
 from tetractl.emulate.sides import Options, Stage
 from tetractl.emulate.virtual_wires import STEP_NS, LabClock, VirtualLoop, memory_wires
 from tetractl.experiment.experiment import Experiment
@@ -49,7 +49,7 @@ class EmulatedEye:
         self.shown: Callable[[tuple[Pose, ...]], tuple[Pose | None, ...]] = lambda poses: poses
         self.newest: CameraFrame | None = None
         self.damaged = 0
-        self.streaming = Streaming(rate_hz=CAMERA_HZ)
+        self.settings = OptitrackSettings(rate=CAMERA_HZ)
         self._random = random.Random(seed)
         self._fresh: list[CameraFrame] = []
         self._count = 0
@@ -76,10 +76,10 @@ class EmulatedEye:
         return fresh
 
     def _expose(self) -> None:
-        now, s, draw = self.clock.timeline.now_ns, self.streaming, self._random
-        delay = s.latency + min(max(draw.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
+        now, s, draw = self.clock.timeline.now_ns, self.settings, self._random
+        delay = s.latency + min(max(draw.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
         if draw.random() < 1 / 250:
-            delay += draw.uniform(0, 0.45 / s.rate_hz)
+            delay += draw.uniform(0, 0.45 / s.rate)
         way, turn = self.noise
         poses = tuple(
             Pose(
@@ -93,7 +93,7 @@ class EmulatedEye:
         self._count += 1
         frame = CameraFrame(self._count, now, arrives, self.shown(poses))
         self.clock.timeline.at(arrives, lambda: self._arrive(frame))
-        due = self._start_ns + round(self._count * SECOND / s.rate_hz)
+        due = self._start_ns + round(self._count * SECOND / s.rate)
         self.clock.timeline.at(due, self._expose)
 
     def _arrive(self, frame: CameraFrame) -> None:
@@ -146,8 +146,7 @@ def virtual_lab(
     setup, lab = experiment.setup, experiment.lab
     assert lab is not None
     clock = LabClock()
-    robots: list[EmulatedRobot] = []
-    clock.timeline = Timeline(lambda until: [robot.advance(until) for robot in robots])
+    clock.timeline = Timeline(lambda until: side.advance(until))
 
     def ignore(*_: object, **__: object) -> None:
         pass
@@ -161,7 +160,7 @@ def virtual_lab(
     actuator.link._port.open()
     actuator.link.open = ignore  # the module on it is not checked
     side.port.written = side.radio.readable
-    robots += side.robots
+    robots = side.robots
     for robot, (x, y, heading) in zip(robots, np.asarray(starts), strict=True):
         robot.place(float(x), float(y), float(heading))
     eye, supervision = EmulatedEye(clock, robots, seed, noise), LabSupervision()

@@ -15,7 +15,7 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError, WireError
-from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture, walls_of
+from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
 from tetractl.emulate.loop import Timeline
@@ -25,6 +25,7 @@ from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
+from tetractl.model.swimmers import walls_of
 
 STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm

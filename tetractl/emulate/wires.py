@@ -1,14 +1,31 @@
 """The wires between an emulated lab and the programs that use it."""
 
+import socket
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from tetractl.core.clock import Clock, MonotonicClock
-from tetractl.emulate.optitrack.motive import bound_udp
+from tetractl.core.errors import TetractlError
 from tetractl.emulate.port import PseudoPort
 from tetractl.lab.serial_port import Ports
+
+
+def bound_udp(address: str, port: int) -> socket.socket:
+    """Return a UDP socket bound to an address; TetractlError if the port is in use."""
+    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.bind((address, port))
+    except OSError as error:
+        bound.close()
+        raise TetractlError(
+            f"cannot open UDP {address}:{port}: {error.strerror}",
+            hint="is another emulation or Motive running? Choose other ports with --command-port "
+            "and --data-port; 0 takes any free port",
+        ) from None
+    return bound
 
 
 def _network_camera(*arguments: Any, **settings: Any) -> Any:

@@ -12,6 +12,7 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
+from tetractl.core.setup import Bounds, Setup
 
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
 WIDTH_UM = 26.3, 4.5
@@ -29,6 +30,7 @@ DIPOLE_SD_RAD = 0.1  # guess: standard deviation of the angle between dipole and
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium
 SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
+STEP_S = 0.005  # largest time step
 SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
@@ -120,13 +122,27 @@ class Swimmers:
         seconds: float,
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
+        walls: Bounds | None = None,
     ) -> None:
-        """Advance every cell by one step, of a few milliseconds, by the midpoint rule.
+        """Advance every cell by the midpoint rule, in equal steps of at most STEP_S.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
-        rate is proportional to its length. `drift` [um/s] is the medium's flow. A resting cell only
-        drifts.
+        rate is proportional to its length. `drift` [um/s] is the medium's flow, `walls` [um] are
+        edges along which cells slide. A resting cell only drifts.
         """
+        steps = math.ceil(seconds / STEP_S)
+        for _ in range(steps):
+            self._step(field, seconds / steps, random, drift)
+            if walls is not None:
+                self._slide(walls)
+
+    def _step(
+        self,
+        field: tuple[float | Floats, float | Floats],
+        seconds: float,
+        random: np.random.Generator,
+        drift: tuple[float, float],
+    ) -> None:
         going = ~self.resting
         half = self.heading + self._turning(field, self.heading) * going * seconds / 2
         self.x += (self.speed * np.cos(half) * going + drift[0]) * seconds
@@ -138,15 +154,15 @@ class Swimmers:
         jolt = SINK_UM * math.sqrt(2 * pull) * random.standard_normal(len(self))
         self.depth += jolt - pull * self.depth
 
-    def slide(self, low: tuple[float, float], high: tuple[float, float]) -> None:
-        """Keep the cells within rectangular walls with the corners `low` and `high` [um].
+    def _slide(self, walls: Bounds) -> None:
+        """Keep the cells within walls.
 
         A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and
         leaves the wall once its heading points away from it.
         """
         for at, heading_to, least, most in (
-            (self.x, 0.0, low[0], high[0]),
-            (self.y, math.pi / 2, low[1], high[1]),
+            (self.x, 0.0, walls.left, walls.right),
+            (self.y, math.pi / 2, walls.bottom, walls.top),
         ):
             into = np.cos(self.heading - heading_to)
             for beyond, outwards, edge in ((at < least, -into, least), (at > most, into, most)):
@@ -183,6 +199,13 @@ class Swimmers:
 
 
 _FIELDS = fields(Swimmers)
+
+
+def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
+    """Return the arena's edges [um], moved inwards by `rim_um`."""
+    um, arena = setup.metres * 1e6, setup.arena
+    low = arena.left * um + rim_um, arena.bottom * um + rim_um
+    return Bounds(*low, arena.right * um - rim_um, arena.top * um - rim_um)
 
 
 @dataclass(frozen=True, slots=True)

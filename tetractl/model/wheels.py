@@ -1,23 +1,29 @@
-"""Two-wheeled robots that move like cells by the paper's equations (21)-(25); their wheel counts.
+"""Two-wheeled robots that move like cells by the paper's equations (21)-(25).
 
-A wheel runs at gain * (|count| - dead zone) mm/s, and stands within the dead zone. One count turns
+`Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, `WheeledRobots`
+are the robots' true motion; the simulation, the emulated robots and the lab's actuator use them.
+
+A wheel runs at gain * (|count| - dead zone), and stands within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
 (error diffusion), so that the mean of the speeds sent is the requested speed.
 """
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.model.motion.exact import step as exact
 
 COUNT_MAX = 127
 Counts = tuple[int, int]
-"""Counts of the left and the right wheel, each in -COUNT_MAX..COUNT_MAX."""
+"""Counts of one robot's two wheels, each in -COUNT_MAX..COUNT_MAX."""
 STOP: Counts = (0, 0)
+CountArray = NDArray[np.int64]
 
 
 def wheel_speeds(
@@ -43,94 +49,45 @@ def body_velocity(left: Floats, right: Floats, r: Floats | float) -> tuple[Float
 
 
 @dataclass(frozen=True, slots=True)
-class Wheel:
-    """One wheel: `gain` [mm/s per count], and `dead_zone`, the largest count without motion.
+class Drivetrains:
+    """The wheels of N robots, as calibrated or as they truly are.
 
-    With `invert`, positive counts drive the wheel backwards.
+    `gain` (2, N) [length unit/s per count] of left and right wheels is negative for a wheel that
+    positive counts drive backwards; `dead_zone` (2, N) is the largest count without motion. `limit`
+    (N,) is the largest count that is sent. `swap` (N,): the left wheel is connected to the second
+    motor channel. Counts (2, N) are in the order of the channels, speeds (2, N) left and right.
     """
 
-    gain: float = 1000.0 / COUNT_MAX
-    dead_zone: int = 0
-    invert: bool = False
+    gain: Floats
+    dead_zone: CountArray
+    limit: CountArray
+    swap: Bools
 
-    def __post_init__(self) -> None:
-        if not (math.isfinite(self.gain) and self.gain > 0):
-            raise ValueError(f"a wheel's gain must be positive, not {self.gain}")
-        if not 0 <= self.dead_zone < COUNT_MAX:
-            raise ValueError(f"a dead zone of {self.dead_zone} counts is out of range")
+    def speeds(self, counts: CountArray) -> Floats:
+        """Return the wheel speeds [length unit/s] for counts."""
+        own = self._swapped(counts)
+        return self.gain * (np.sign(own) * np.maximum(np.abs(own) - self.dead_zone, 0))
 
-    def speed(self, count: int) -> float:
-        """Return the speed [mm/s] at a count."""
-        steps = max(0, abs(count) - self.dead_zone)
-        return self.gain * (steps if (count > 0) != self.invert else -steps)
+    def counts(self, speeds: Floats, owed: Floats) -> tuple[CountArray, Floats]:
+        """Return the counts to send for speeds, and the rounding errors `owed` [counts] (2, N) to
+        carry to the next call, each within 0.5.
 
-    def _count(self, steps: int) -> int:
-        """Return the count for a speed of `steps` times the gain."""
-        if steps == 0:
-            return 0
-        count = abs(steps) + self.dead_zone
-        return count if (steps > 0) != self.invert else -count
+        If a wheel would exceed the limit, both speeds are scaled equally, which keeps the path's
+        curvature. A wheel of speed 0 gets the count 0; if both stand, nothing is owed. ValueError
+        for speeds that are not finite.
+        """
+        if not np.isfinite(speeds).all():
+            raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
+        span = self.limit - self.dead_zone
+        scale = 1.0 / np.maximum(1.0, (np.abs(speeds / self.gain) / span).max(axis=0))
+        total = speeds * scale / self.gain + owed  # of a wheel of speed 0: rounds to 0
+        steps = np.rint(np.maximum(np.minimum(total, span), -span))
+        owed = np.maximum(np.minimum(total - steps, 0.5), -0.5) * speeds.any(axis=0)
+        own = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
+        return self._swapped(own), owed
 
-
-@dataclass(frozen=True, slots=True)
-class Drivetrain:
-    """One robot's calibrated wheels.
-
-    `swap`: the left wheel is connected to the second motor channel. `limit`: the largest count that
-    is sent.
-    """
-
-    left: Wheel = field(default_factory=Wheel)
-    right: Wheel = field(default_factory=Wheel)
-    swap: bool = False
-    limit: int = COUNT_MAX
-
-    def __post_init__(self) -> None:
-        if not max(self.left.dead_zone, self.right.dead_zone) < self.limit <= COUNT_MAX:
-            raise ValueError(
-                f"the limit must be above the dead zones and at most {COUNT_MAX}, not {self.limit}"
-            )
-
-
-@dataclass(frozen=True, slots=True)
-class Residue:
-    """Each wheel's rounding error, carried to the next command: -0.5 to 0.5 times the gain."""
-
-    left: float = 0.0
-    right: float = 0.0
-
-
-def wheel_counts(
-    left: float, right: float, drivetrain: Drivetrain, residue: Residue
-) -> tuple[Counts, Residue]:
-    """Return the counts to send for speeds [mm/s], and the residue for the next call.
-
-    If a wheel would exceed the limit, both speeds are scaled equally, which keeps the path's
-    curvature. A wheel of speed 0 gets the count 0; if both stand, the residue is cleared.
-    ValueError for speeds that are not finite.
-    """
-    if not (math.isfinite(left) and math.isfinite(right)):
-        raise ValueError(f"wheel speeds must be finite, not {left} and {right}")
-    if left == 0 and right == 0:
-        return STOP, Residue()
-    wheels = drivetrain.left, drivetrain.right
-    spans = [drivetrain.limit - wheel.dead_zone for wheel in wheels]
-    ratios = [
-        abs(speed) / wheel.gain / span
-        for speed, wheel, span in zip((left, right), wheels, spans, strict=True)
-    ]
-    scale = 1.0 / max(1.0, *ratios)
-    left_steps, left_owed = _diffuse(left * scale / wheels[0].gain, residue.left, spans[0])
-    right_steps, right_owed = _diffuse(right * scale / wheels[1].gain, residue.right, spans[1])
-    first, second = wheels[0]._count(left_steps), wheels[1]._count(right_steps)
-    counts = (second, first) if drivetrain.swap else (first, second)
-    return counts, Residue(left_owed, right_owed)
-
-
-def speeds_of_counts(counts: Counts, drivetrain: Drivetrain) -> tuple[float, float]:
-    """Return the left and right wheel speeds [mm/s] for counts."""
-    left, right = counts[::-1] if drivetrain.swap else counts
-    return drivetrain.left.speed(left), drivetrain.right.speed(right)
+    def _swapped(self, pairs: CountArray) -> CountArray:
+        return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
 
 
 class LaggingTurns:
@@ -176,10 +133,134 @@ class LaggingTurns:
         )
 
 
-def _diffuse(wish: float, owed: float, span: int) -> tuple[int, float]:
-    """Round `wish` + `owed` to a whole number in -span..span; return it and the rounding error."""
-    if wish == 0:
-        return 0, owed
-    total = wish + owed
-    steps = max(-span, min(span, round(total)))
-    return steps, max(-0.5, min(0.5, total - steps))
+class WheelHost:
+    """Computes the wheel speeds of N robots that all get the same direction.
+
+    `a` [rad/s], `speed` [length unit/s] and `radius` [length unit], the distance from a wheel to
+    the centre, are (N,). The wheels are known to follow commands with the time constant `lag_s`
+    [s], 0 to neglect it. `drivetrains` are the wheels as calibrated, None if speeds themselves are
+    sent.
+    """
+
+    def __init__(
+        self,
+        a: Floats,
+        speed: Floats,
+        radius: Floats,
+        lag_s: float,
+        drivetrains: Drivetrains | None = None,
+    ) -> None:
+        self.drivetrains, self._radius = drivetrains, radius
+        self._a, self._speed = a, speed
+        self._turns = LaggingTurns(lag_s, a.size) if lag_s > 0 else None
+        self._owed = np.zeros((2, a.size))
+
+    def wished(
+        self, heading: Floats, u: Floats, since_ns: int, acts_ns: int, ahead: bool = True
+    ) -> Floats:
+        """Return the wheel speeds (2, N) by equations (24)-(25) for the direction `u` [rad], and
+        for the headings predicted from the measured ones (N,), exposed at `since_ns`, to `acts_ns`,
+        when the command acts [ns]. If not `ahead`, the speeds turn the robots on the spot.
+
+        Headings are predicted by equation (3) or, if the wheels lag, as the headings in which the
+        robots would come to rest after the commands already sent.
+        """
+        if self._turns is not None:
+            heading = self._turns.ahead(heading, since_ns, acts_ns)
+        elif acts_ns > since_ns:
+            nowhere, ahead_s = np.zeros_like(heading), (acts_ns - since_ns) / SECOND
+            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead_s)
+        return np.array(wheel_speeds(heading, u, self._a, self._speed * ahead, self._radius))
+
+    def counts(self, wished: Floats) -> CountArray:
+        """Return the counts (2, N) to send for wheel speeds (2, N)."""
+        assert self.drivetrains is not None, "counts need calibrated wheels"
+        counts, self._owed = self.drivetrains.counts(wished, self._owed)
+        return counts
+
+    def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
+        """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
+        speeds and the turning rates [rad/s] of the robots, (N,) each."""
+        speed, turning = body_velocity(speeds[0], speeds[1], self._radius)
+        if self._turns is not None:
+            self._turns.sent(acts_ns, turning)
+        return speed, turning
+
+
+SMALL = 0.3
+"""Angle h [rad] below which sin(h)/h is computed by its series, to 1e-9."""
+
+
+class WheeledRobots:
+    """The true motion of N robots, whose wheels follow the speeds `targets` (2, N) with a
+    first-order lag.
+
+    `radius` [length unit] is the true distance from a wheel to the centre, and `lag_s` [s] the
+    wheels' time constant, for all robots or for each (N,), 0 for none. Stopped robots stand once
+    all wheels are slower than `still` [length unit/s]. `wheels` (2, N) are the present speeds.
+    """
+
+    def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
+        self.poses = poses
+        self.targets = np.zeros((2, radius.size))
+        self.wheels = np.zeros((2, radius.size))
+        self._radius, self._lag, self._still = radius, lag_s, still
+        self._lags = bool(np.any(lag_s))
+        self.scale(np.ones(radius.size), np.ones(radius.size))
+
+    def scale(self, turning: Floats, speed: Floats) -> None:
+        """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
+        self._turn_of, self._way_of = turning / (2 * self._radius), speed / 2
+
+    def drive(
+        self, seconds: Floats, swerves: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
+
+        The headings turn by `swerves` (M, N) [rad] in addition, each at its time. Wheel speeds,
+        distances and headings are exact. A position is the sum of the chords between the times,
+        each that of an arc: exact for settled wheels, otherwise the error falls with the square of
+        the time between two.
+        """
+        p = self.poses
+        ways = self._follow(seconds[:, None, None])
+        turned = self._turn_of * (ways[:, 1] - ways[:, 0])  # (23)
+        gone = self._way_of * (ways[:, 1] + ways[:, 0])  # (21)-(22)
+        half, way = turned / 2, gone.copy()
+        half[1:] -= turned[:-1] / 2
+        way[1:] -= gone[:-1]
+        heading = p.heading + turned
+        middle = heading - half
+        if swerves is not None:
+            walks = swerves.cumsum(axis=0)
+            heading += walks
+            middle[1:] += walks[:-1]
+        chord = way * _sinc(half)
+        x = p.x + (chord * np.cos(middle)).cumsum(axis=0)
+        y = p.y + (chord * np.sin(middle)).cumsum(axis=0)
+        self.poses = Poses(x[-1], y[-1], heading[-1])
+        return x, y, heading
+
+    def _follow(self, t: Floats) -> Floats:
+        """Return the distances driven by the wheels (M, 2, N) up to the times t (M, 1, 1) from now,
+        and advance the wheel speeds to the last of these times.
+        """
+        target = self.targets
+        if not self._lags:
+            self.wheels = target
+            return target * t
+        share = -np.expm1(t / -self._lag)  # completed fraction of the change
+        behind = self.wheels - target
+        wheels = target + behind * (1 - share[-1])
+        if not target.any() and np.abs(wheels).max() < self._still:
+            wheels = target
+        self.wheels = wheels
+        return target * t + (self._lag * behind) * share
+
+
+def _sinc(half: Floats) -> Floats:
+    """Return sin(h)/h, the ratio of an arc's chord to its length, for half the arc's angle h."""
+    if np.abs(half).max() > SMALL:
+        return np.sinc(half / np.pi)
+    square = half * half
+    return 1 - square / 6 * (1 - square / 20 * (1 - square / 42))

@@ -8,10 +8,8 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies
+from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies, walls_of
 from tetractl.plant.direct import NEVER
-
-STEP_S = 0.005  # largest step of the midpoint rule
 
 
 class CultureSection(Model):
@@ -57,11 +55,8 @@ class CellDrive:
         towards = random.uniform(-math.pi, math.pi)
         self._drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
         self._field = np.zeros((2, count))
-        self._low, self._high = (-math.inf, -math.inf), (math.inf, math.inf)
-        if section.walls:
-            arena, rim = setup.arena, float(cells.helix_um.max())
-            self._low = arena.left * self._um + rim, arena.bottom * self._um + rim
-            self._high = arena.right * self._um - rim, arena.top * self._um - rim
+        rim_um = float(cells.helix_um.max())
+        self._walls = walls_of(setup, rim_um) if section.walls else None
         cells.resting[:] = True
         self.vary(a, speed)
         self.poses = starts
@@ -97,11 +92,8 @@ class CellDrive:
         """
         found, now = [], 0.0
         for until in seconds.tolist():
-            steps = max(1, math.ceil((until - now) / STEP_S))
-            for _ in range(steps if until > now else 0):
-                field = (self._field[0], self._field[1])
-                self.cells.swim(field, (until - now) / steps, self._random, self._drift)
-                self.cells.slide(self._low, self._high)
+            field = (self._field[0], self._field[1])
+            self.cells.swim(field, until - now, self._random, self._drift, self._walls)
             now, p = until, self.poses
             found.append((p.x, p.y, p.heading))
         x, y, heading = np.array(found).transpose(1, 0, 2)

@@ -204,10 +204,11 @@ class SimPlant:
             section.heading_noise if section.drive is None and section.cells is None else 0.0,
             swerving,
             section.truth_rate,
-            lambda now: self._news.append(self._transmit(now)),
+            lambda now: self._news.append(self._transmit(now, None)),
         )
         self._standing = StandingCheck(setup, section.dead_time)
         self._stop: Command | None = None
+        self._held: tuple[float | None, bool] = (None, True)  # direction, and whether robots drive
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
 
     @property
@@ -360,38 +361,27 @@ class SimPlant:
         answered = self.observe()
         now = self._plan()
         self._standing.sent(now, ahead)
-        if self._drive.host is None:
-            command = self._send_direction(u, ahead, now, answered)
-        else:
-            self._drive.host.direct(u, ahead)
-            command = self._transmit(now)
+        self._held = u, ahead
+        if self._drive.host is not None:
+            self._drive.host.direct()
+        command = self._transmit(now, answered)
         self._motion.advance(now)
         return command
 
-    def _send_direction(
-        self, u: float | None, ahead: bool, now: int, answered: Observation
-    ) -> Command:
-        headings, setup = answered.poses.heading, self.setup
-        due, heard, off = self._due_ns(answered, now), self._heard(), u is None
-        direction, facing = (u, None) if ahead else (None, u)
-        command = DelayedCommand(now, due, direction, heard, None, headings, None, off, facing)
-        reached = self._motion.dispatch(command).reached
-        left = right = None
-        if setup.wheel_radius is not None:
+    def _transmit(self, now: int, seen: Observation | None) -> Command:
+        """Send the held direction, or the wheel speeds for it in answer to the newest frame."""
+        (u, ahead), host, setup = self._held, self._drive.host, self.setup
+        seen = seen if host is None else self._camera.newest
+        assert seen is not None, "there is no frame: call open() first"
+        headings, off = seen.poses.heading, u is None
+        left = right = made = None
+        if host is not None:
+            (left, right), made = host.speeds(now, seen, u, ahead)
+        elif setup.wheel_radius is not None:
             towards, speed = headings if u is None else u, setup.speed * ahead
             left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
-        return Command(direction, now, tuple(reached.tolist()), left, right, off, facing)
-
-    def _transmit(self, now: int) -> Command:
-        """Send the wheel speeds for the held direction, from `WheelHost.speeds`."""
-        host, seen = self._drive.host, self._camera.newest
-        assert host is not None, "repeated transmissions need wheels"
-        assert seen is not None, "there is no frame: call open() first"
-        sent, made = host.speeds(now, seen)
-        due = self._due_ns(seen, now)
-        u, facing = (host.direction, None) if host.ahead else (None, host.direction)
-        off = host.direction is None
-        headings = seen.poses.heading
-        command = DelayedCommand(now, due, u, self._heard(), None, headings, made, off, facing)
+        due, heard = self._due_ns(seen, now), self._heard()
+        direction, facing = (u, None) if ahead else (None, u)
+        command = DelayedCommand(now, due, direction, heard, None, headings, made, off, facing)
         reached = tuple(self._motion.dispatch(command).reached.tolist())
-        return Command(u, now, reached, sent[0], sent[1], off, facing)
+        return Command(direction, now, reached, left, right, off, facing)

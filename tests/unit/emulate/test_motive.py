@@ -4,11 +4,12 @@ import statistics
 from itertools import pairwise
 
 import pytest
-from support.emulated_lab import Client, emulated, turn_until
+from support.emulated_lab import SPEC, Client, emulated, turn_until
 
 from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming
+from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock
+from tetractl.emulate.sides import Options, Stage
+from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
@@ -90,28 +91,28 @@ def test_echo_tells_a_clock_of_its_own(opened):
 def test_unicast_clients_time_out_and_are_kept_alive(opened):
     lab, client = opened()
     client.ask(Connect(), ServerInfo)
-    (known,) = lab.camera.motive.server.clients.values()
+    (known,) = lab.camera.motive.clients.values()
     known.heard_ns -= 2_000_000_000
     before = known.heard_ns
     client.send(Bare(MessageKind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)
     client.next(NatNetFrame)
     known.heard_ns -= 6_000_000_000
-    turn_until(lab, lambda: not lab.camera.motive.server.clients)
-    assert lab.camera.motive.counts.timed_out == 1
+    turn_until(lab, lambda: not lab.camera.motive.clients)
+    assert lab.camera.motive.timed_out == 1
     client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
     client.ask(NatNetRequest("FrameRate"), Response)
-    assert not lab.camera.motive.server.clients
+    assert not lab.camera.motive.clients
     client.ask(Connect(), ServerInfo)
     client.next(NatNetFrame)
 
 
 def test_latency_and_jitter_are_those_of_the_real_capture():
     timeline = Timeline(lambda when: None)  # virtual time: the same minute every time
-    streaming = Streaming(command_port=0, data_port=0)
-    motive = Motive(
-        timeline, streaming, [], tuple, lambda *_: None, lambda _: None, lambda _: None, seed=1
-    )
+    spec = parse_spec(SPEC, "spec.yaml").experiment
+    nothing = [lambda *_, **__: None] * 4
+    stage = Stage(spec.lab, spec.setup, timeline, Options(command_port=0, data_port=0), *nothing)
+    motive = Motive(stage, spec.lab.camera, OptitrackSettings(), UpAxis.Y, [], tuple)
     sent = []
     motive._stream = lambda frame, now: sent.append((frame, now))
     motive.open()
@@ -135,5 +136,5 @@ def test_garbage_is_counted_and_survived(opened):
     lab, client = opened()
     for noise in (b"", b"\0", b"\xff" * 300, pack(Connect())[:-1]):
         client.socket.sendto(noise, ("127.0.0.1", lab.camera.motive.command_port))
-    turn_until(lab, lambda: lab.camera.motive.counts.refused == 4)
+    turn_until(lab, lambda: lab.camera.motive.refused == 4)
     assert client.ask(Connect(), ServerInfo)

@@ -89,7 +89,7 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     took = heard[0] - read[0]
     serial_ns = (len(frame) + 12) * 10 * 10**9 // 57600  # 12 bytes leave the robot's module
     assert serial_ns + 500_000 < took < serial_ns + 2_000_000
-    turn_until(lab, lambda: lab.actuator.robots[0].left > 100)
+    turn_until(lab, lambda: lab.actuator.robots[0].wheels[0] > 100)
     assert lab.actuator.robots[1].counts() == (60, 60)
 
 

@@ -2,25 +2,30 @@
 
 import math
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.wheels import train
 
-from tetractl.emulate.m3pi.robot import EmulatedRobot, FirmwareProgram, SlaveProgram
+from tetractl.emulate.m3pi.robot import (
+    EmulatedRobot,
+    EmulatedRobots,
+    FirmwareProgram,
+    SlaveProgram,
+)
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.lab.actuators.m3pi.slave import encode_wheels
-from tetractl.model.wheels import Drivetrain, Wheel
 
 MS = 1_000_000
 LAG = 0.04
 
 
-def robot(boot, **facts):
-    wheels = Drivetrain(Wheel(5.0, 4), Wheel(5.0, 4))
-    return EmulatedRobot("green", boot, **{"drivetrain": wheels, "radius": 40.0} | facts, **AT)
-
-
-AT = {"x": 100.0, "y": 200.0, "heading": 0.3}
+def robot(boot):
+    one = EmulatedRobot("green", boot)
+    EmulatedRobots([one], train((5.0, 5.0), (4, 4)), np.array([40.0]), np.array([LAG]))
+    one.place(100.0, 200.0, 0.3)
+    return one
 
 
 def frame(sequence, *wheels, flags=Flag.RUN):
@@ -36,8 +41,8 @@ def covered(speed, seconds):
 def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
     one = robot(SlaveProgram)
     one.hear(encode_wheels(left, right))
-    one.advance(millis * MS)
-    speeds = one.drivetrain.left.speed(left), one.drivetrain.right.speed(right)
+    one.robots.advance(millis * MS)
+    speeds = [math.copysign(5.0 * max(0, abs(count) - 4), count) for count in (left, right)]
     ways = [covered(speed, millis / 1000) for speed in speeds]
     assert one.heading == pytest.approx(0.3 + (ways[1] - ways[0]) / 80.0, abs=2e-3)
     # v and the turning rate keep their ratio while the wheels speed up: an arc of a circle
@@ -52,9 +57,9 @@ def test_a_slave_drives_on_in_silence_and_firmware_stops():
     slave.hear(encode_wheels(40, 40))
     firmware.hear(frame(1, (40, 40)))
     for one in (slave, firmware):
-        one.advance(200 * MS)
-        assert one.left == pytest.approx(180 * -math.expm1(-0.2 / LAG), rel=1e-6)
-        one.advance(3000 * MS)
-    assert slave.left == pytest.approx(180.0)
+        one.robots.advance(200 * MS)
+        assert one.wheels[0] == pytest.approx(180 * -math.expm1(-0.2 / LAG), rel=1e-6)
+        one.robots.advance(3000 * MS)
+    assert slave.wheels[0] == pytest.approx(180.0)
     assert firmware.standing
     assert firmware.x < 100 + 180 * 0.3

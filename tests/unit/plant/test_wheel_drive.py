@@ -2,6 +2,8 @@
 
 import itertools
 import math
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -10,15 +12,17 @@ from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.emulate.m3pi.robot import EmulatedRobot
+from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots, FirmwareProgram
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plant import Wheels
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import Drivetrain, Wheel, body_velocity
+from tetractl.model.wheels import body_velocity
 
 PERIOD = SECOND // 5
 DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()
 COUNT = 1000 / 127
+ROBOTS = experiment().robots
 
 
 def plant(seed=1, drive=None, **fields):
@@ -42,43 +46,41 @@ def truths(samples):
     return np.array([sample.truth.array() for sample in samples])
 
 
-class Counts:
-    """A robot's program that holds counts, and nothing else."""
-
-    def __init__(self):
-        self.held = (0, 0)
-
-    def counts(self, now_ms):
-        return self.held
-
-
-def test_wheels_that_lag_drive_as_the_emulated_robots_do():
-    """The same commands at the same times, integrated at 1 kHz there and in closed form here."""
-    drive = {"rate": 40, "count": COUNT, "dead_zone": 6, "lag": 0.04}
-    simulated = plant(drive=drive)
-    commands, samples = driven(simulated)
-    assert len(commands) > 90
-    wheel = Wheel(COUNT, 6)
-    for i, robot in enumerate(experiment().robots):
-        twin = EmulatedRobot(
-            robot.name, Counts, Drivetrain(wheel, wheel), 40, *robot.start, robot.heading, 0.04
-        )
-        sent = iter(commands)
-        nearest = next(sent)
-        for sample in samples:
-            seen = sample.observation
-            while nearest is not None and nearest.sent_ns <= seen.sampled_ns:
-                twin.advance(nearest.sent_ns)
-                speeds = nearest.left[i], nearest.right[i]
-                twin.program.held = tuple(
-                    round(abs(speed) / COUNT + 6) * int(math.copysign(1, speed)) if speed else 0
-                    for speed in speeds
-                )
-                nearest = next(sent, None)
-            twin.advance(seen.sampled_ns)
-            at = (sample.truth.x[i], sample.truth.y[i])
-            assert at == pytest.approx((twin.x, twin.y), abs=0.05)
-            assert sample.truth.heading[i] == pytest.approx(twin.heading, abs=1e-3)
+def test_simulated_and_emulated_robots_drive_the_same_path():
+    """The same counts at the same times, until the watchdogs of the simulation and of the firmware
+    stop the robots: at a common time step of 1 ms, the paths differ by rounding only.
+    """
+    drive = {"count": COUNT, "dead_zone": 6, "dead_zone_error": 2, "gain_error": 0.1, "lag": 0.04}
+    rates = {"camera_rate": 100, "truth_rate": 1000}
+    wheels = {"radius": 40, "watchdog": 0.25}
+    spec = experiment(plant={"drive": drive, **rates}, wheels=wheels, obstacles=[])
+    simulated = sim(spec)
+    commands, samples = driven(simulated, DIRECTIONS * 3, SECOND // 25)
+    simulated.clock.sleep_until(3 * SECOND)
+    samples += simulated.samples()
+    robots = [
+        EmulatedRobot(robot.name, partial(FirmwareProgram, i)) for i, robot in enumerate(ROBOTS)
+    ]
+    true = simulated._drive.host._true
+    fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
+    for robot, given in zip(robots, ROBOTS, strict=True):
+        robot.place(*given.start, given.heading)
+    known = replace(true, gain=np.full((2, 3), COUNT), dead_zone=np.full((2, 3), 6))
+    sent = iter(commands)
+    command, differences = next(sent), []
+    for number, sample in enumerate(samples):
+        while command is not None and command.sent_ns <= sample.observation.sampled_ns:
+            fleet.advance(command.sent_ns)
+            counts, _ = known.counts(np.array([command.left, command.right]), np.zeros((2, 3)))
+            frame = BroadcastCommand(number, Flag.RUN, tuple(map(tuple, counts.T.tolist())))
+            for robot in robots:
+                robot.hear(encode_command(frame))
+            command = next(sent, None)
+        fleet.advance(sample.observation.sampled_ns)
+        differences.append(np.abs(fleet.poses.array() - sample.truth.array()).max())
+    assert np.abs(samples[-1].truth.xy - samples[0].truth.xy).max() > 50
+    assert np.abs(samples[-1].truth.xy - samples[-30].truth.xy).max() < 1e-6  # stopped
+    assert max(differences) < 1e-9
 
 
 def test_ideal_wheels_at_a_high_rate_follow_1_to_3():

@@ -96,15 +96,11 @@ class Dish:
                 self.cells.resting[:] = False
             self.steered = steered
             if self._now_ns - self._swum_ns >= SWIM_NS:
-                self._swim((self._now_ns - self._swum_ns) / SECOND)
+                x, y = self.field_mt
+                field = x / self._reference_mt, y / self._reference_mt
+                seconds = (self._now_ns - self._swum_ns) / SECOND
+                self.cells.swim(field, seconds, self._random, walls=self._walls)
                 self._swum_ns = self._now_ns
-
-    def _swim(self, seconds: float) -> None:
-        x, y = self.field_mt
-        field = x / self._reference_mt, y / self._reference_mt
-        self.cells.swim(field, seconds, self._random)
-        if (walls := self._walls) is not None:
-            self.cells.slide((walls.left, walls.bottom), (walls.right, walls.top))
 
 
 class CellBody:
@@ -162,9 +158,3 @@ def culture(count: int, strangers: int, walk: float, seed: int) -> tuple[Swimmer
     cells.walk[:] = walk
     kinds = ["cell"] * count + ["stranger"] * strangers
     return cells, [f"{kind} {i + 1}" for i, kind in enumerate(kinds)]
-
-
-def walls_of(setup: Setup) -> Bounds:
-    """Return the arena's edges [um]."""
-    um, arena = setup.metres * 1e6, setup.arena
-    return Bounds(arena.left * um, arena.bottom * um, arena.right * um, arena.top * um)

@@ -1,22 +1,23 @@
-"""An emulated robot: wheels, battery, and the program that reads the radio.
+"""Emulated robots: wheels that move by `model.wheels`, battery, and a program that reads the radio.
 
-Lengths are millimetres. The robot moves by equations (21)-(23) of the paper; its wheels follow
-their commanded speeds with a first-order lag.
+Lengths are millimetres.
 """
 
-import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from enum import Enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
+import numpy as np
+
 from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Poses
 from tetractl.emulate.firmware import RobotCore
 from tetractl.lab.actuators.m3pi.slave import BATTERY_REQUEST, M1, M2, SIGNATURE_REQUEST
-from tetractl.model.wheels import Counts, Drivetrain, speeds_of_counts
+from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
+AT_REST_MM_S = 1e-9
 SIGNATURE = b"3pi1.1"
 
 
@@ -47,84 +48,41 @@ class FirmwareProgram(RobotCore):
         self.push(data, now_ms)
 
 
-class Motor(Enum):
-    """A motor; M1 is the left one unless the spec swaps them."""
-
-    M1 = M1
-    M2 = M2
+_MOTORS = {M1: (0, 1), M1 + 1: (0, -1), M2: (1, 1), M2 + 1: (1, -1)}  # motor, sign of the count
 
 
-@dataclass(frozen=True, slots=True)
-class MotorCount:
-    """A motor and its count, from -127 to 127."""
+class SlaveProgram:
+    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on.
 
-    motor: Motor
-    count: int
-
-
-class Query(Enum):
-    """A request that the robot answers."""
-
-    SIGNATURE = SIGNATURE_REQUEST[0]
-    BATTERY = BATTERY_REQUEST[0]
-
-
-class SlaveDecoder:
-    """Decodes commands from a serial stream, given in chunks that may end anywhere.
-
+    Bytes may come in chunks that end anywhere. `obeyed` is the number of commands to a motor;
     `ignored` counts data bytes without a command, commands without their data byte, and unknown
     commands.
     """
 
     def __init__(self) -> None:
-        self.ignored = 0
-        # motor and sign of a command whose data byte has not arrived
-        self._pending: tuple[Motor, int] | None = None
-
-    def feed(self, data: bytes) -> list[MotorCount | Query]:
-        """Take a chunk of bytes; return the commands it completes."""
-        commands: list[MotorCount | Query] = []
-        for byte in data:
-            if byte < 0x80:
-                if self._pending is None:
-                    self.ignored += 1
-                    continue
-                motor, sign = self._pending
-                self._pending = None
-                commands.append(MotorCount(motor, sign * byte))
-                continue
-            self.ignored += self._pending is not None
-            self._pending = _MOTORS.get(byte)
-            if byte in _QUERIES:
-                commands.append(Query(byte))
-            elif self._pending is None:
-                self.ignored += 1
-        return commands
-
-
-_QUERIES = frozenset(query.value for query in Query)
-_MOTORS = {motor.value + back: (motor, 1 - 2 * back) for motor in Motor for back in (0, 1)}
-
-
-class SlaveProgram:
-    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on."""
-
-    def __init__(self) -> None:
-        self._decoder = SlaveDecoder()
+        self.obeyed = self.ignored = 0
         self._counts = [0, 0]
         self._answer = b""
+        # motor and sign of a command whose data byte has not arrived
+        self._pending: tuple[int, int] | None = None
 
     def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
         """Execute each command that the bytes complete."""
-        for command in self._decoder.feed(data):
-            match command:
-                case MotorCount(motor, count):
-                    self._counts[motor is Motor.M2] = count
-                case Query.SIGNATURE:
-                    self._counts = [0, 0]
-                    self._answer += SIGNATURE
-                case Query.BATTERY:
-                    self._answer += battery_mv.to_bytes(2, "little")
+        for byte in data:
+            if byte < 0x80 and self._pending is not None:
+                motor, sign = self._pending
+                self._counts[motor] = sign * byte
+                self._pending, self.obeyed = None, self.obeyed + 1
+                continue
+            self.ignored += self._pending is not None or byte < 0x80
+            self._pending = _MOTORS.get(byte)
+            if byte == SIGNATURE_REQUEST[0]:
+                self._counts = [0, 0]
+                self._answer += SIGNATURE
+            elif byte == BATTERY_REQUEST[0]:
+                self._answer += battery_mv.to_bytes(2, "little")
+            elif byte >= 0x80 and self._pending is None:
+                self.ignored += 1
 
     def counts(self, now_ms: int) -> Counts:
         """Return the counts commanded last, which never expire."""
@@ -153,45 +111,54 @@ class EmulatedBattery:
         return max(0, round(self.open_mv - self.sag_mv * load))
 
 
-@dataclass(slots=True)
 class EmulatedRobot:
-    """The true state of one robot.
+    """One robot, in a row of `EmulatedRobots`, which moves it.
 
-    `boot` starts the robot's program when the robot is switched on. `x`, `y` [mm] and `heading`
-    [rad] are in the spec's axes; `drivetrain` gives the true wheel speeds for counts; `radius` [mm]
-    is the distance from a wheel to the centre, r of equation (23); `lag_s` [s] is the wheels' time
-    constant. Faults set `powered`, `stuck` (left and right wheel) and `veer`.
+    `boot` starts the robot's program when the robot is switched on. Faults set `powered`, `stuck`
+    (left and right wheel) and `veer`, counts that replace any counts other than 0.
     """
 
-    name: str
-    boot: Callable[[], Program]
-    drivetrain: Drivetrain
-    radius: float
-    x: float
-    y: float
-    heading: float
-    lag_s: float = 0.04
-    battery: EmulatedBattery = field(default_factory=EmulatedBattery)
-    left: float = 0.0  # wheel speeds [mm/s]
-    right: float = 0.0
-    powered: bool = True
-    stuck: tuple[bool, bool] = (False, False)
-    veer: Counts | None = None  # counts that replace any counts other than 0
-    now_ns: int = 0
-    program: Program = field(init=False)
+    robots: "EmulatedRobots"
+    row: int
 
-    def __post_init__(self) -> None:
-        self.program = self.boot()
+    def __init__(
+        self, name: str, boot: Callable[[], Program], battery: EmulatedBattery | None = None
+    ) -> None:
+        self.name, self.boot, self.program = name, boot, boot()
+        self.battery = battery or EmulatedBattery()
+        self.powered, self.stuck = True, (False, False)
+        self.veer: Counts | None = None
+
+    @property
+    def x(self) -> float:
+        """Position x [mm]."""
+        return float(self.robots.poses.x[self.row])
+
+    @property
+    def y(self) -> float:
+        """Position y [mm]."""
+        return float(self.robots.poses.y[self.row])
+
+    @property
+    def heading(self) -> float:
+        """Heading [rad]."""
+        return float(self.robots.poses.heading[self.row])
+
+    @property
+    def wheels(self) -> tuple[float, float]:
+        """The speeds of the left and the right wheel [mm/s]."""
+        left, right = self.robots.wheels[:, self.row].tolist()
+        return left, right
 
     @property
     def load(self) -> float:
         """The motors' load, from 0 to 1."""
-        return min(1.0, (abs(self.left) + abs(self.right)) / 2000.0)
+        return min(1.0, sum(map(abs, self.wheels)) / 2000.0)
 
     @property
     def standing(self) -> bool:
         """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
-        return max(abs(self.left), abs(self.right)) < STANDING_MM_S
+        return max(map(abs, self.wheels)) < STANDING_MM_S
 
     @property
     def battery_mv(self) -> int:
@@ -201,25 +168,18 @@ class EmulatedRobot:
     def hear(self, data: bytes) -> None:
         """Take bytes from the robot's radio module."""
         if self.powered:
-            self.program.hear(data, self.now_ns // 1_000_000, self.battery_mv)
+            self.program.hear(data, self.robots.now_ms, self.battery_mv)
 
     def answer(self) -> bytes:
         """Return the bytes that the robot now sends to its radio module."""
-        return self.program.answer(self.now_ns // 1_000_000) if self.powered else b""
+        return self.program.answer(self.robots.now_ms) if self.powered else b""
 
     def counts(self) -> Counts:
         """Return the present counts of both motors."""
         if not self.powered:
             return 0, 0
-        counts = self.program.counts(self.now_ns // 1_000_000)
+        counts = self.program.counts(self.robots.now_ms)
         return self.veer if self.veer is not None and any(counts) else counts
-
-    def advance(self, until_ns: int) -> None:
-        """Advance to `until_ns`, in steps of at most a millisecond."""
-        while self.now_ns < until_ns:
-            step_ns = min(STEP_NS, until_ns - self.now_ns)
-            self._step(step_ns / SECOND)
-            self.now_ns += step_ns
 
     def switch(self, on: bool) -> None:
         """Switch the robot on or off; switching it on restarts its program."""
@@ -229,25 +189,49 @@ class EmulatedRobot:
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""
-        self.x, self.y, self.heading = x, y, heading
-        self.left = self.right = 0.0
+        now = self.robots.poses
+        now.x[self.row], now.y[self.row], now.heading[self.row] = x, y, heading
+        self.robots.wheels[:, self.row] = 0.0
 
-    def _step(self, seconds: float) -> None:
-        left, right = speeds_of_counts(self.counts(), self.drivetrain)
-        if left == right == self.left == self.right == 0.0:
-            self.battery.draw(0.0, seconds)
-            return
-        keep = math.exp(-seconds / self.lag_s)
-        before = self.left, self.right
-        self.left = 0.0 if self.stuck[0] else left + keep * (self.left - left)
-        self.right = 0.0 if self.stuck[1] else right + keep * (self.right - right)
-        if left == right == 0.0 and abs(self.left) + abs(self.right) < 1e-3:
-            self.left = self.right = 0.0
-        mean_left, mean_right = (before[0] + self.left) / 2, (before[1] + self.right) / 2
-        speed = (mean_left + mean_right) / 2  # (21)-(22)
-        turn = (mean_right - mean_left) / (2 * self.radius) * seconds  # (23)
-        middle = self.heading + turn / 2
-        self.x += speed * math.cos(middle) * seconds
-        self.y += speed * math.sin(middle) * seconds
-        self.heading += turn
-        self.battery.draw(self.load, seconds)
+
+class EmulatedRobots(WheeledRobots):
+    """The true state of N robots [mm, rad], in the spec's axes, at rest at `start_ns`.
+
+    `drivetrains` gives the true wheel speeds for counts, `radius` (N,) [mm] the distance from a
+    wheel to the centre, `lag_s` (N,) [s] the wheels' time constants.
+    """
+
+    def __init__(
+        self,
+        robots: Sequence[EmulatedRobot],
+        drivetrains: Drivetrains,
+        radius: Floats,
+        lag_s: Floats,
+        start_ns: int = 0,
+    ) -> None:
+        super().__init__(Poses(*np.zeros((3, len(robots)))), radius, lag_s, AT_REST_MM_S)
+        self.robots, self._drivetrains, self._now_ns = robots, drivetrains, start_ns
+        self._held: list[tuple[Counts, tuple[bool, bool]]] = []
+        for row, robot in enumerate(robots):
+            robot.robots, robot.row = self, row
+
+    @property
+    def now_ms(self) -> int:
+        """The time of the robots' programs [ms]."""
+        return self._now_ns // 1_000_000
+
+    def advance(self, until_ns: int) -> None:
+        """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
+        while self._now_ns < until_ns:
+            step_ns = min(STEP_NS, until_ns - self._now_ns)
+            held = [(robot.counts(), robot.stuck) for robot in self.robots]
+            if held != self._held:
+                self._held = held
+                counts, stuck = (np.array(each).T for each in zip(*held, strict=True))
+                self.targets = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
+                self.wheels = np.where(stuck, 0.0, self.wheels)
+            if self.targets.any() or self.wheels.any():
+                self.drive(np.array([step_ns / SECOND]))
+            for robot in self.robots:
+                robot.battery.draw(robot.load, step_ns / SECOND)
+            self._now_ns += step_ns

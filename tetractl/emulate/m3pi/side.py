@@ -6,6 +6,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from tetractl.core.errors import WireError
@@ -14,19 +15,17 @@ from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
 from tetractl.emulate.m3pi.robot import (
     EmulatedBattery,
     EmulatedRobot,
+    EmulatedRobots,
     FirmwareProgram,
-    Motor,
-    MotorCount,
     Program,
-    SlaveDecoder,
     SlaveProgram,
 )
 from tetractl.emulate.port import PluggedDevice
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Model, Name, Positive
-from tetractl.lab.actuators.m3pi.actuator import drivetrain
+from tetractl.lab.actuators.m3pi.actuator import drivetrains, radius_mm
 from tetractl.lab.actuators.m3pi.broadcast import decode_command
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
+from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.actuators.xbee.frames import Decoder, Transmit16
 from tetractl.lab.cobs import Splitter
 
@@ -46,7 +45,7 @@ class CommandLog:
         self._slave = slave
         self._api = Decoder(escaped=mode == 2) if mode else None
         self._splitters: dict[int, Splitter] = {}
-        self._slaves: dict[int, tuple[SlaveDecoder, list[int]]] = {}
+        self._slaves: dict[int, SlaveProgram] = {}
 
     def read(self, data: bytes) -> None:
         """Take bytes read from the port, and record the commands that they complete."""
@@ -75,12 +74,11 @@ class CommandLog:
             )
 
     def _slave_bytes(self, address: int, data: bytes) -> None:
-        decoder, wheels = self._slaves.setdefault(address, (SlaveDecoder(), [0, 0]))
-        counts = [item for item in decoder.feed(data) if isinstance(item, MotorCount)]
-        for each in counts:
-            wheels[each.motor is Motor.M2] = each.count
-        if counts:
-            self._note("command", address=address, wheels=[list(wheels)])
+        program = self._slaves.setdefault(address, SlaveProgram())
+        before = program.obeyed
+        program.hear(data, 0, 0)
+        if program.obeyed > before:
+            self._note("command", address=address, wheels=[program.counts(0)])
 
 
 Count = Annotated[int, Field(ge=-127, le=127)]
@@ -195,10 +193,9 @@ class EmulatedM3pi(PluggedDevice):
         section = stage.lab.actuator
         assert isinstance(section, M3piSection), "the actuator's section has the type m3pi-xbee"
         truths = {truth.name: truth for truth in settings.robots}
-        self.robots = [
-            _robot(stage, section, section.robot(name), truths.get(name) or TrueRobot(name=name))
-            for name in stage.setup.names
-        ]
+        trues = [truths.get(name) or TrueRobot(name=name) for name in stage.setup.names]
+        self.robots = [_robot(section, true) for true in trues]
+        self._wheels = _wheels(stage, section, trues, self.robots)
         self.port = stage.wires.port(stage.options.link or Path(section.port))
         module = _module(section, settings)
         self.radio = self.wired = EmulatedRadio(
@@ -226,7 +223,7 @@ class EmulatedM3pi(PluggedDevice):
     @property
     def truth(self) -> dict[str, Any]:
         """The speeds of all wheels [mm/s], to be recorded as {"wheels": [[left, right], ...]}."""
-        return {"wheels": [[round(r.left, 2), round(r.right, 2)] for r in self.robots]}
+        return {"wheels": [[round(wheel, 2) for wheel in robot.wheels] for robot in self.robots]}
 
     def switch(self, on: bool) -> None:
         """Switch every robot on or off."""
@@ -235,8 +232,7 @@ class EmulatedM3pi(PluggedDevice):
 
     def advance(self, until_ns: int) -> None:
         """Advance the robots to `until_ns`."""
-        for robot in self.robots:
-            robot.advance(until_ns)
+        self._wheels.advance(until_ns)
 
     def tick(self) -> None:
         """Send the robots' pending answers."""
@@ -247,22 +243,33 @@ class EmulatedM3pi(PluggedDevice):
         return next(robot for robot in self.robots if robot.name == name)
 
 
-def _robot(stage: Stage, section: M3piSection, robot: M3piRobot, truth: TrueRobot) -> EmulatedRobot:
-    radius = truth.radius_mm or robot.radius_mm
-    if radius is None:
-        assert stage.setup.wheel_radius is not None, "without radius_mm, the spec has wheels.radius"
-        radius = stage.setup.wheel_radius * stage.mm
-    fields = {"left": truth.left, "right": truth.right, "swap": truth.swap}
-    given = {name: value for name, value in fields.items() if value is not None}
-    true = robot.model_copy(update=given)
-    boot: Callable[[], Program] = partial(FirmwareProgram, section.index(robot.name))
+def _robot(section: M3piSection, true: TrueRobot) -> EmulatedRobot:
+    boot: Callable[[], Program] = partial(FirmwareProgram, section.index(true.name))
     if not section.protocol.watchdog:
         boot = SlaveProgram
-    battery = EmulatedBattery(float(truth.battery_mv))
-    wheels = drivetrain(section, true)
-    found = EmulatedRobot(robot.name, boot, wheels, radius, 0, 0, 0, truth.lag, battery)
-    found.now_ns = stage.timeline.now_ns
-    return found
+    return EmulatedRobot(true.name, boot, EmulatedBattery(float(true.battery_mv)))
+
+
+def _wheels(
+    stage: Stage,
+    section: M3piSection,
+    trues: Sequence[TrueRobot],
+    robots: Sequence[EmulatedRobot],
+) -> EmulatedRobots:
+    """Return the robots on wheels as they truly are."""
+    parts = [
+        section.robot(true.name).model_copy(
+            update={
+                name: value
+                for name in ("left", "right", "swap", "radius_mm")
+                if (value := getattr(true, name)) is not None
+            }
+        )
+        for true in trues
+    ]
+    radii = np.array([radius_mm(part, stage.setup) for part in parts])
+    lags = np.array([true.lag for true in trues])
+    return EmulatedRobots(robots, drivetrains(section, parts), radii, lags, stage.timeline.now_ns)
 
 
 def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:

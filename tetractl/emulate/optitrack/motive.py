@@ -4,109 +4,201 @@ multicast.
 
 import random
 import socket
-from collections.abc import Callable
+import struct
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import Field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import TetractlError, WireError
-from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.natnet_server import (
-    Address,
-    MotiveServer,
-    ServerCounts,
-    Streaming,
-    Trouble,
-    pack_answer,
-    pack_modeldef,
-    parse_request,
-)
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import SpecError, WireError
+from tetractl.emulate.optitrack.natnet_server import mangle, pack_any, parse_request
+from tetractl.emulate.sides import Stage
+from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.lab.cameras.optitrack.natnet_messages import (
-    NEWEST,
-    OLDEST,
+    Bare,
     BodyName,
+    Connect,
+    EchoRequest,
+    EchoResponse,
     Message,
     MessageKind,
     ModelDef,
     NatNetFrame,
+    NatNetRequest,
+    Response,
     RigidBody,
+    ServerInfo,
     Ticks,
     Version,
 )
-from tetractl.lab.cameras.optitrack.wire import datagram
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
-GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 DATAGRAMS_A_TURN = 100
+JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
+CLIENT_TIMEOUT_NS = 5 * SECOND
+
+
+class TrueBody(Model):
+    """True properties of a robot's rigid body that differ from the spec."""
+
+    name: Name
+    """Name of a robot of the spec."""
+    heading_offset: Finite | None = None
+    """Heading of the robot minus heading of its rigid body [rad]."""
+    body: str | None = Field(default=None, min_length=1, max_length=64)
+    """Name of the body in Motive."""
+    streamed: bool = True
+    """Whether the body is in the frames; it is always in the list of names."""
+
+
+class OptitrackSettings(Model):
+    """Properties of the cameras that differ from the spec."""
+
+    version: VersionText = "4.1"
+    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
+    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
+    keeps_version: bool = False
+    """Whether the server streams in its own version to clients that request another version."""
+    frames_from: Ipv4 | None = None
+    """Address from which frames are sent, such as a second network card; by default the server's.
+    """
+    answers_models: bool = True
+    """Whether the server reports the names of its rigid bodies."""
+    models_changed: bool = False
+    """Whether every frame reports that the rigid bodies have changed."""
+    rate: float = Field(default=120.0, ge=1, le=500)
+    """Camera frames per second [Hz]."""
+    latency: float = Field(default=0.0054, ge=0, le=1)
+    """Mean time from exposure to transmission [s]; on average, one frame in 250 is delayed further,
+    by up to nearly half a frame period."""
+    unit_mm: Positive = 1000.0
+    """Unit of length that the server reports [mm]; positions are always in metres."""
+    noise_mm: NonNegative = 0.0
+    """Standard deviation of a body's position along each axis of the floor [mm]."""
+    noise_rad: NonNegative = 0.0
+    """Standard deviation of a body's heading [rad]."""
+    up: Literal["y", "z"] | None = None
+    """The cameras' vertical axis; by default the spec's, or y if the spec has none."""
+    knows_up_axis: bool = True
+    """Whether the server answers `UpAxis`."""
+    robots: tuple[TrueBody, ...] = ()
+    """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
+    streamed."""
+
+
+@dataclass(slots=True)
+class Trouble:
+    """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
+    the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
+    the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
+    frames whose exposure times are `outdated_s` [s] too early.
+    """
+
+    silent: bool = False
+    no_frames: bool = False
+    frozen: bool = False
+    counter: int = 0
+    edit_mode: bool = False
+    damaged: float = 0.0
+    version: Version | None = None
+    outdated: int = 0
+    outdated_s: float = 0.0
+
+
+@dataclass(slots=True)
+class Client:
+    """A unicast client: the protocol version in which it is served, and when it was last heard
+    [ns].
+    """
+
+    version: Version
+    heard_ns: int
+
+
+CLOCK_HZ = 10_000_000
+CLOCK_OFFSET = 0x1234_5678_9ABC  # arbitrary start of the server's clock [ticks]
+Address = tuple[str, int]
+
+
+@dataclass(slots=True)
+class ServerClock:
+    """The server's clock. Up to the host time `since_ns` it is `ahead_ns` ahead of the host's
+    clock; from then on it advances by `rate` seconds per second.
+    """
+
+    ahead_ns: int = 0
+    rate: float = 1.0
+    since_ns: int = 0
+
+    def ticks(self, when_ns: int) -> int:
+        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
+        gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
+        return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
 
 class Motive:
     """An emulated Motive server. `expose` returns the bodies at the timeline's present moment.
 
-    Exposures are numbered from 1, without gaps. `on_exposed(exposure, frame number)` is called at
-    each exposure, and `on_sent(exposure)` when its datagrams are sent or would be sent without a
-    fault. `on_client(address)` is called for each new client. `bound(address, port)` opens a UDP
-    socket.
+    Exposures are numbered from 1, without gaps. `data_port` is the UDP port from which frames are
+    sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
+    `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
+    be read, of requests for MODELDEF, and of clients dropped because they were silent.
     """
 
     def __init__(
         self,
-        timeline: Timeline,
-        streaming: Streaming,
-        names: list[BodyName],
+        stage: Stage,
+        section: OptitrackSection,
+        settings: OptitrackSettings,
+        up: UpAxis,
+        names: Sequence[BodyName],
         expose: Callable[[], tuple[RigidBody, ...]],
-        on_exposed: Callable[[int, int], None],
-        on_sent: Callable[[int], None],
-        on_client: Callable[[str], None],
-        seed: int,
-        bound: Callable[[str, int], Any] | None = None,
     ) -> None:
-        self.streaming = streaming
-        self._bound = bound or bound_udp
-        self.trouble = Trouble()
-        self.counts = ServerCounts()
-        self.server = MotiveServer(streaming, names, self.counts, on_client)
-        self._timeline = timeline
-        self._expose = expose
-        self._on_exposed = on_exposed
-        self._on_sent = on_sent
-        self._random = random.Random(seed)
+        options = stage.options
+        self.section, self.settings, self.up, self.names = section, settings, up, tuple(names)
+        self.address = options.address or section.server
+        self.command_port, self.data_port = section.command_port, section.data_port
+        if options.command_port is not None:
+            self.command_port = options.command_port
+        if options.data_port is not None:
+            self.data_port = options.data_port
+        self.multicast = section.transport == "multicast"
+        self.own_version = Version.of(settings.version)
+        if self.own_version < (2, 5):
+            text = f"cannot emulate NatNet {self.own_version}"
+            raise SpecError(text, hint="use version 2.5 or later")
+        self.trouble, self.clock = Trouble(), ServerClock()
+        self.clients: dict[Address, Client] = {}
+        self.frames = self.refused = self.models_asked = self.timed_out = 0
+        self._greeted: set[Address] = set()
+        self._stage, self.timeline, self._expose = stage, stage.timeline, expose
+        self._random = random.Random(options.seed)
         self._last: NatNetFrame | None = None
-        self._start_ns = 0
-        self._exposures = 0
+        self._start_ns = self._exposures = 0
         self.command: Any = None
         self.data: Any = None
 
-    @property
-    def now_ns(self) -> int:
-        """The timeline's present moment [ns]."""
-        return self._timeline.now_ns
-
-    @property
-    def command_port(self) -> int:
-        """The UDP port for commands; after `open`, the port really opened."""
-        return self.streaming.command_port if self.command is None else _port(self.command)
-
-    @property
-    def data_port(self) -> int:
-        """The UDP port from which frames are sent or, in multicast, to which they are sent."""
-        return self.server.data_port
-
     def open(self) -> int:
         """Open the ports and expose the first frame now; return the file descriptor to watch."""
-        s = self.streaming
-        multicast = s.transport == "multicast"
-        self.command = self._bound(s.address, s.command_port)
-        self.data = self._bound(s.frames_from or s.address, 0 if multicast else s.data_port)
-        if multicast:
-            interface = socket.inet_aton(s.address)
+        bound = self._stage.wires.bound
+        self.command = bound(self.address, self.command_port)
+        self.command_port = _port(self.command)
+        sender = self.settings.frames_from or self.address
+        self.data = bound(sender, 0 if self.multicast else self.data_port)
+        if self.multicast:
+            interface = socket.inet_aton(self.address)
             self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
-        if not (multicast and s.data_port):
+        if not (self.multicast and self.data_port):
             # in multicast too, since no other server uses this port
-            self.server.data_port = _port(self.data)
-        self._start_ns = self._timeline.now_ns
+            self.data_port = _port(self.data)
+        self._start_ns = self.timeline.now_ns
         self._plan()
         return self.command.fileno()
 
@@ -115,6 +207,97 @@ class Motive:
         for opened in (self.command, self.data):
             if opened is not None:
                 opened.close()
+
+    def version(self, client: Address) -> Version:
+        """Return the protocol version in which a client is served."""
+        known = self.clients.get(client)
+        return known.version if known else self.own_version
+
+    def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
+        """Return the answer to a message, None if the server gives no answer."""
+        if sender in self.clients:
+            self.clients[sender].heard_ns = now_ns
+        match message:
+            case Connect():
+                self._admit(message, sender, now_ns)
+                return self._info()
+            case EchoRequest(client):
+                return EchoResponse(client, self.clock.ticks(now_ns))
+            case NatNetRequest(text) if text.startswith("Bitstream,"):
+                return self._change_version(text.removeprefix("Bitstream,"), sender)
+            case NatNetRequest(text):
+                return self._reply(text)
+            case Bare(MessageKind.REQUEST_MODELDEF):
+                self.models_asked += 1
+                return ModelDef(self.names) if self.settings.answers_models else None
+            case Bare(MessageKind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
+        """Return the addresses to which frames are sent, each with its protocol version; in
+        unicast, first drop the clients that have been silent for too long.
+        """
+        if self.multicast:
+            return [((self.section.group, self.data_port), self.own_version)]
+        for address, client in list(self.clients.items()):
+            if now_ns - client.heard_ns > CLIENT_TIMEOUT_NS:
+                del self.clients[address]
+                self.timed_out += 1
+        return [(address, client.version) for address, client in self.clients.items()]
+
+    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._stage.client(f"{sender[0]}:{sender[1]}")
+        if self.multicast:
+            return
+        version = self.own_version
+        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
+            version = Version(*asked)
+        self.clients[sender] = Client(version, now_ns)
+
+    def _can_change(self, asked: tuple[int, int]) -> bool:
+        """Return whether a unicast client may choose a version; servers before 4.0 do not allow
+        that.
+        """
+        version = Version(*asked)
+        if self.settings.keeps_version:
+            return False
+        return (4, 0) <= self.own_version >= version and version.known
+
+    def _change_version(self, text: str, sender: Address) -> Message:
+        major, _, minor = text.partition(".")
+        known = self.clients.get(sender)
+        numbers = major.isdecimal() and minor.isdecimal()
+        if known and numbers and self._can_change((int(major), int(minor))):
+            known.version = Version(int(major), int(minor))
+            return Response(struct.pack("<i", 0))
+        return Response(struct.pack("<i", 1))
+
+    def _info(self) -> ServerInfo:
+        a, b, c, d = (int(part) for part in self.section.group.split("."))
+        major, minor = self.own_version
+        return ServerInfo(
+            f"Motive ({EMULATED_NAME})",
+            (3, 0, 0, 0),
+            (major, minor, 0, 0),
+            CLOCK_HZ,
+            self.data_port,
+            self.multicast,
+            (a, b, c, d),
+        )
+
+    def _reply(self, text: str) -> Message:
+        match text:
+            case "FrameRate":
+                return Response(struct.pack("<f", self.settings.rate))
+            case "UnitsToMillimeters":
+                return Response(struct.pack("<f", self.settings.unit_mm))
+            case "UpAxis" if self.settings.knows_up_axis:
+                return Response(struct.pack("<i", self.up))
+            case _:
+                return Bare(MessageKind.UNRECOGNIZED)
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
@@ -132,111 +315,68 @@ class Motive:
             try:
                 message = parse_request(asked)
             except WireError:
-                self.counts.refused += 1
+                self.refused += 1
                 continue
-            answer = self.server.answer(message, sender, self._timeline.now_ns)
+            answer = self.answer(message, sender, self.timeline.now_ns)
             if answer is not None:
-                self._send(self.command, _packed(answer, self.server.version(sender)), sender)
+                self._send(self.command, pack_any(answer, self.version(sender)), sender)
 
     def _plan(self) -> None:
-        due = self._start_ns + round(self._exposures * SECOND / self.streaming.rate_hz)
+        due = self._start_ns + round(self._exposures * SECOND / self.settings.rate)
         self._exposures += 1
-        self._timeline.at(due, self._take)
+        self.timeline.at(due, self._take)
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the server's latency."""
-        now = self._timeline.now_ns
+        now = self.timeline.now_ns
         number = self._exposures - self.trouble.counter
-        self._on_exposed(self._exposures, number)
-        s, jitter = self.streaming, self._random
-        delay = s.latency + min(max(jitter.gauss(0, s.jitter), -4 * s.jitter), 4 * s.jitter)
+        self._stage.exposed(self._exposures, number)
+        s, jitter = self.settings, self._random
+        delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < 1 / 250:
-            delay += jitter.uniform(0, 0.45 / s.rate_hz)
+            delay += jitter.uniform(0, 0.45 / s.rate)
         leaves = now + round(delay * SECOND)
         exposed = now
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
-        ticks = self.server.clock.ticks
+        ticks = self.clock.ticks
         frame = NatNetFrame(
             number,
             self._expose(),
             params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
             ticks=Ticks(ticks(exposed), ticks(now + round(0.6 * delay * SECOND)), 0),
         )
-        self._timeline.at(leaves, partial(self._transmit, self._exposures, frame))
+        self.timeline.at(leaves, partial(self._transmit, self._exposures, frame))
         self._plan()
 
     def _transmit(self, exposure: int, frame: NatNetFrame) -> None:
-        now = self._timeline.now_ns
+        now = self.timeline.now_ns
         if self.trouble.frozen and self._last is not None:
             frame = self._last
         self._last = frame
         if not (self.trouble.silent or self.trouble.no_frames):
             self._stream(frame, now)
-        self._on_sent(exposure)
+        self._stage.sent(exposure)
 
     def _stream(self, frame: NatNetFrame, now: int) -> None:
         if frame.ticks is not None:
-            frame = replace(
-                frame, ticks=replace(frame.ticks, transmit=self.server.clock.ticks(now))
-            )
+            frame = replace(frame, ticks=replace(frame.ticks, transmit=self.clock.ticks(now)))
         packed: dict[Version, bytes] = {}
-        for address, version in self.server.receivers(now):
+        for address, version in self.receivers(now):
             if version not in packed:
-                packed[version] = _packed(frame, self.trouble.version or version)
+                packed[version] = pack_any(frame, self.trouble.version or version)
             message = packed[version]
             if self.trouble.damaged and self._random.random() < self.trouble.damaged:
                 message = mangle(message, self._random)
             self._send(self.data, message, address)
-        self.counts.frames += 1
+        self.frames += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
         assert sender is not None, "it is open"
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
-            self.counts.datagrams += 1
-
-
-def mangle(datagram: bytes, chance: random.Random) -> bytes:
-    """Return a datagram with damage drawn by `chance`: cut, extended, a wrong field, or noise."""
-    match chance.randrange(5):
-        case 0:
-            return datagram[: chance.randrange(len(datagram))]
-        case 1:
-            return datagram + bytes(chance.randrange(1, 20))
-        case 2:
-            return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
-        case 3:  # an impossible number of bodies
-            return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
-        case _:
-            return chance.randbytes(chance.randrange(1, 1400))
-
-
-def _packed(message: Message, version: Version) -> bytes:
-    """Pack a message in a protocol version; versions before 2.6 are packed as 2.6, versions after
-    4.3 as 4.3.
-    """
-    if version > NEWEST and isinstance(message, ModelDef):
-        return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
-    return pack_answer(message, max(OLDEST, min(version, NEWEST)))
 
 
 def _port(of: Any) -> int:
     return of.getsockname()[1]
-
-
-def bound_udp(address: str, port: int) -> socket.socket:
-    """Return a UDP socket bound to an address; TetractlError if the port is in use."""
-    bound = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-    try:
-        bound.setblocking(False)
-        bound.bind((address, port))
-    except OSError as error:
-        bound.close()
-        raise TetractlError(
-            f"cannot open UDP {address}:{port}: {error.strerror}",
-            hint="is another emulation or Motive running? Choose other ports with --command-port "
-            "and --data-port; 0 takes any free port",
-        ) from None
-    return bound

@@ -1,17 +1,12 @@
-"""The emulated Motive without its sockets: settings, clients and answers; reads clients' messages,
-and packs answers and frames.
-"""
+"""Reads the messages of NatNet clients, and packs a server's answers and frames."""
 
-import struct
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Sequence
+from random import Random
 
-from tetractl.core.clock import SECOND
-from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
-    MULTICAST_GROUP,
+    NEWEST,
+    OLDEST,
     Bare,
     BodyName,
     Connect,
@@ -30,7 +25,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, SIZED, packed, packed_name
-from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.wire import (
     SENDER,
     datagram,
@@ -42,221 +36,8 @@ from tetractl.lab.cameras.optitrack.wire import (
     u64,
 )
 
-EMULATED_VERSION = Version(4, 1)
-
-
-@dataclass(frozen=True, slots=True)
-class Streaming:
-    """Motive's streaming settings. Port 0 takes any free port; times are in seconds.
-
-    The time from exposure to transmission has the mean `latency` and the standard deviation
-    `jitter`; on average, one frame in 250 is delayed further, by up to nearly half a frame period.
-    A version above 4.3 is packed as 4.3, with longer descriptions of rigid bodies. `keeps_version`:
-    clients cannot choose another version; `answers_models`: requests for MODELDEF are answered;
-    `models_changed`: every frame reports changed models; `unit_mm`: the answer to
-    `UnitsToMillimeters`, although positions are always in metres.
-    """
-
-    address: str = "127.0.0.1"
-    command_port: int = 1510
-    data_port: int = 1511
-    transport: Literal["unicast", "multicast"] = "unicast"
-    group: str = MULTICAST_GROUP
-    version: Version = EMULATED_VERSION
-    rate_hz: float = 120.0
-    latency: float = 0.0054
-    jitter: float = 0.00025
-    client_timeout: float = 5.0
-    frames_from: str | None = None  # a separate address, such as a second network card's
-    keeps_version: bool = False
-    answers_models: bool = True
-    models_changed: bool = False
-    unit_mm: float = 1000.0
-    up: UpAxis = UpAxis.Y
-    knows_up_axis: bool = True
-
-
-@dataclass(slots=True)
-class Trouble:
-    """The present faults: the server is silent (no answers, no frames), sends no frames, repeats
-    the same frame (`frozen`), has set its frame counter back by `counter`, is in edit mode, damages
-    the fraction `damaged` of its frames, packs frames in another `version`, or sends `outdated`
-    frames whose exposure times are `outdated_s` [s] too early.
-    """
-
-    silent: bool = False
-    no_frames: bool = False
-    frozen: bool = False
-    counter: int = 0
-    edit_mode: bool = False
-    damaged: float = 0.0
-    version: Version | None = None
-    outdated: int = 0
-    outdated_s: float = 0.0
-
-
-@dataclass(slots=True)
-class Client:
-    """A unicast client: the protocol version in which it is served, and when it was last heard
-    [ns].
-    """
-
-    version: Version
-    heard_ns: int
-
-
-@dataclass(slots=True)
-class ServerCounts:
-    """Numbers of frames sent, of datagrams sent, of requests that could not be read, of requests
-    for MODELDEF, and of clients dropped because they were silent.
-    """
-
-    frames: int = 0
-    datagrams: int = 0
-    refused: int = 0
-    models_asked: int = 0
-    timed_out: int = 0
-
-
-CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # arbitrary start of the server's clock [ticks]
-Address = tuple[str, int]
-
-
-@dataclass(slots=True)
-class ServerClock:
-    """The server's clock. Up to the host time `since_ns` it is `ahead_ns` ahead of the host's
-    clock; from then on it advances by `rate` seconds per second.
-    """
-
-    ahead_ns: int = 0
-    rate: float = 1.0
-    since_ns: int = 0
-
-    def ticks(self, when_ns: int) -> int:
-        """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
-        gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
-        return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
-
-
-class MotiveServer:
-    """Answers clients and keeps a list of them; `on_client` is called with each new client's
-    address.
-
-    `data_port` is the port from which frames are sent or, in multicast, to which they are sent.
-    """
-
-    def __init__(
-        self,
-        streaming: Streaming,
-        names: Sequence[BodyName],
-        counts: ServerCounts,
-        on_client: Callable[[str], None],
-    ) -> None:
-        self.streaming = streaming
-        self.clients: dict[Address, Client] = {}
-        self.data_port = streaming.data_port
-        self.clock = ServerClock()
-        self._names = tuple(names)
-        self._counts = counts
-        self._on_client = on_client
-        self._greeted: set[Address] = set()
-
-    def version(self, client: Address) -> Version:
-        """Return the protocol version in which a client is served."""
-        known = self.clients.get(client)
-        return known.version if known else self.streaming.version
-
-    def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None if the server gives no answer."""
-        if sender in self.clients:
-            self.clients[sender].heard_ns = now_ns
-        match message:
-            case Connect():
-                self._admit(message, sender, now_ns)
-                return self._info()
-            case EchoRequest(client):
-                return EchoResponse(client, self.clock.ticks(now_ns))
-            case NatNetRequest(text) if text.startswith("Bitstream,"):
-                return self._change_version(text.removeprefix("Bitstream,"), sender)
-            case NatNetRequest(text):
-                return self._reply(text)
-            case Bare(MessageKind.REQUEST_MODELDEF):
-                self._counts.models_asked += 1
-                return ModelDef(self._names) if self.streaming.answers_models else None
-            case Bare(MessageKind.DISCONNECT):
-                self.clients.pop(sender, None)
-        return None
-
-    def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses to which frames are sent, each with its protocol version; in
-        unicast, first drop the clients that have been silent for `client_timeout`.
-        """
-        s = self.streaming
-        if s.transport == "multicast":
-            return [((s.group, self.data_port), s.version)]
-        silent = round(s.client_timeout * SECOND)
-        for address, client in list(self.clients.items()):
-            if now_ns - client.heard_ns > silent:
-                del self.clients[address]
-                self._counts.timed_out += 1
-        return [(address, client.version) for address, client in self.clients.items()]
-
-    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
-        if sender not in self._greeted:
-            self._greeted.add(sender)
-            self._on_client(f"{sender[0]}:{sender[1]}")
-        if self.streaming.transport == "multicast":
-            return
-        version = self.streaming.version
-        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
-            version = Version(*asked)
-        self.clients[sender] = Client(version, now_ns)
-
-    def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Return whether a unicast client may choose a version; servers before 4.0 do not allow
-        that.
-        """
-        version = Version(*asked)
-        if self.streaming.keeps_version:
-            return False
-        return (4, 0) <= self.streaming.version >= version and version.known
-
-    def _change_version(self, text: str, sender: Address) -> Message:
-        major, _, minor = text.partition(".")
-        known = self.clients.get(sender)
-        numbers = major.isdecimal() and minor.isdecimal()
-        if known and numbers and self._can_change((int(major), int(minor))):
-            known.version = Version(int(major), int(minor))
-            return Response(struct.pack("<i", 0))
-        return Response(struct.pack("<i", 1))
-
-    def _info(self) -> ServerInfo:
-        a, b, c, d = (int(part) for part in self.streaming.group.split("."))
-        major, minor = self.streaming.version
-        return ServerInfo(
-            f"Motive ({EMULATED_NAME})",
-            (3, 0, 0, 0),
-            (major, minor, 0, 0),
-            CLOCK_HZ,
-            self.data_port,
-            self.streaming.transport == "multicast",
-            (a, b, c, d),
-        )
-
-    def _reply(self, text: str) -> Message:
-        match text:
-            case "FrameRate":
-                return Response(struct.pack("<f", self.streaming.rate_hz))
-            case "UnitsToMillimeters":
-                return Response(struct.pack("<f", self.streaming.unit_mm))
-            case "UpAxis" if self.streaming.knows_up_axis:
-                return Response(struct.pack("<i", self.streaming.up))
-            case _:
-                return Bare(MessageKind.UNRECOGNIZED)
-
-
 CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
+GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 MEAN_ERROR_M = 0.0002  # mean marker error of a tracked body
 
 
@@ -282,13 +63,9 @@ def parse_request(received: bytes) -> Message:
 def pack_answer(message: Message, version: Version | None = None) -> bytes:
     """Pack one datagram of the server; for frames and models, `version` must be 2.6 to 4.3."""
     match message:
-        case NatNetFrame() | ModelDef() if version is None:
-            raise WireError("frames and models need a protocol version")
-        case NatNetFrame():
-            assert version is not None
+        case NatNetFrame() if version is not None:
             return datagram(MessageKind.FRAME, pack_frame(message, version))
-        case ModelDef():
-            assert version is not None
+        case ModelDef() if version is not None:
             return datagram(MessageKind.MODELDEF, pack_modeldef(message, version))
         case ServerInfo():
             return datagram(MessageKind.SERVER_INFO, _server_info(message))
@@ -300,6 +77,15 @@ def pack_answer(message: Message, version: Version | None = None) -> bytes:
             return datagram(kind, b"")
         case _:
             raise WireError(f"a server does not send {type(message).__name__}")
+
+
+def pack_any(message: Message, version: Version) -> bytes:
+    """Pack a message in a protocol version; versions before 2.6 are packed as 2.6, versions after
+    4.3 as 4.3.
+    """
+    if version > NEWEST and isinstance(message, ModelDef):
+        return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
+    return pack_answer(message, max(OLDEST, min(version, NEWEST)))
 
 
 def _server_info(info: ServerInfo) -> bytes:
@@ -390,3 +176,18 @@ def _packed_body(body: BodyName, version: Version, markers: int) -> bytes:
     if version >= (4, 0):
         parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
     return b"".join(parts)
+
+
+def mangle(datagram: bytes, chance: Random) -> bytes:
+    """Return a datagram with damage drawn by `chance`: cut, extended, a wrong field, or noise."""
+    match chance.randrange(5):
+        case 0:
+            return datagram[: chance.randrange(len(datagram))]
+        case 1:
+            return datagram + bytes(chance.randrange(1, 20))
+        case 2:
+            return datagram[:2] + (len(datagram) + 7).to_bytes(2, "little") + datagram[4:]
+        case 3:  # an impossible number of bodies
+            return datagram[:8] + b"\xff\xff\xff\x7f" + datagram[12:]
+        case _:
+            return chance.randbytes(chance.randrange(1, 1400))

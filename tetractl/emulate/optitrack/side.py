@@ -2,7 +2,7 @@
 bodies.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
@@ -10,64 +10,21 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import SpecError
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.optitrack.motive import Motive
-from tetractl.emulate.optitrack.natnet_server import ServerClock, Streaming, Trouble
+from tetractl.emulate.optitrack.motive import (
+    Motive,
+    OptitrackSettings,
+    ServerClock,
+    Trouble,
+    TrueBody,
+)
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
 from tetractl.emulate.sides import Body, Facts, Stage
-from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive
+from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
-
-
-class TrueBody(Model):
-    """True properties of a robot's rigid body that differ from the spec."""
-
-    name: Name
-    """Name of a robot of the spec."""
-    heading_offset: Finite | None = None
-    """Heading of the robot minus heading of its rigid body [rad]."""
-    body: str | None = Field(default=None, min_length=1, max_length=64)
-    """Name of the body in Motive."""
-    streamed: bool = True
-    """Whether the body is in the frames; it is always in the list of names."""
-
-
-class OptitrackSettings(Model):
-    """Properties of the cameras that differ from the spec."""
-
-    version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
-    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
-    keeps_version: bool = False
-    """Whether the server streams in its own version to clients that request another version."""
-    frames_from: Ipv4 | None = None
-    """Address from which frames are sent, such as a second network card; by default the server's.
-    """
-    answers_models: bool = True
-    """Whether the server reports the names of its rigid bodies."""
-    models_changed: bool = False
-    """Whether every frame reports that the rigid bodies have changed."""
-    rate: float = Field(default=120.0, ge=1, le=500)
-    """Camera frames per second [Hz]."""
-    latency: float = Field(default=0.0054, ge=0, le=1)
-    """Mean time from exposure to transmission [s]."""
-    unit_mm: Positive = 1000.0
-    """Unit of length that the server reports [mm]; positions are always in metres."""
-    noise_mm: NonNegative = 0.0
-    """Standard deviation of a body's position along each axis of the floor [mm]."""
-    noise_rad: NonNegative = 0.0
-    """Standard deviation of a body's heading [rad]."""
-    up: Literal["y", "z"] | None = None
-    """The cameras' vertical axis; by default the spec's, or y if the spec has none."""
-    knows_up_axis: bool = True
-    """Whether the server answers `UpAxis`."""
-    robots: tuple[TrueBody, ...] = ()
-    """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
-    streamed."""
+from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
 
 
 def _trouble(device: Any, fault: Any) -> Trouble:
@@ -79,7 +36,7 @@ def _body(device: Any, fault: Any) -> TrackedBody:
 
 
 def _clock(device: Any, fault: Any) -> ServerClock:
-    return device.motive.server.clock
+    return device.motive.clock
 
 
 def _walk(fault: Any, device: Any) -> Undo:
@@ -109,7 +66,7 @@ def _set_clock(fault: Any, device: Any) -> Undo:
 
 
 def _run_clock(fault: Any, device: Any) -> Undo:
-    return setting(_clock(device, fault), rate=fault.rate, since_ns=device.motive.now_ns)
+    return setting(_clock(device, fault), rate=fault.rate, since_ns=device.motive.timeline.now_ns)
 
 
 def _twin(fault: Any, device: Any) -> Undo:
@@ -117,6 +74,13 @@ def _twin(fault: Any, device: Any) -> Undo:
 
 
 SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
+
+
+def _body_fault(name: str, about: str, fields: Mapping[str, Any] = {}, **values: object) -> Any:
+    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
+    return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
+
+
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
 Axes = Literal["floor", "robot"]
 FAULTS = (
@@ -145,20 +109,12 @@ FAULTS = (
         SENT,
         version=VersionText,
     ),
-    fault(
-        "untracked",
-        "A body is not tracked; its last pose is repeated.",
-        settings(_body, tracked=False),
-        EXPOSED,
-        robot=Name,
-    ),
-    fault(
+    _body_fault("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
+    _body_fault(
         "jump",
         "A body's pose jumps by this distance [mm].",
-        settings(_body, shift=attrgetter("by")),
-        EXPOSED,
-        robot=Name,
-        by=Point,
+        shift=attrgetter("by"),
+        fields={"by": Point},
     ),
     fault(
         "ghost",
@@ -178,21 +134,17 @@ FAULTS = (
         EXPOSED,
         robot=(Name | None, None),
     ),
-    fault(
+    _body_fault(
         "lifted",
         "A body is seen at this height above the floor [mm].",
-        settings(_body, height=attrgetter("height")),
-        EXPOSED,
-        robot=Name,
-        height=Finite,
+        height=attrgetter("height"),
+        fields={"height": Finite},
     ),
-    fault(
+    _body_fault(
         "tipped",
         "A body is seen rolled about its own x axis by this angle [rad].",
-        settings(_body, roll=attrgetter("angle")),
-        EXPOSED,
-        robot=Name,
-        angle=Finite,
+        roll=attrgetter("angle"),
+        fields={"angle": Finite},
     ),
     fault(
         "outdated",
@@ -203,16 +155,8 @@ FAULTS = (
         frames=(Frames, 1),
     ),
     fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    fault(
-        "nan", "A body's position is not a number.", settings(_body, nan=True), EXPOSED, robot=Name
-    ),
-    fault(
-        "bad_quaternion",
-        "A body's quaternion does not have norm 1.",
-        settings(_body, norm=0.5),
-        EXPOSED,
-        robot=Name,
-    ),
+    _body_fault("nan", "A body's position is not a number.", nan=True),
+    _body_fault("bad_quaternion", "A body's quaternion does not have norm 1.", norm=0.5),
     fault("clock_jump", "The server's clock is set forward by a time [s].", _set_clock, by=Finite),
     fault(
         "clock_rate",
@@ -239,35 +183,32 @@ class EmulatedOptitrack:
         self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
         self.view = _view(stage, section, settings)
         self.motive = Motive(
-            stage.timeline,
-            _streaming(stage, section, settings, self.view.up),
+            stage,
+            section,
+            settings,
+            self.view.up,
             [BodyName(body.body_name, body.id) for body in self.tracked],
             lambda: expose(self.tracked, self.view, self.swapped, self.hidden),
-            stage.exposed,
-            stage.sent,
-            stage.client,
-            stage.options.seed,
-            stage.wires.bound,
         )
         self.join = stage.wires.make_socket
 
     def open(self, loop: Loop) -> Facts:
         """Open the UDP ports; return their addresses."""
-        loop.watch(self.motive.open(), lambda: self.motive.readable(loop.catch_up))
-        streaming = self.motive.streaming
+        motive, transport = self.motive, self.motive.section.transport
+        loop.watch(motive.open(), lambda: motive.readable(loop.catch_up))
         return {
-            "camera": f"{streaming.address}:{self.motive.command_port} ({streaming.transport})",
-            "address": streaming.address,
-            "command_port": self.motive.command_port,
-            "data_port": self.motive.data_port,
-            "transport": streaming.transport,
+            "camera": f"{motive.address}:{motive.command_port} ({transport})",
+            "address": motive.address,
+            "command_port": motive.command_port,
+            "data_port": motive.data_port,
+            "transport": transport,
         }
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""
-        self.motive.close()
-        counts = self.motive.counts
-        return {"frames": counts.frames, "refused": counts.refused, "timed_out": counts.timed_out}
+        motive = self.motive
+        motive.close()
+        return {"frames": motive.frames, "refused": motive.refused, "timed_out": motive.timed_out}
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, track no body; otherwise track all bodies again."""
@@ -307,33 +248,3 @@ def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) 
     up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
     x, y = section.origin
     return View(up, (x * stage.mm, y * stage.mm), section.rotation)
-
-
-def _streaming(
-    stage: Stage, section: OptitrackSection, settings: OptitrackSettings, up: UpAxis
-) -> Streaming:
-    options = stage.options
-    return Streaming(
-        options.address or section.server,
-        section.command_port if options.command_port is None else options.command_port,
-        section.data_port if options.data_port is None else options.data_port,
-        section.transport,
-        section.group,
-        _version(settings.version),
-        settings.rate,
-        settings.latency,
-        up=up,
-        knows_up_axis=settings.knows_up_axis,
-        frames_from=settings.frames_from,
-        keeps_version=settings.keeps_version,
-        answers_models=settings.answers_models,
-        models_changed=settings.models_changed,
-        unit_mm=settings.unit_mm,
-    )
-
-
-def _version(text: str) -> Version:
-    version = Version.of(text)
-    if version < (2, 5):
-        raise SpecError(f"cannot emulate NatNet {version}", hint="use version 2.5 or later")
-    return version

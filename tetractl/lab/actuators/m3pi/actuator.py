@@ -11,23 +11,11 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health, RobotStatus, Transmission
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
-from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection, WheelSection
+from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
 from tetractl.lab.actuators.m3pi.serial_protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.serial_port import Ports
-from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import (
-    STOP,
-    Counts,
-    Drivetrain,
-    LaggingTurns,
-    Residue,
-    Wheel,
-    body_velocity,
-    speeds_of_counts,
-    wheel_counts,
-    wheel_speeds,
-)
+from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
 
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
@@ -45,14 +33,12 @@ class M3piActuator:
         self.section, self.names = section, setup.names
         self.robots = [section.robot(name) for name in setup.names]
         self.link = Link(section, clock, ports)
-        self.drivetrains = [drivetrain(section, robot) for robot in self.robots]
         self._clock = clock
         self._protocol = build_protocol(section, setup.names, self.link, clock)
         self._mm = setup.metres / MM  # millimetres per length unit of the spec
-        self._a, self._speed = setup.a, setup.speed * self._mm
-        self._radius = np.array([_radius_mm(robot, setup) for robot in self.robots])
-        self._residues = [Residue()] * len(self.robots)
-        self._turns = LaggingTurns(setup.lag_s, len(self.robots)) if setup.lag_s > 0 else None
+        radius = np.array([radius_mm(robot, setup) for robot in self.robots])
+        self.drivetrains = wheels = drivetrains(section, self.robots)
+        self._host = WheelHost(setup.a, setup.speed * self._mm, radius, setup.lag_s, wheels)
 
     def __enter__(self) -> Self:
         """Open the port and check the XBee module."""
@@ -129,34 +115,18 @@ class M3piActuator:
         exposed_ns: int,
         ahead: bool = True,
     ) -> list[Counts]:
-        """Return the wheel counts by equations (24)-(25) of the paper, for a direction [rad] and
-        the predicted headings. If not `ahead`, the counts turn the robots on the spot.
+        """Return the wheel counts by `WheelHost`, for a direction [rad]. If not `ahead`, the counts
+        turn the robots on the spot.
 
         Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
-        command reaches the wheels, over at most 0.1 s: by equation (3) or, if the wheels lag, as
-        the heading in which a robot would come to rest after the commands already sent. Robots
-        without a pose get counts of 0.
+        command reaches the wheels, over at most 0.1 s. Robots without a pose get counts of 0.
         """
         arrives = self._clock.now() + RADIO_NS
         since = max(exposed_ns, arrives - AHEAD_MAX_NS)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        u = np.array(direction)
-        if self._turns is not None:
-            heading = self._turns.ahead(heading, since, arrives)
-        else:
-            nowhere, ahead_s = np.zeros(len(poses)), (arrives - since) / SECOND
-            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead_s)
-        left, right = wheel_speeds(heading, u, self._a, self._speed * ahead, self._radius)
-        found: list[Counts] = []
-        for i, pose in enumerate(poses):
-            if pose is None:
-                self._residues[i] = Residue()
-                found.append(STOP)
-                continue
-            train, owed = self.drivetrains[i], self._residues[i]
-            counts, self._residues[i] = wheel_counts(float(left[i]), float(right[i]), train, owed)
-            found.append(counts)
-        return found
+        wished = self._host.wished(heading, np.array(direction), since, arrives, ahead)
+        wished[:, [pose is None for pose in poses]] = 0.0
+        return [(one, two) for one, two in self._host.counts(wished).T.tolist()]
 
     def _send(self, wished: Sequence[Counts], moving: Sequence[bool]) -> Transmission:
         counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
@@ -165,13 +135,10 @@ class M3piActuator:
     def _transmission(
         self, sent_ns: int, counts: Sequence[Counts], moving: tuple[bool, ...]
     ) -> Transmission:
-        pairs = zip(counts, self.drivetrains, strict=True)
-        left, right = np.array([speeds_of_counts(*pair) for pair in pairs]).T
-        speed, turning = body_velocity(left, right, self._radius)
-        mm = self._mm
-        if self._turns is not None:
-            self._turns.sent(sent_ns + RADIO_NS, turning)
-        return Transmission(sent_ns, None, moving, speed / mm, turning, left / mm, right / mm)
+        speeds = self.drivetrains.speeds(np.array(counts).T)
+        speed, turning = self._host.sent(sent_ns + RADIO_NS, speeds)
+        left, right = speeds / self._mm
+        return Transmission(sent_ns, None, moving, speed / self._mm, turning, left, right)
 
     def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:
         if answer is None:
@@ -189,16 +156,19 @@ class M3piActuator:
         return RobotStatus(True, volts)
 
 
-def drivetrain(section: M3piSection, robot: M3piRobot) -> Drivetrain:
-    """Return a robot's drivetrain, with a lower count limit if its program has no watchdog."""
-    return Drivetrain(_wheel(robot.left), _wheel(robot.right), robot.swap, section.limit(robot))
+def drivetrains(section: M3piSection, robots: Sequence[M3piRobot]) -> Drivetrains:
+    """Return robots' wheels, with lower count limits if their program has no watchdog."""
+    sides = [[robot.left for robot in robots], [robot.right for robot in robots]]
+    return Drivetrains(
+        np.array([[-w.gain_mm if w.invert else w.gain_mm for w in side] for side in sides]),
+        np.array([[wheel.dead_zone for wheel in side] for side in sides]),
+        np.array([section.limit(robot) for robot in robots]),
+        np.array([robot.swap for robot in robots]),
+    )
 
 
-def _wheel(wheel: WheelSection) -> Wheel:
-    return Wheel(wheel.gain_mm, wheel.dead_zone, wheel.invert)
-
-
-def _radius_mm(robot: M3piRobot, setup: Setup) -> float:
+def radius_mm(robot: M3piRobot, setup: Setup) -> float:
+    """Return the distance from a robot's wheels to its centre [mm], by default the spec's."""
     radius = robot.radius_mm
     if radius is None and setup.wheel_radius is not None:
         radius = setup.wheel_radius * setup.metres / MM

@@ -158,7 +158,7 @@ class _Bench:
         self.actuator = ManualActuator(section, setup, self.clock)
         limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN})
         self.rig = Rig(camera, self.actuator, limits, setup, self.clock, emergency, wake)
-        self.limit = min(limit, self.actuator.drivetrains[0].limit)
+        self.limit = min(limit, int(self.actuator.drivetrains.limit[0]))
         guard = self.rig.guard
         guard.rules = replace(
             guard.rules,

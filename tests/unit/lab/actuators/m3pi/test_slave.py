@@ -3,7 +3,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.errors import WireError
-from tetractl.emulate.m3pi.robot import Motor, MotorCount, Query, SlaveDecoder
+from tetractl.emulate.m3pi.robot import SIGNATURE, SlaveProgram
 from tetractl.lab.actuators.m3pi.slave import (
     BATTERY_REQUEST,
     SIGNATURE_REQUEST,
@@ -24,20 +24,20 @@ def test_documented_bytes():
 
 
 def test_a_lost_data_byte_costs_that_command_only():
-    decoder = SlaveDecoder()
-    found = decoder.feed(b"\xc1" + encode_wheels(3, 4)[2:] + SIGNATURE_REQUEST + b"\x05\xba")
-    assert found == [MotorCount(Motor.M2, 4), Query.SIGNATURE]
-    assert decoder.ignored == 3  # the command without data, data without command, a calibration
+    program = SlaveProgram()
+    program.hear(b"\xc1" + encode_wheels(3, 4)[2:], 0, 0)
+    assert program.counts(0) == (0, 4)
+    program.hear(SIGNATURE_REQUEST + b"\x05\xba", 0, 0)
+    assert (program.counts(0), program.answer(0)) == ((0, 0), SIGNATURE)
+    assert program.ignored == 3  # the command without data, data without command, a calibration
 
 
 @given(st.binary(max_size=50), counts, counts)
 def test_resynchronises_after_any_garbage(garbage, left, right):
-    decoder = SlaveDecoder()
-    decoder.feed(garbage)
-    assert decoder.feed(encode_wheels(left, right))[-2:] == [
-        MotorCount(Motor.M1, left),
-        MotorCount(Motor.M2, right),
-    ]
+    program = SlaveProgram()
+    program.hear(garbage, 0, 0)
+    program.hear(encode_wheels(left, right), 0, 0)
+    assert program.counts(0) == (left, right)
 
 
 @pytest.mark.parametrize("bad", [(-128, 0), (0, 128)])

@@ -195,7 +195,7 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
         lab.camera.hidden.add(7)
-        lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("hand", 9))
+        lab.camera.motive.names = (BodyName("Green", 1), BodyName("hand", 9))
         assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
@@ -226,14 +226,14 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
 def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
     """Regression: four times a second, for as long as the bit lasted."""
     with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
-        before = lab.camera.motive.counts.models_asked
+        before = lab.camera.motive.models_asked
         clock.sleep_until(clock.now() + 60 * SECOND)
-        assert 5 <= lab.camera.motive.counts.models_asked - before <= 13
+        assert 5 <= lab.camera.motive.models_asked - before <= 13
 
 
 def test_a_body_that_gets_its_name_is_found(tmp_path):
     with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, clock), camera:
         assert camera.newest.poses[0] is None
-        lab.camera.motive.server._names = (BodyName("Green", 1), BodyName("blue", 7))
+        lab.camera.motive.names = (BodyName("Green", 1), BodyName("blue", 7))
         assert clock.wait(lambda: camera.newest.poses[0] is not None)
         assert camera.check().problems == ()

@@ -82,7 +82,7 @@ class Mpc:
     ) -> None:
         self.section = section
         problem, dead_time_s = section.problem(setup), section.dead_time
-        prior = section.prior.of(problem, dead_time_s, setup.lag_s) if section.estimate else None
+        prior = section.prior.of(problem, dead_time_s, setup) if section.estimate else None
         square = isinstance(section.first_plan, Square)
         self.setup, self.legs, self.leg = setup, setup.legs, 0
         self.estimator = StateEstimator(
@@ -397,4 +397,4 @@ class MpcSection(MpcFields):
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
         if self.estimate:
-            warm_up_filter(self.prior.of(problem, self.dead_time, setup.lag_s), setup.starts)
+            warm_up_filter(self.prior.of(problem, self.dead_time, setup), setup.starts)

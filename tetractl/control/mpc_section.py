@@ -15,7 +15,9 @@ from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
+SIDES = 0.1  # standard deviation of half the difference of ln a between left and right
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
@@ -72,13 +74,10 @@ class PriorSection(Model):
     """Standard deviation of a measured position [length unit]; 0 if unknown."""
     heading_noise: NonNegative = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
-    helix_frequency: NonNegative = 0.0
-    """Frequency of the helix on which cells swim [Hz]."""
-    helix_radius: NonNegative = 0.0
-    """Radius of the helix on which cells swim [length unit]; 0 for no helix."""
 
-    def of(self, problem: Problem, dead_time: float, lag_s: float = 0.0) -> Prior:
-        """Return the prior of a problem's robots; `lag_s` is the lag of their wheels [s]."""
+    def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
+        """Return the prior of a problem's robots; those without wheels are taken for cells."""
+        swims = setup.wheel_radius is None
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -91,9 +90,10 @@ class PriorSection(Model):
             flow_std=self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
-            helix_frequency=self.helix_frequency,
-            helix_radius=self.helix_radius,
-            lag=lag_s,
+            helix_frequency=HELIX_HZ[0],
+            helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if swims else 0.0,
+            lag=setup.lag_s,
+            side_std=0.0 if swims else SIDES,
         )
 
 

@@ -33,7 +33,7 @@ def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=No
     plant.open()
     problem = section.problem(experiment.setup)
     estimator = StateEstimator(
-        problem, 1 / rate, 0.0, section.prior.of(problem, 0.0, experiment.setup.lag_s)
+        problem, 1 / rate, 0.0, section.prior.of(problem, 0.0, experiment.setup)
     )
     knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
     last, command = None, None
@@ -91,7 +91,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
 
     def compare(k, problem, estimator, plant):
         if k > 4:
-            held = estimator.held(estimator._newest_ns + 1)[0][2]
+            held = estimator.filter.ahead(0).held
             right.append(np.abs(held - plant._drive._held.direction) < 1e-9)
 
     know(settings, 40, 2, until=compare)
@@ -115,7 +115,7 @@ def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
     found, plant, estimator = know(settings, 6, 20)
     assert found.dead_time == pytest.approx(0.01, abs=0.01)
     assert found.a == pytest.approx(plant.a, rel=0.03)
-    rests = estimator.filter.rests(plant.clock.now() + SECOND // 100)
+    rests = estimator.filter.ahead(plant.clock.now()).poses
     plant.stop()
     assert plant.settle().final.array() == pytest.approx(rests.array(), abs=1.5)
 
@@ -123,8 +123,6 @@ def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
 WOBBLE = (  # points that weave, seen by a camera that measures the body's axis
     "plant.cells=null",
     "plant.disturbances=[{type: flow, speed: 10}, {type: wobble, radius: 8, frequency: 1.5}]",
-    "controller.prior.helix_frequency=1.5",
-    "controller.prior.helix_radius=8",
 )
 
 
@@ -144,7 +142,7 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
 
     def compare(k, problem, estimator, plant):
         if k > 4:
-            held = estimator.held(estimator._newest_ns + 1)[0][2]
+            held = estimator.filter.ahead(0).held
             agree.append(np.isnan(held) == (plant._disturbances[0]._free.well(k / 5) == 0))
 
     found, plant, _ = know([*NOISY, stuck], 20, until=compare)

@@ -396,9 +396,7 @@ class FilterBank:
         seconds = np.diff(np.clip(ends, begin, until), axis=0, prepend=begin)
         held = u[(acts <= until + 1e-9).sum(axis=0), np.arange(len(tau))]
         k.drive(self._model, z, u, seconds)
-        turning = np.nan_to_num(np.sin(held + z[:, k.BIAS] - z[:, k.HEADING]))
-        a = self.prior.a * np.exp(z[:, k.LN_A] + np.sign(turning) * z[:, k.SIDE])
-        speed = self.prior.speed * np.exp(z[:, k.LN_V])
+        a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         return Ahead(Poses.of(z[:, :3]), a, speed, z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]], held)
 
 

@@ -18,6 +18,7 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
 SIDES = 0.1  # standard deviation of half the difference of ln a between left and right
+SLIDE = 0.05  # standard deviation of a slide of robots on wheels, over their speed
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
@@ -87,7 +88,7 @@ class PriorSection(Model):
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
             marker_bias_std=self.marker_bias,
-            flow_std=self.flow,
+            flow_std=self.flow or (0.0 if swims else SLIDE * float(problem.speed.mean())),
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
             helix_frequency=HELIX_HZ[0],

@@ -66,6 +66,8 @@ HELIX_DRIFT = 0.1  # random walk of the helix's sine and cosine, over its radius
 PITCHES = 0.5, 0.75, 1.0, 1.4  # frequencies of the helix to start from, over the usual one
 PITCH_STD, PITCH_DRIFT = 0.15, 0.01  # deviation of ln of each, and its random walk [1/sqrt(s)]
 SAME_PITCH = 0.05  # distance of ln frequencies below which they are the same
+LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
+SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
 
 
 class Prior(NamedTuple):
@@ -358,22 +360,28 @@ class FilterBank:
         return best, (*best, np.argmax(self._bank.weight[best], axis=1))
 
     def estimate(self) -> Estimate:
-        """Return the parameters of the robots and their standard deviations."""
-        k, (_, each) = _kernel(), self._likely()
+        """Return the parameters of the robots and their standard deviations, which grow by what the
+        test of the innovations finds."""
+        k, (best, each) = _kernel(), self._likely()
         z, cov = self._bank.state[each], self._bank.cov[each]
-        std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0))
+        blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
+        more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
+        std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more.max(axis=1)[:, None]
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         tau, tau_std = self.dead_times()
         of_bias = (cov[:, k.BIAS] + cov[:, k.MARKER])[:, [k.BIAS, k.MARKER]].sum(axis=1)
+        part = 2 / (9 * np.maximum(blocks, LEAST_BLOCKS))
+        limit = np.maximum(blocks, LEAST_BLOCKS) * (1 - part + SURE * np.sqrt(part)) ** 3
         return Estimate(
             a=a,
             a_std=a * std[:, k.LN_A],
             speed=speed,
             speed_std=speed * std[:, k.LN_V],
             heading_bias=z[:, k.BIAS] + z[:, k.MARKER],
-            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)),
+            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more.max(axis=1),
             dead_time=float(tau.mean()),
-            dead_time_std=math.sqrt(np.mean(tau_std**2) + np.var(tau)),
+            dead_time_std=math.sqrt(np.mean((tau_std * more.max(axis=1)) ** 2) + np.var(tau)),
+            misfit=squares / limit[:, None],
         )
 
     def course(self) -> tuple[Poses, Floats, Floats]:

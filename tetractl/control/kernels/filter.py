@@ -36,7 +36,7 @@ SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which scores of dead times decay
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
 MEAN_CAPPED = 0.8  # mean of the square of a standard normal number, capped at 4
-BLOCK, MOST_SQUARE = 32, 25.0  # frames of a block of innovations; largest square of their sum
+BLOCK, MOST_SQUARE = 8, 25.0  # frames of a block of innovations; largest square of their sum
 _wrap = inlined(wrap)
 
 

@@ -134,7 +134,10 @@ def report(name: str, spec: Experiment, trials: int) -> None:
         f"{np.mean([one.duration_s for one in results]):.1f}",
         f"{held.sum()} of {held.size}, {np.sum(np.abs(fast) <= 2)}",
         f"{100 * np.sqrt(np.mean(off**2)):.1f} / {100 * np.sqrt(np.mean(claimed**2)):.1f}",
-        " ".join(f"{1e3 * np.mean(part):.1f}" for part in zip(*((one.dead_time, one.dead_time_std) for one, _ in ends), strict=True)),
+        " ".join(
+            f"{1e3 * np.mean(part):.1f}"
+            for part in zip(*((one.dead_time, one.dead_time_std) for one, _ in ends), strict=True)
+        ),
         f"{np.median(np.concatenate([one.solve_ns[1:] for one in results])) / 1e6:.1f}",
     )
     print(f"| {' | '.join(cells)} |", flush=True)

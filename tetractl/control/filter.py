@@ -2,12 +2,12 @@
 
 Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
 the heading theta of its course, its turning rate a and speed v, a turn bias beta, a marker bias m
-that is added to the measured heading, the flow (f_x, f_y) that carries the robot, the factor
-exp(+-s) on a for turns to the left and to the right and, for a cell that swims on a helix of
-angular frequency w, its sideways swing as sine p and cosine q. Under a direction u
+that is added to the measured heading, the flow (f_x, f_y) that carries the robot, or with which it
+slides, and, for a cell that swims on a helix of angular frequency w, its sideways swing as sine p
+and cosine q. Under a direction u
 
-    dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,
-    dtheta/dt = a exp(+-s) sin(u + beta - theta),  dp/dt = w q,  dq/dt = -w p,
+    dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,  dtheta/dt = a sin(u + beta - theta),
+    dp/dt = w q,  dq/dt = -w p,
 
 and a camera measures, each with its noise,
 
@@ -53,7 +53,10 @@ GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
 FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
 REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
 UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
-OWN, OWN_S = 0.1, 0.06  # probability that a robot's dead time is its own; its standard deviation [s]
+OWN, OWN_S = (
+    0.1,
+    0.06,
+)  # probability that a robot's dead time is its own; its standard deviation [s]
 KEPT = 64  # number of commands kept after they have acted
 POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
 HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
@@ -76,8 +79,8 @@ class Prior(NamedTuple):
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
     time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
     0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
-    measurement, 0 if unknown. The helix has a frequency [Hz] and a radius [length unit], which is 0
-    if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for robots
+    measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
+    radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for robots
     without wheels.
     """
 
@@ -95,7 +98,6 @@ class Prior(NamedTuple):
     helix_frequency: float = 0.0
     helix_radius: float = 0.0
     lag: float = 0.0
-    side_std: float = 0.0
 
     @property
     def certain(self) -> bool:
@@ -127,9 +129,9 @@ def _kernel() -> Any:
 
 
 class Ahead(NamedTuple):
-    """N robots at the moments when the next command acts on each: their poses, the turning rates a
-    (N,) to the sides to which they turn, speeds, turn biases, flow (N, 2), and the directions that
-    they follow (N,) [rad], NaN for a robot that stands."""
+    """N robots at the moments when the next command acts on each: their poses, turning rates a,
+    speeds and turn biases (N,), flow (N, 2), and the directions that they follow (N,) [rad], NaN
+    for a robot that stands."""
 
     poses: Poses
     a: Floats
@@ -162,7 +164,6 @@ class FilterBank:
             (kernel.MARKER, prior.marker_bias_std, DRIFT[3]),
             (kernel.FLOW_X, prior.flow_std, FLOW_DRIFT * prior.flow_std),
             (kernel.FLOW_Y, prior.flow_std, FLOW_DRIFT * prior.flow_std),
-            (kernel.SIDE, prior.side_std, DRIFT[3]),
             (kernel.SINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
             (kernel.COSINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
             (kernel.LN_W, PITCH_STD * helix, PITCH_DRIFT),
@@ -366,7 +367,9 @@ class FilterBank:
         z, cov = self._bank.state[each], self._bank.cov[each]
         blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
         more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
-        std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more.max(axis=1)[:, None]
+        std = (
+            np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more.max(axis=1)[:, None]
+        )
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         tau, tau_std = self.dead_times()
         of_bias = (cov[:, k.BIAS] + cov[:, k.MARKER])[:, [k.BIAS, k.MARKER]].sum(axis=1)

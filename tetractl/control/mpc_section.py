@@ -17,8 +17,7 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
-SIDES = 0.1  # standard deviation of half the difference of ln a between left and right
-SLIDE = 0.05  # standard deviation of a slide of robots on wheels, over their speed
+FLOW = 0.05  # default standard deviation of a component of the flow, over the mean speed
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
@@ -69,8 +68,9 @@ class PriorSection(Model):
     turns towards [rad]."""
     marker_bias: NonNegative = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
-    flow: NonNegative = 0.0
-    """Standard deviation of each component of the flow that carries a robot [length unit/s]."""
+    flow: NonNegative | None = None
+    """Standard deviation of each component of the flow that carries a robot, or of its slide
+    [length unit/s]; by default a twentieth of the robots' mean speed."""
     position_noise: NonNegative = 0.0
     """Standard deviation of a measured position [length unit]; 0 if unknown."""
     heading_noise: NonNegative = 0.0
@@ -78,7 +78,6 @@ class PriorSection(Model):
 
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
-        swims = setup.wheel_radius is None
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -88,13 +87,12 @@ class PriorSection(Model):
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
             marker_bias_std=self.marker_bias,
-            flow_std=self.flow or (0.0 if swims else SLIDE * float(problem.speed.mean())),
+            flow_std=FLOW * float(problem.speed.mean()) if self.flow is None else self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
             helix_frequency=HELIX_HZ[0],
-            helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if swims else 0.0,
+            helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if setup.wheel_radius is None else 0.0,
             lag=setup.lag_s,
-            side_std=0.0 if swims else SIDES,
         )
 
 

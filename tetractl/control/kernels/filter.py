@@ -2,8 +2,8 @@
 
 The state of a robot is, in the order of the indices below: x, y, heading of its course, helix as
 sine and cosine; ln of a and of the speed over the spec's, turn bias, marker bias, flow along x and
-y, half the difference of ln a between turns to the left and to the right, and ln of the helix's
-frequency over the spec's. The first MOVED change with time, the others only by their random walk.
+y, and ln of the helix's frequency over the usual one. The first MOVED change with time, the others
+only by their random walk.
 """
 
 import math
@@ -18,10 +18,10 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
 X, Y, HEADING, SINE, COSINE = range(5)
-LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SIDE, LN_W = range(5, 13)
-MOVED, SIZE = 5, 13  # number of state variables that move, and of all with a covariance
-SWING, PACE = 13, 14  # turning rate / a and speed / v of lagging wheels, without variance
-STATE = 15  # number of state variables
+LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, LN_W = range(5, 12)
+MOVED, SIZE = 5, 12  # number of state variables that move, and of all with a covariance
+SWING, PACE = 12, 13  # turning rate / a and speed / v of lagging wheels, without variance
+STATE = 14  # number of state variables
 STILL = 1e-3  # pace below which a stopped robot counts as standing
 FOLLOWS = 3  # number of latest commands that a robot may follow
 STUCK = FOLLOWS  # slot of the hypothesis that a robot stands although it was sent a direction
@@ -84,8 +84,7 @@ def _advance(model, i, z, cov, u, scale, seconds):
     while left > 0 and (drives or z[PACE] > 0):
         t = min(left, SUBSTEP_S)
         left -= SUBSTEP_S
-        side = 1.0 if math.sin(u + z[BIAS] - z[HEADING]) > 0 else -1.0
-        a, v = model.a[i] * math.exp(z[LN_A] + side * z[SIDE]), model.speed[i] * math.exp(z[LN_V])
+        a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
         wish, pull = 0.0, 0.0
         early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
         late = early * early
@@ -107,18 +106,18 @@ def _advance(model, i, z, cov, u, scale, seconds):
         z[HEADING] += turn
         for row, by in ((X, -dy), (Y, dx)):  # by the heading in the middle
             slopes[row, HEADING], slopes[row, BIAS] = 0.5 * by * (1 + keep), 0.5 * by * (1 - keep)
-            slopes[row, LN_A], slopes[row, SIDE] = by * half, by * half * side
+            slopes[row, LN_A] = by * half
         slopes[X, LN_V], slopes[Y, LN_V] = dx, dy
         slopes[X, FLOW_X] = slopes[Y, FLOW_Y] = t
         slopes[HEADING, HEADING], slopes[HEADING, BIAS] = keep - 1, 1 - keep
-        slopes[HEADING, LN_A], slopes[HEADING, SIDE] = turn, turn * side
+        slopes[HEADING, LN_A] = turn
         if model.helix > 0:
             angle = t * model.helix * math.exp(z[LN_W])
             c, s = math.cos(angle), math.sin(angle)
             z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
-            slopes[SINE, SINE], slopes[SINE, COSINE], slopes[SINE, LN_W] = c - 1, s, angle * z[COSINE]
+            slopes[SINE, SINE], slopes[SINE, COSINE] = c - 1, s
             slopes[COSINE, SINE], slopes[COSINE, COSINE] = -s, c - 1
-            slopes[COSINE, LN_W] = -angle * z[SINE]
+            slopes[SINE, LN_W], slopes[COSINE, LN_W] = angle * z[COSINE], -angle * z[SINE]
         _spread(cov, slopes)
         for k in range(SIZE):
             factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
@@ -240,9 +239,7 @@ def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
     if math.isnan(u):
         return 0.0
-    sine = math.sin(u + z[BIAS] - z[HEADING])
-    side = z[SIDE] if sine > 0 else -z[SIDE]
-    return model.a[i] * math.exp(z[LN_A] + side) * sine
+    return model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
 
 
 @compiled(**INLINE_FAST)

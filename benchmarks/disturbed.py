@@ -142,6 +142,8 @@ M = TypeVar("M", bound=Mpc)
 class Knowing(Mpc):
     """The controller that knows which of its commands arrived."""
 
+    heard: np.ndarray | None = None  # (N,) the direction that each robot received last [rad]
+
     def plan(
         self,
         observation: Observation,
@@ -149,9 +151,13 @@ class Knowing(Mpc):
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
         if last_command is not None:
-            self.estimator.sent(last_command)
-            self.estimator.predictor.recent[-1].arrived = np.array(last_command.delivered)
-        return super().plan(observation, None, earlier)
+            u = np.nan if last_command.direction is None else last_command.direction
+            before = (
+                np.full(len(last_command.delivered), np.nan) if self.heard is None else self.heard
+            )
+            self.heard = np.where(last_command.delivered, u, before)
+            last_command = replace(last_command, direction=self.heard)
+        return super().plan(observation, last_command, earlier)
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:

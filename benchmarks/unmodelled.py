@@ -3,10 +3,10 @@
     python benchmarks/unmodelled.py --trials 50                         every row, robots at 20 Hz
     python benchmarks/unmodelled.py --rows base sides --rate 5 --trials 20
 
-Robots are those of three_m3pi.yaml in the world of disturbed.py, part `hurting`. The other rows add
-a disturbance of this file. Cells are those of tetrahymena_bench.yaml (`axis`); in the other rows the
-camera shows their bodies, a is up to 50 % off, and they start at any heading. All rows have the same
-seeds. Everything is simulated. The last columns are about the estimates at the end of the trials.
+Robots are those of three_m3pi.yaml in the world of disturbed.py, part `hurting`; all rows except
+`base` add a disturbance of this file. Cells are those of tetrahymena_bench.yaml (`axis`); in the
+other rows the camera shows their bodies, a is up to 50 % off, and they start at any heading. All
+rows have the same seeds. Everything is simulated. The last columns are about the last estimates.
 """
 
 import argparse

@@ -5,10 +5,11 @@ The prediction starts at the newest frame and uses the spec's values of the moti
 that a bank of filters identifies from all frames and commands while the robots drive.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
-from tetractl.control.filter import FilterBank, Prior, nothing
+from tetractl.control.filter import FilterBank
+from tetractl.control.prior import Prior, nothing
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError

@@ -44,19 +44,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import Estimate, Problem
+from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
 GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
 FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
 REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
 UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
-OWN, OWN_S = (
-    0.1,
-    0.06,
-)  # probability that a robot's dead time is its own; its standard deviation [s]
+OWN = 0.1  # probability that a robot's dead time differs from the others'
+OWN_S = 0.06  # standard deviation of such a difference [s]
 KEPT = 64  # number of commands kept after they have acted
 POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
 HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
@@ -71,52 +70,6 @@ PITCH_STD, PITCH_DRIFT = 0.15, 0.01  # deviation of ln of each, and its random w
 SAME_PITCH = 0.05  # distance of ln frequencies below which they are the same
 LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
 SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
-
-
-class Prior(NamedTuple):
-    """The prior on N robots: means and standard deviations.
-
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
-    time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
-    0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
-    measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
-    radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for robots
-    without wheels.
-    """
-
-    a: Floats
-    speed: Floats
-    dead_time: float
-    a_std: float
-    speed_std: float
-    dead_time_std: float
-    heading_bias_std: float
-    marker_bias_std: float = 0.0
-    flow_std: float = 0.0
-    position_noise: float = 0.0
-    heading_noise: float = 0.0
-    helix_frequency: float = 0.0
-    helix_radius: float = 0.0
-    lag: float = 0.0
-
-    @property
-    def certain(self) -> bool:
-        """Whether nothing is to be identified."""
-        return self.dead_time_std == 0
-
-    def estimate(self) -> Estimate:
-        """Return the prior's means as an estimate, with absolute standard deviations."""
-        std = math.hypot(self.heading_bias_std, self.marker_bias_std)
-        return Estimate(
-            a=self.a,
-            a_std=self.a_std * self.a,
-            speed=self.speed,
-            speed_std=self.speed_std * self.speed,
-            heading_bias=np.zeros_like(self.a),
-            heading_bias_std=np.full_like(self.a, std),
-            dead_time=self.dead_time,
-            dead_time_std=self.dead_time_std,
-        )
 
 
 def _kernel() -> Any:
@@ -426,14 +379,9 @@ def _joined(parts: Sequence[Any]) -> Any:
     return bank
 
 
-def nothing(problem: Problem, dead_time: float) -> Prior:
-    """Return the prior of robots of which everything is known, with a dead time [s]."""
-    return Prior(problem.a, problem.speed, dead_time, *(0.0,) * 4)
-
-
 def warm_up(prior: Prior, starts: Poses) -> None:
     """Compile the functions of a filter bank, or load them from the cache."""
     bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
     for k, now in enumerate((0, round(SPACING_S * SECOND))):
         bank.seen(Observation(k, now, now, starts, valid))
-    bank.ahead(now)
+        bank.ahead(now)

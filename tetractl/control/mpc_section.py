@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveInt, model_validator
 
-from tetractl.control.filter import Prior
+from tetractl.control.prior import Prior
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.core.registries import MOTIONS, OPTIMIZERS

@@ -127,9 +127,9 @@ class Estimate:
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
     `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
-    robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is how
-    far from independent the errors of the predicted positions along and across the course and of
-    the headings are: above 1, the model does not fit at the level 0.001. None if it is not tested.
+    robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is
+    how far from independent the errors of the predictions are, in the order of TESTED: above 1, the
+    model does not fit at the level 0.001. None if it is not tested.
     """
 
     a: Floats

@@ -9,8 +9,9 @@ from oracles.filter import RobotFilter
 from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.filter import FilterBank, Prior
+from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
+from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.poses import Poses
 from tetractl.experiment.load import load_spec
@@ -195,7 +196,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag):
     )
     bank = FilterBank(prior._replace(lag=lag))
     model, made = bank._model, bank._bank
-    made = made._make(column[:1] for column in made)
+    made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     made.tau[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
     kernel.place(made, 0, 0, model, start)

@@ -147,7 +147,7 @@ def _spread(cov, slopes):
 
 @compiled(**INLINE_FAST)
 def _expected(model, i, z, slopes):
-    """Return x, y and heading that a camera would measure; `slopes` (3, SIZE) are filled."""
+    """Return the pose that a camera would measure; its slopes (3, SIZE) are filled."""
     c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
     rate = model.helix * math.exp(z[LN_W]) / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
     across = rate * z[COSINE]
@@ -199,13 +199,11 @@ def _measure(model, i, z, cov, scale, pose, found):
     slopes, before = np.zeros((3, SIZE)), z[:SIZE].copy()
     expected = _expected(model, i, z, slopes)
     c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
-    off, sure = np.empty(3), np.zeros(3)
+    off, var, sure = np.empty(3), np.empty(3), np.empty(3)
     d2 = lns = 0.0
     for j in range(3):
-        off[j] = pose[j] - expected[j]
-        if j == 2:
-            off[j] = _wrap(off[j])
-        sure[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
+        off[j] = pose[j] - expected[j] if j < 2 else _wrap(pose[j] - expected[j])
+        var[j] = sure[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
         for k in range(SIZE):
             for m in range(SIZE):
                 sure[j] += slopes[j, k] * cov[k, m] * slopes[j, m]
@@ -221,8 +219,7 @@ def _measure(model, i, z, cov, scale, pose, found):
         miss = off[j]
         for k in range(SIZE):
             miss -= slopes[j, k] * (z[k] - before[k])
-        var = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
-        total = _correct(z, cov, slopes[j], miss, var)
+        total = _correct(z, cov, slopes[j], miss, var[j])
         ln -= 0.5 * (miss * miss / total + math.log(total))
     return ln
 
@@ -257,8 +254,7 @@ def _switch(bank, model, b, i, u, step):
                 _copy(bank, b, i, best, s)
                 weight[s] = heard
             return
-    if place != best:
-        _copy(bank, b, i, best, place)
+    _copy(bank, b, i, best, place)
     weight[:FOLLOWS] += math.log(LOST)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
     changes = _rate(model, i, z, u) - _rate(model, i, z, held[best])

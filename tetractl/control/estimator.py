@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from tetractl.control.filter import FilterBank
-from tetractl.control.prior import Prior, nothing
+from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.errors import ControlError
@@ -21,9 +21,9 @@ from tetractl.core.tour import Losses, LossRule
 class StateEstimator:
     """Estimates the state and motion of the robots in one trial.
 
-    `problem` has the spec's values of turning rate a and speed; with a `prior` both are identified.
-    With `drive_first`, robots drive a square before the first plan, and identification starts when
-    the first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left
+    `problem` has the spec's values of turning rate a and speed; with an uncertain `prior` both are
+    identified. With `drive_first`, robots drive a square before the first plan, and identification
+    starts when the first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left
     out of every result.
     """
 
@@ -31,16 +31,15 @@ class StateEstimator:
         self,
         problem: Problem,
         period_s: float,
-        dead_time_s: float,
-        prior: Prior | None,
+        prior: Prior,
         drive_first: bool = False,
         loss: LossRule | None = None,
     ) -> None:
         self.problem = problem
         self.losses = Losses(loss, len(problem.a))
         self.period = round(period_s * SECOND)
-        self.filter = FilterBank(prior or nothing(problem, dead_time_s), drive_first)
-        self.estimate: Estimate | None = None if prior is None else prior.estimate()
+        self.filter = FilterBank(prior, drive_first)
+        self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
         self._newest_ns = 0
 

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveInt, model_validator
 
-from tetractl.control.prior import Prior
+from tetractl.control.prior import Prior, nothing
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
@@ -195,6 +195,12 @@ class MpcFields(ControllerSection):
         swarm = 4 * self.optimizer.evaluations_min * (length + robots)
         residuals = robots * (2 + robots // 2 + len(setup.obstacles))
         return swarm + residuals * length
+
+    def known(self, setup: Setup) -> Prior:
+        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
+        problem = self.problem(setup)
+        given = self.prior.of(problem, self.dead_time, setup)
+        return given if self.estimate else nothing(problem, self.dead_time)
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
         """Return the problem with the robots at `poses`, or at their starts."""

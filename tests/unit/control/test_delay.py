@@ -7,6 +7,7 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
+from tetractl.control.prior import nothing
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command
 from tetractl.core.poses import Observation
@@ -32,7 +33,7 @@ def drive(settings, steps, after_step):
 def estimator(dead_time):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    return problem, StateEstimator(problem, 0.2, dead_time, None)
+    return problem, StateEstimator(problem, 0.2, nothing(problem, dead_time))
 
 
 def seen(problem, at_s, **poses):

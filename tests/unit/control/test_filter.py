@@ -33,9 +33,7 @@ def know(settings=(), seconds=6, rate=5, spec=EXPERIMENT, altered=None, until=No
     plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
     plant.open()
     problem = section.problem(experiment.setup)
-    estimator = StateEstimator(
-        problem, 1 / rate, 0.0, section.prior.of(problem, 0.0, experiment.setup)
-    )
+    estimator = StateEstimator(problem, 1 / rate, section.prior.of(problem, 0.0, experiment.setup))
     knots = np.random.default_rng(1).uniform(-2, 2, 2 * seconds + 2)
     last, command = None, None
     for k in range(seconds * rate):

@@ -20,6 +20,7 @@ from pydantic import Field
 from tetractl.control.cost import evaluate
 from tetractl.control.detour import best_stop
 from tetractl.control.estimator import StateEstimator
+from tetractl.control.filter import warm_up
 from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
 from tetractl.control.prior import nothing
 from tetractl.control.rng import mix, uniform
@@ -81,6 +82,10 @@ class RrtSection(ControllerSection):
     ) -> "Rrt":
         """Return the controller of one trial."""
         return Rrt(self, setup, key)
+
+    def warm_up(self, setup: Setup) -> None:
+        """Compile the prediction over the dead time."""
+        warm_up(nothing(self.problem(setup), self.dead_time), setup.starts)
 
 
 class Rrt:

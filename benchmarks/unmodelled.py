@@ -1,4 +1,4 @@
-"""Measure the closed loop in worlds that the motion model (1)-(3) leaves out.
+"""Measure the closed loop under disturbances that the motion model (1)-(3) leaves out.
 
     python benchmarks/unmodelled.py --trials 50                         every row, robots at 20 Hz
     python benchmarks/unmodelled.py --rows base sides --rate 5 --trials 20

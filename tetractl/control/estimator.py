@@ -23,8 +23,8 @@ class StateEstimator:
 
     `problem` has the spec's values of turning rate a and speed; with an uncertain `prior` both are
     identified. With `drive_first`, robots drive a square before the first plan, and identification
-    starts when the first direction acts. Robots that the `loss` rule counts as lost (`losses.lost`) are left
-    out of every result.
+    starts when the first direction acts. Robots that the `loss` rule counts as lost
+    (`losses.lost`) are left out of every result.
     """
 
     def __init__(

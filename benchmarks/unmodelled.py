@@ -11,6 +11,7 @@ rows have the same seeds. Everything is simulated. The last columns are about th
 
 import argparse
 import json
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -44,10 +45,7 @@ class Late(Disturbance):
 
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         before = 0 if command.late_ns is None else command.late_ns
-        return DelayedCommand(
-            **{name: getattr(command, name) for name in command.__slots__}
-            | {"late_ns": before + self.late_ns}
-        )
+        return replace(command, late_ns=before + self.late_ns)
 
 
 class Sides(Disturbance):
@@ -86,8 +84,13 @@ class Unmodelled(DisturbanceSection):
 
 
 ROBOTS = ("base", "late", "sides", "slide")
-BODIES = {"body": (8, 1.5), "fast": (8, 2.5), "small": (5, 1.2), "no-helix": (0, 1)}
+BODIES = {"body": (8, 1.5), "fast": (8, 2.5), "no-helix": (0, 1)}
 """Radius [um] and frequency [Hz] of the helix of cells whose bodies the camera shows."""
+HEAD = (
+    "| row | total error [mm or um], mean and 95 % interval | median / worst "
+    "| above 20 / 30 / 100 [%] | trial [s] | a, speed within 2 sigma | a off, claimed, rms [%] "
+    "| dead time, its sigma [ms] | step p50 [ms] |"
+)
 ROWS = (*ROBOTS, "axis", *BODIES)
 
 
@@ -125,6 +128,7 @@ def report(name: str, spec: Experiment, trials: int) -> None:
     (described,) = distributions(errors[None], 30.0)
     low, high = described.ci95.low, described.ci95.high
     above = " / ".join(f"{100 * np.mean(errors > bound):.0f}" for bound in (20, 30, 100))
+    dead = np.mean([(one.dead_time, one.dead_time_std) for one, _ in ends], axis=0)
     held = np.abs(off) <= 2 * claimed
     cells = (
         name,
@@ -134,10 +138,7 @@ def report(name: str, spec: Experiment, trials: int) -> None:
         f"{np.mean([one.duration_s for one in results]):.1f}",
         f"{held.sum()} of {held.size}, {np.sum(np.abs(fast) <= 2)}",
         f"{100 * np.sqrt(np.mean(off**2)):.1f} / {100 * np.sqrt(np.mean(claimed**2)):.1f}",
-        " ".join(
-            f"{1e3 * np.mean(part):.1f}"
-            for part in zip(*((one.dead_time, one.dead_time_std) for one, _ in ends), strict=True)
-        ),
+        " ".join(f"{1e3 * one:.1f}" for one in dead),
         f"{np.median(np.concatenate([one.solve_ns[1:] for one in results])) / 1e6:.1f}",
     )
     print(f"| {' | '.join(cells)} |", flush=True)
@@ -151,18 +152,7 @@ def main() -> None:
     parser.add_argument("--set", action="append", default=[], help="a setting of every spec")
     chosen = parser.parse_args()
     print(f"Simulated, {chosen.trials} trials a row. {load()}.\n")
-    head = (
-        "world",
-        "total error [mm or um], mean and 95 % interval",
-        "median / worst",
-        "above 20 / 30 / 100 [%]",
-        "trial [s]",
-        "a, speed within 2 sigma",
-        "a off, claimed, rms [%]",
-        "dead time, its sigma [ms]",
-        "step p50 [ms]",
-    )
-    print(f"| {' | '.join(head)} |\n|{'---|' * len(head)}")
+    print(HEAD + "\n" + "|---" * (HEAD.count("|") - 1) + "|")
     for name in chosen.rows:
         progress(name)
         report(name, spec_of(name, chosen.rate, *chosen.set), chosen.trials)

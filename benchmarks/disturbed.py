@@ -15,10 +15,10 @@ perfect knowledge.
 """
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from solverbench.problems import OURS, PAPER
@@ -26,14 +26,16 @@ from solverbench.problems import experiment as load_experiment
 from solverbench.report import load, progress
 
 from tetractl.control.build import build_controller
+from tetractl.control.filter import Ahead, FilterBank
 from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import MpcFields
+from tetractl.control.prior import nothing
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Verdict
-from tetractl.core.plan import End, Outcome, Plan
-from tetractl.core.poses import Observation
+from tetractl.core.plan import Problem
+from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Controller, LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
@@ -139,19 +141,42 @@ HURTING: list[Row] = [
 M = TypeVar("M", bound=Mpc)
 
 
+class Heard:
+    """A bank of filters for each robot, which is given only the commands that the robot heard."""
+
+    def __init__(self, problem: Problem, dead_time_s: float) -> None:
+        each = (problem.only(one) for one in np.eye(len(problem.a), dtype=np.bool_))
+        self.banks = [FilterBank(nothing(one, dead_time_s)) for one in each]
+
+    def sent(self, command: Command) -> None:
+        for bank, heard in zip(self.banks, command.delivered, strict=True):
+            if heard:
+                bank.sent(command)
+
+    def seen(self, seen: Observation, earlier: Sequence[Observation] = ()) -> None:
+        rows = zip(self.banks, seen.poses.array()[:, None], seen.valid[:, None], strict=True)
+        for bank, pose, valid in rows:
+            bank.seen(replace(seen, poses=Poses.of(pose), valid=valid))
+
+    def restart(self, robots: Iterable[int]) -> None:
+        pass
+
+    def dead_times(self) -> tuple[np.ndarray, np.ndarray]:
+        return self.banks[0].dead_times()
+
+    def ahead(self, sent: int) -> Ahead:
+        poses, *others = zip(*(bank.ahead(sent) for bank in self.banks), strict=True)
+        together = (np.concatenate(one) for one in others)
+        return Ahead(Poses.of(np.vstack([one.array() for one in poses])), *together)
+
+
 class Knowing(Mpc):
     """The controller that knows which of its commands arrived."""
 
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
-        if last_command is not None:
-            self.estimator.sent(last_command)
-            self.estimator.predictor.recent[-1].arrived = np.array(last_command.delivered)
-        return super().plan(observation, None, earlier)
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
+        self.heard = Heard(self.estimator.problem, self.section.dead_time)
+        self.estimator.filter = self.heard  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:

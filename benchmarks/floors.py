@@ -62,6 +62,8 @@ class Seeing(Knowing):
             "speed": np.where(stands, self.plant.speed, speed),
         }
         self.estimator.problem = replace(self.estimator.problem, **rates)
+        for i, bank in enumerate(self.heard.banks):
+            bank._model.a[:], bank._model.speed[:] = rates["a"][i], rates["speed"][i]
         now = self.plant.clock.now()
         every = np.ones_like(observation.valid)
         true = {"poses": self.plant.poses, "valid": every, "sampled_ns": now, "received_ns": now}

@@ -17,6 +17,7 @@ from tetractl.control.kernels.filter import (
     HEADING,
     LN_A,
     LN_V,
+    LN_W,
     MARKER,
     PACE,
     SINE,
@@ -88,14 +89,18 @@ class RobotFilter:
             jacobian[X, LN_V], jacobian[Y, LN_V] = way
             jacobian[X, FLOW_X] = jacobian[Y, FLOW_Y] = t
             jacobian[HEADING, [HEADING, LN_A, BIAS]] = keep, turn, 1 - keep
-            c, s = math.cos(self.helix * t), math.sin(self.helix * t)
-            jacobian[SINE, [SINE, COSINE]] = c, s
-            jacobian[COSINE, [SINE, COSINE]] = -s, c
+            angle = self.helix * math.exp(z[LN_W]) * t
+            turned = np.array(
+                [[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]]
+            )
+            helix = turned @ z[[SINE, COSINE]]
+            jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] = turned
+            jacobian[SINE, LN_W], jacobian[COSINE, LN_W] = angle * helix[1], -angle * helix[0]
             moved = z.copy()
             moved[[X, Y]] += way + t * z[[FLOW_X, FLOW_Y]]
             moved[HEADING] += turn
             moved[SWING], moved[PACE] = swing, pace
-            moved[[SINE, COSINE]] = jacobian[np.ix_([SINE, COSINE], [SINE, COSINE])] @ z[[9, 10]]
+            moved[[SINE, COSINE]] = helix
             walk = self.walk**2 * t
             walk[[X, Y, HEADING]] *= self.scale[[0, 0, 1]]
             one.z, one.cov = moved, jacobian @ one.cov @ jacobian.T + np.diag(walk)
@@ -111,11 +116,14 @@ class RobotFilter:
     def rows(self, z: Floats) -> tuple[Floats, Floats]:
         """Return what a camera would measure (3,), and how it depends on the state (3, SIZE)."""
         c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
-        rate = self.helix / (self.v * math.exp(z[LN_V]))
-        h = np.zeros((3, SIZE))
+        rate = self.helix * math.exp(z[LN_W]) / (self.v * math.exp(z[LN_V]))
+        across, h = rate * z[COSINE], np.zeros((3, SIZE))
         h[0, X] = h[1, Y] = h[2, HEADING] = h[2, MARKER] = 1.0
-        h[0, SINE], h[1, SINE], h[2, COSINE] = -s, c, rate
-        return h @ z[:SIZE], h
+        h[0, SINE], h[1, SINE] = -s, c
+        h[0, HEADING], h[1, HEADING] = -c * z[SINE], -s * z[SINE]
+        h[2, [COSINE, LN_W, LN_V]] = np.array([rate, across, -across]) / (1 + across**2)
+        tilted = z[HEADING] + z[MARKER] + math.atan(across)
+        return np.array([z[X] - s * z[SINE], z[Y] + c * z[SINE], tilted]), h
 
     def measure(self, one: Hypothesis, pose: Floats) -> tuple[float, Floats]:
         """Update by x, y and heading in turn; return ln of the likelihood, and mean squares."""
@@ -128,10 +136,9 @@ class RobotFilter:
         means = np.array([squares[:2].mean(), squares[2]])
         if squares.sum() > kernel.GATE:
             return -(kernel.GATE + np.log(sure).sum()) / 2, means
-        total = 0.0
+        total, before = 0.0, one.z[:SIZE].copy()
         for j in range(3):  # each number with the slopes of before the first
-            miss = pose[j] - h[j] @ one.z[:SIZE]
-            miss = wrap(np.array(miss)) if j == 2 else miss
+            miss = off[j] - h[j] @ (one.z[:SIZE] - before)
             s = h[j] @ one.cov @ h[j] + var[j]
             gain = one.cov @ h[j] / s
             one.z[:SIZE] += gain * miss

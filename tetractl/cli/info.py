@@ -123,6 +123,8 @@ def _estimate(found: "Overview") -> dict[str, str]:
         lines[name] = ", ".join(parts)
     if estimate.dead_time is not None and estimate.dead_time_std is not None:
         lines["dead time"] = f"{_deviating(estimate.dead_time, estimate.dead_time_std)} s"
+    if unfit := estimate.unfit(names):
+        lines["the model does not fit"] = ", ".join(sorted(unfit))
     return lines
 
 

@@ -2,18 +2,18 @@
 
 Each robot i has a state that a Kalman filter follows from frame to frame: the position (x, y) and
 the heading theta of its course, its turning rate a and speed v, a turn bias beta, a marker bias m
-that is added to the measured heading, the flow (f_x, f_y) that carries the robot and, for a cell
-that swims on a helix of angular frequency w, its sideways swing as sine p and cosine q. Under a
-direction u
+that is added to the measured heading, the flow (f_x, f_y) that carries the robot, or with which it
+slides, and, for a cell that swims on a helix of angular frequency w, its sideways swing as sine p
+and cosine q. Under a direction u
 
     dx/dt = v cos theta + f_x,  dy/dt = v sin theta + f_y,  dtheta/dt = a sin(u + beta - theta),
     dp/dt = w q,  dq/dt = -w p,
 
 and a camera measures, each with its noise,
 
-    x - p sin theta,  y + p cos theta,  theta + m + w q / v.
+    x - p sin theta,  y + p cos theta,  theta + m + atan(w q / v).
 
-The state has the logarithms of a and v, and all parameters drift as random walks, so that old
+The state has the logarithms of a, v and w, and all parameters drift as random walks, so that old
 measurements lose their weight.
 
 A robot may not follow the latest direction. Its hypotheses, each with a filter and a weight, are
@@ -21,13 +21,21 @@ that it follows the latest direction, that it follows one of the two directions 
 later ones were lost, and that it is stuck and stands still. A pose that fits no hypothesis is an
 outlier; after some time without a fit, the filter restarts from the camera's pose.
 
-The dead time tau, from the sending of a direction to the moment when it acts, is the same for all
-robots. A bank has one filter for each tau of a grid, weighted by its likelihood; the grid is
-refined around likely values. The filter uses frames about 30 ms apart, and each control step's
-newest frame: wheels whose lag is not given respond over tens of milliseconds, and at shorter
-intervals the start of the response would bias dead time and turning rate to smaller values. If the
-lag T is given, turning rate and speed approach the commanded ones with the time constant T, and the
-direction acts on the heading theta + T dtheta/dt, in which the robot would come to rest.
+Each robot has a bank of filters, one for each dead time tau of a grid, from the sending of a
+direction to the moment when it acts, weighted by its likelihood; the grid is refined around likely
+values. Most probably all robots have the same dead time, so that each robot's frames tell that of
+the others too (`_shared`). For cells, the bank also has several frequencies w to start from. The
+filter uses frames about 30 ms apart, and each control step's newest frame: wheels whose lag is not
+given respond over tens of milliseconds, and at shorter intervals the start of the response would
+bias dead time and turning rate to smaller values. If the lag T is given, turning rate and speed
+approach the commanded ones with the time constant T, and the direction acts on the heading
+theta + T dtheta/dt, in which the robot would come to rest.
+
+If the model is right, what a frame shows beyond the prediction is independent of the frames before.
+Sums over blocks of frames test this, and standard deviations grow by what they are found to be.
+
+A prior without uncertainty identifies nothing: each frame's poses are taken as they are, and only
+the prediction over the dead time remains.
 """
 
 import math
@@ -36,7 +44,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.control.delay import Held
+from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.plan import Estimate
@@ -46,55 +54,22 @@ GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
 FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
 REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
 UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
+OWN = 0.1  # probability that a robot's dead time differs from the others'
+OWN_S = 0.06  # standard deviation of such a difference [s]
 KEPT = 64  # number of commands kept after they have acted
 POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
 HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
 SLIP = 0.02  # random walk of the position, over the speed [sqrt(s)]
 WALK = 0.1  # initial random walk of the heading [rad/sqrt(s)]
-DRIFTS = (0.01, 0.005, 0.005, 0.002)  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
+DRIFT = 0.01, 0.005, 0.005, 0.002  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
 SPACING_S = 0.03  # least time between two frames used [s]
 FLOW_DRIFT = 0.05  # random walk of the flow, over its prior deviation [1/sqrt(s)]
-
-
-class Prior(NamedTuple):
-    """The prior on N robots: means and standard deviations.
-
-    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
-    time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
-    0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
-    measurement, 0 if unknown. The helix has a frequency [Hz] and a radius [length unit], which is 0
-    if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for robots
-    without wheels.
-    """
-
-    a: Floats
-    speed: Floats
-    dead_time: float
-    a_std: float
-    speed_std: float
-    dead_time_std: float
-    heading_bias_std: float
-    marker_bias_std: float = 0.0
-    flow_std: float = 0.0
-    position_noise: float = 0.0
-    heading_noise: float = 0.0
-    helix_frequency: float = 0.0
-    helix_radius: float = 0.0
-    lag: float = 0.0
-
-    def estimate(self) -> Estimate:
-        """Return the prior's means as an estimate, with absolute standard deviations."""
-        std = math.hypot(self.heading_bias_std, self.marker_bias_std)
-        return Estimate(
-            a=self.a,
-            a_std=self.a_std * self.a,
-            speed=self.speed,
-            speed_std=self.speed_std * self.speed,
-            heading_bias=np.zeros_like(self.a),
-            heading_bias_std=np.full_like(self.a, std),
-            dead_time=self.dead_time,
-            dead_time_std=self.dead_time_std,
-        )
+HELIX_DRIFT = 0.1  # random walk of the helix's sine and cosine, over its radius [1/sqrt(s)]
+PITCHES = 0.5, 0.75, 1.0, 1.4  # frequencies of the helix to start from, over the usual one
+PITCH_STD, PITCH_DRIFT = 0.15, 0.01  # deviation of ln of each, and its random walk [1/sqrt(s)]
+SAME_PITCH = 0.05  # distance of ln frequencies below which they are the same
+LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
+SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
 
 
 def _kernel() -> Any:
@@ -106,8 +81,21 @@ def _kernel() -> Any:
     return kernel
 
 
+class Ahead(NamedTuple):
+    """N robots at the moments when the next command acts on each: their poses, turning rates a,
+    speeds and turn biases (N,), flow (N, 2), and the directions that they follow (N,) [rad], NaN
+    for a robot that stands."""
+
+    poses: Poses
+    a: Floats
+    speed: Floats
+    bias: Floats
+    flow: Floats
+    held: Floats
+
+
 class FilterBank:
-    """The bank of filters that identifies N robots during one trial.
+    """The banks of filters that identify N robots during one trial.
 
     With `drive_first`, robots drive a square before the first plan, and the filters start when the
     first direction acts.
@@ -116,60 +104,62 @@ class FilterBank:
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
         kernel = _kernel()
         self.prior = prior
-        self._drive_first = drive_first
-        count = len(prior.a)
+        count, helix = len(prior.a), prior.helix_radius > 0
         noise = np.empty((3, count))
         noise[:2] = prior.position_noise or POSITION_NOISE_S * np.maximum(prior.speed, 1e-9)
         noise[2] = prior.heading_noise or HEADING_NOISE
-        walk = np.zeros((kernel.SIZE, count))
+        self._std, walk = np.zeros((2, kernel.SIZE, count))
         walk[:2], walk[2] = SLIP * prior.speed, WALK
-        walk[3:7] = np.array(DRIFTS)[:, None]
-        walk[5] *= prior.heading_bias_std > 0
-        walk[6] *= prior.marker_bias_std > 0
-        walk[7:9] = FLOW_DRIFT * prior.flow_std
-        walk[9:11] = 0.1 * prior.helix_radius
-        helix = 2 * math.pi * prior.helix_frequency if prior.helix_radius > 0 else 0.0
-        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, helix, prior.lag)
+        for k, std, drift in (
+            (kernel.LN_A, prior.a_std, DRIFT[0]),
+            (kernel.LN_V, prior.speed_std, DRIFT[1]),
+            (kernel.BIAS, prior.heading_bias_std, DRIFT[2]),
+            (kernel.MARKER, prior.marker_bias_std, DRIFT[3]),
+            (kernel.FLOW_X, prior.flow_std, FLOW_DRIFT * prior.flow_std),
+            (kernel.FLOW_Y, prior.flow_std, FLOW_DRIFT * prior.flow_std),
+            (kernel.SINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
+            (kernel.COSINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
+            (kernel.LN_W, PITCH_STD * helix, PITCH_DRIFT),
+        ):
+            self._std[k], walk[k] = std, drift * (std > 0)
+        turns = 2 * math.pi * prior.helix_frequency * helix
+        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, turns, prior.lag)
         self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
         self._from_ns: int | None = None if drive_first else 0
         self._turning = False  # whether robots have turned on the spot since the last direction
         self._noisy = False  # whether standing robots were measured at different poses
-        low = max(0.0, prior.dead_time - REACH * prior.dead_time_std)
-        high = prior.dead_time + REACH * prior.dead_time_std
-        tau = np.arange(low, high + 1e-9, GRID_STEP_S)
-        self._step = GRID_STEP_S
-        self._bank = self._first_bank(tau)
+        reach = REACH * prior.dead_time_std
+        low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
+        self._tau = np.arange(low, high + 1e-9, GRID_STEP_S)  # dead times to start from [s]
+        self._steps = np.full(count, GRID_STEP_S)  # spacing of each robot's dead times [s]
+        self._bank = self._first_bank()
+        self._shared()
 
-    def _first_bank(self, tau: Floats):
-        kernel, prior, count = _kernel(), self.prior, len(self.prior.a)
-        size, slots = kernel.SIZE, kernel.SLOTS
-        state = np.zeros((len(tau), count, slots, kernel.STATE))
-        deviations = np.zeros(size)
-        deviations[3:9] = (
-            prior.a_std,
-            prior.speed_std,
-            prior.heading_bias_std,
-            prior.marker_bias_std,
-            prior.flow_std,
-            prior.flow_std,
-        )
-        deviations[9:11] = prior.helix_radius / math.sqrt(2)
-        cov = np.zeros((len(tau), count, slots, size, size))
-        cov[..., range(size), range(size)] = deviations**2
-        weight = np.full((len(tau), count, slots), -np.inf)
+    def _first_bank(self) -> Any:
+        kernel, count, tau = _kernel(), len(self.prior.a), self._tau
+        pitches = np.log(PITCHES) if self._model.helix > 0 else np.zeros(1)
+        pitch = np.repeat(np.arange(len(pitches)), len(tau))
+        total = len(pitch)
+        state = np.zeros((total, count, kernel.SLOTS, kernel.STATE))
+        state[..., kernel.LN_W] = pitches[pitch, None, None]
+        cov = np.zeros((total, count, kernel.SLOTS, kernel.SIZE, kernel.SIZE))
+        cov[..., range(kernel.SIZE), range(kernel.SIZE)] = self._std.T[:, None] ** 2
+        weight = np.full((total, count, kernel.SLOTS), -np.inf)
         weight[..., 0] = 0.0
         return kernel.Bank(
             state,
             cov,
-            np.full((len(tau), count, slots), np.nan),
+            np.full(weight.shape, np.nan),
             weight,
-            np.ones((len(tau), count, 2)),
-            np.zeros((len(tau), count)),
-            tau,
-            -(((tau - prior.dead_time) / prior.dead_time_std) ** 2) / 2,
-            np.zeros(len(tau), dtype=np.int64),
+            np.ones((total, count, 2)),
+            np.zeros((total, count)),
+            np.zeros((total, count, 2, 4)),
+            np.tile(tau, len(pitches))[:, None].repeat(count, 1),
+            np.zeros((total, count)),
+            np.zeros((total, count), dtype=np.int64),
+            pitch[:, None].repeat(count, 1),
         )
 
     def sent(self, command: Command) -> None:
@@ -192,44 +182,49 @@ class FilterBank:
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
         """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
         the frame `observation`."""
+        certain = self.prior.certain
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
-            if self._last is not None and frame.sampled_ns < self._last.sampled_ns + least:
+            if self._last and not certain and frame.sampled_ns < self._last.sampled_ns + least:
                 continue
-            since = None if self._turning else self._from_ns
+            since = None if self._turning or certain else self._from_ns
             if self._last is None or since is None or frame.sampled_ns < since:
                 self._place(frame)
             else:
                 self._follow(frame)
             self._last = frame
-        self._select()
+        if not certain:
+            self._select()
+            self._shared()
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
-        for i in robots:
+        kept, fresh = (self._parts(one) for one in (self._bank, self._first_bank()))
+        if replaced := set(robots):
             assert self._last is not None, "a robot can be replaced only after a frame"
-            first = self._first_bank(self._bank.tau)
-            for column, fresh in zip(self._bank[:6], first[:6], strict=True):
-                column[:, i] = fresh[:, i]
-            for b, following in enumerate(self._bank.next):
-                if following:
-                    self._bank.u[b, i] = self._u[following - 1]
-                _kernel().place(self._bank, b, i, self._model, self._last.poses.array()[i])
+            self._steps[list(replaced)] = GRID_STEP_S
+            parts = [(fresh if i in replaced else kept)[i] for i in range(len(kept))]
+            self._bank = _joined(parts)
+            self._place(self._last, replaced)
+            self._shared()
 
-    def _place(self, frame: Observation) -> None:
+    def _parts(self, bank: Any) -> list[Any]:
+        """Return a bank's filters for each robot by itself."""
+        there = [np.flatnonzero(score > -np.inf) for score in bank.score.T]
+        return [_part(bank, i, which) for i, which in enumerate(there)]
+
+    def _place(self, frame: Observation, robots: Iterable[int] | None = None) -> None:
         """Set the poses to those of a frame, and let robots follow the last command that acts at
         or before the frame's exposure.
         """
-        now, bank = frame.sampled_ns / SECOND, self._bank
-        for i in range(len(self.prior.a)):
-            pose = frame.poses.array()[i]
+        bank, poses = self._bank, frame.poses.array()
+        acting = np.searchsorted(self._when, frame.sampled_ns / SECOND - bank.tau, "right")
+        for i in range(len(poses)) if robots is None else robots:
             for b in range(len(bank.tau)):
-                _kernel().place(bank, b, i, self._model, pose)
-        for b, tau in enumerate(bank.tau):
-            acting = np.flatnonzero(self._when + tau <= now)
-            if len(acting):
-                bank.next[b] = acting[-1] + 1
-                bank.u[b] = self._u[acting[-1]]
+                _kernel().place(bank, b, i, self._model, poses[i])
+                if acting[b, i]:
+                    bank.next[b, i] = acting[b, i]
+                    bank.u[b, i] = self._u[acting[b, i] - 1]
 
     def _follow(self, frame: Observation) -> None:
         assert self._last is not None
@@ -242,111 +237,146 @@ class FilterBank:
         seen = frame.valid & ~(same & (self._noisy | frozen))
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
         _kernel().follow(
-            self._bank, self._model, self._step, since, until, self._when, self._u, now, seen
+            self._bank,
+            self._model,
+            float(self._steps.max()),
+            since,
+            until,
+            self._when,
+            self._u,
+            now,
+            seen,
         )
+
+    def _shared(self) -> None:
+        """Compute the ln of each filter's probability (B, N), up to a constant, by its own frames
+        and by what those of the other robots tell of the common dead time."""
+        bank, prior = self._bank, self.prior
+        times = np.arange(0, float(bank.tau.max()) + FINEST_S, FINEST_S / 2)
+        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, FINEST_S) / 2
+        near = (1 - OWN) * np.exp(-((gaps / width) ** 2) / 2) / width
+        near += OWN * np.exp(-((gaps / OWN_S) ** 2) / 2) / OWN_S
+        ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
+        every = ln.sum(axis=1)
+        every -= ((times - prior.dead_time) / (prior.dead_time_std or 1.0)) ** 2 / 2
+        others = every[:, None] - ln
+        told = (near * np.exp(others - others.max(axis=0))[:, None]).sum(axis=0)
+        self._score = bank.score + np.log(told + 1e-300)
 
     def _select(self) -> None:
-        """Drop dead times that are unlikely, and refine the grid around those that are likely."""
-        bank = self._bank
-        score, best = bank.score, int(np.argmax(bank.score))
-        kept = np.flatnonzero(score >= score[best] - UNLIKELY)
-        low, high = max(0, min(kept[0], best - 1)), min(len(score) - 1, max(kept[-1], best + 1))
-        if high - low + 1 < len(score):
-            bank = self._bank = bank._make(column[low : high + 1] for column in bank)
-            best -= low
-        count = len(bank.tau)
-        if count > 3 or self._when.size == 0:
-            return
-        finer = self._step > FINEST_S and count == 3
-        if finer:
-            self._step /= 2
-        elif 0 < best < count - 1 or (best == 0 and bank.tau[0] == 0 and count > 1):
-            return
-        center = bank.tau[best]
-        tau = center + self._step * np.arange(-1, 2)
-        tau = np.maximum(tau, 0.0)
-        tau = np.unique(tau)
-        self._bank = self._around(best, tau)
+        """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
+        self._shared()
+        parts = [self._selected(part, i) for i, part in enumerate(self._parts(self._bank))]
+        self._bank = _joined(parts)
 
-    def _around(self, best: int, tau: Floats):
-        """Return a bank with the dead times `tau` [s]. Each filter is a copy of the filter
-        with the nearest dead time in the present bank.
-        """
-        bank = self._bank
-        source = [int(np.argmin(np.abs(bank.tau - one))) for one in tau]
-        made = bank._make(np.ascontiguousarray(column[source]) for column in bank)
-        made.score[:] = np.interp(tau, bank.tau, bank.score)
-        return made._replace(tau=tau)
+    def _selected(self, part: Any, i: int) -> Any:
+        """Return the filters of robot i that are to go on."""
+        score = self._score[: len(part.tau), i]
+        tau, pitch = part.tau[:, 0], part.pitch[:, 0]
+        best = int(np.argmax(score))
+        kept, which = score >= score[best] - UNLIKELY, []
+        slots = np.argmax(part.weight[:, 0], axis=1)
+        reached = part.state[np.arange(len(tau)), 0, slots, _kernel().LN_W]
+        for one in np.unique(pitch[kept]):
+            group = np.flatnonzero(pitch == one)
+            top = int(np.argmax(score[group]))
+            if one != pitch[best] and abs(reached[group[top]] - reached[best]) < SAME_PITCH:
+                continue
+            likely = np.flatnonzero(kept[group])
+            which += group[max(0, min(likely[0], top - 1)) : max(likely[-1], top + 1) + 1].tolist()
+        if len(which) < len(tau):
+            part, score, tau, pitch = _part(part, 0, which), score[which], tau[which], pitch[which]
+        if len(tau) > 3 or self._when.size == 0 or (pitch != pitch[0]).any():
+            return part
+        best = int(np.argmax(score))
+        if self._steps[i] > FINEST_S and len(tau) == 3:
+            self._steps[i] /= 2
+        elif 0 < best < len(tau) - 1 or (best == 0 and tau[0] == 0 and len(tau) > 1):
+            return part
+        new = np.unique(np.maximum(tau[best] + self._steps[i] * np.arange(-1, 2), 0.0))
+        made = _part(part, 0, [int(np.argmin(np.abs(tau - one))) for one in new])
+        made.score[:, 0], made.tau[:, 0] = np.interp(new, tau, part.score[:, 0]), new
+        return made
 
-    def dead_time(self) -> tuple[float, float]:
-        """Return the dead time and its standard deviation [s]."""
-        bank = self._bank
-        weight = np.exp(bank.score - bank.score.max())
-        weight /= weight.sum()
-        mean = float(weight @ bank.tau)
-        return mean, math.sqrt(float(weight @ (bank.tau - mean) ** 2) + (self._step / 4) ** 2)
+    def dead_times(self) -> tuple[Floats, Floats]:
+        """Return each robot's dead time and its standard deviation, (N,) each [s]."""
+        if self.prior.certain:
+            return self._bank.tau[0], np.zeros(len(self.prior.a))
+        weight = np.exp(self._score - self._score.max(axis=0))
+        weight /= weight.sum(axis=0)
+        mean = (weight * self._bank.tau).sum(axis=0)
+        spread = (weight * (self._bank.tau - mean) ** 2).sum(axis=0)
+        return mean, np.sqrt(spread + (self._steps / 4) ** 2)
 
-    def _likely(self) -> tuple[int, Floats, Floats, Floats]:
-        """Return the index of the likeliest filter and, of each robot's likeliest hypothesis in it,
-        the state (N, STATE), the covariance (N, SIZE, SIZE) and the direction (N,) [rad].
-        """
-        bank = self._bank
-        best = int(np.argmax(bank.score))
-        slots = np.argmax(bank.weight[best], axis=1)
-        each = np.arange(len(slots))
-        return (
-            best,
-            bank.state[best, each, slots],
-            bank.cov[best, each, slots],
-            bank.u[best, each, slots],
-        )
+    def _likely(self) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
+        """Return the indices of each robot's likeliest filter, and of its likeliest hypothesis."""
+        best = np.argmax(self._score, axis=0), np.arange(len(self.prior.a))
+        return best, (*best, np.argmax(self._bank.weight[best], axis=1))
 
     def estimate(self) -> Estimate:
-        """Return the parameters of the robots and their standard deviations."""
-        _, z, cov, _ = self._likely()
-        std = np.sqrt(np.maximum(cov[:, range(11), range(11)], 0.0))
-        a, speed = self.prior.a * np.exp(z[:, 3]), self.prior.speed * np.exp(z[:, 4])
-        tau, tau_std = self.dead_time()
-        of_bias = cov[:, 5, 5] + cov[:, 6, 6] + 2 * cov[:, 5, 6]
+        """Return the parameters of the robots and their standard deviations, which grow by what the
+        test of the innovations finds."""
+        k, (best, each) = _kernel(), self._likely()
+        z, cov = self._bank.state[each], self._bank.cov[each]
+        blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
+        more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
+        std = (
+            np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more.max(axis=1)[:, None]
+        )
+        a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
+        tau, tau_std = self.dead_times()
+        of_bias = (cov[:, k.BIAS] + cov[:, k.MARKER])[:, [k.BIAS, k.MARKER]].sum(axis=1)
+        part = 2 / (9 * np.maximum(blocks, LEAST_BLOCKS))
+        limit = np.maximum(blocks, LEAST_BLOCKS) * (1 - part + SURE * np.sqrt(part)) ** 3
         return Estimate(
             a=a,
-            a_std=a * std[:, 3],
+            a_std=a * std[:, k.LN_A],
             speed=speed,
-            speed_std=speed * std[:, 4],
-            heading_bias=z[:, 5] + z[:, 6],
-            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)),
-            dead_time=tau,
-            dead_time_std=tau_std,
+            speed_std=speed * std[:, k.LN_V],
+            heading_bias=z[:, k.BIAS] + z[:, k.MARKER],
+            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more.max(axis=1),
+            dead_time=float(tau.mean()),
+            dead_time_std=math.sqrt(np.mean((tau_std * more.max(axis=1)) ** 2) + np.var(tau)),
+            misfit=squares / limit[:, None],
         )
 
     def course(self) -> tuple[Poses, Floats, Floats]:
         """Return position and heading of each robot's course at the last frame, the turn biases
         (N,) [rad] and the flow (N, 2) [length unit/s]."""
-        _, z, _, _ = self._likely()
-        return Poses.of(z[:, :3]), z[:, 5].copy(), z[:, 7:9].copy()
+        k, z = _kernel(), self._bank.state[self._likely()[1]]
+        return Poses.of(z[:, :3]), z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]]
 
-    def rests(self, until: int) -> Poses:
-        """Return the poses in which robots stopped at `until` [ns] would come to rest."""
-        _, z, _, _ = self._likely()
-        held = self.held(until)
-        seconds = np.array([end - begin for begin, end, _ in held]) / SECOND
-        _kernel().drive(self._model, z, np.array([u for _, _, u in held]), seconds)
-        return Poses.of(z[:, :3])
-
-    def held(self, until: int) -> list[Held]:
-        """Return the directions that act from the last frame to a time [ns], oldest first."""
+    def ahead(self, sent: int) -> Ahead:
+        """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
         assert self._last is not None
-        best, _, _, u = self._likely()
-        stuck = np.argmax(self._bank.weight[best], axis=1) == _kernel().STUCK
-        tau, begin, found = self.dead_time()[0], self._last.sampled_ns, []
-        for when, direction in zip(self._when, self._u, strict=True):
-            acts = round((when + tau) * SECOND)
-            if acts <= self._last.sampled_ns or acts > until:
-                continue
-            found.append((begin, acts, u))
-            begin, u = acts, np.where(stuck, np.nan, direction)
-        found.append((begin, until, u))
-        return found
+        k, (_, each) = _kernel(), self._likely()
+        z, now = self._bank.state[each], self._bank.u[each]
+        begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
+        until = np.maximum(sent / SECOND + tau, begin)
+        acts = self._when[:, None] + tau
+        stuck = each[2] == k.STUCK
+        u = np.where((acts <= begin) | stuck, now, self._u[:, None])
+        u, ends = np.vstack([now, u]), np.vstack([acts, until])
+        seconds = np.diff(np.clip(ends, begin, until), axis=0, prepend=begin)
+        held = u[(acts <= until + 1e-9).sum(axis=0), np.arange(len(tau))]
+        k.drive(self._model, z, u, seconds)
+        a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
+        return Ahead(Poses.of(z[:, :3]), a, speed, z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]], held)
+
+
+def _part(bank: Any, i: int, which: Any) -> Any:
+    """Return the filters `which` of robot i."""
+    return bank._make(column[which, i : i + 1] for column in bank)
+
+
+def _joined(parts: Sequence[Any]) -> Any:
+    """Return a bank of the filters of all robots, filled up to the same number."""
+    most = max(len(part.tau) for part in parts)
+    filled = [_part(part, 0, np.minimum(np.arange(most), len(part.tau) - 1)) for part in parts]
+    bank = parts[0]._make(np.concatenate(columns, axis=1) for columns in zip(*filled, strict=True))
+    for i, part in enumerate(parts):
+        bank.score[len(part.tau) :, i] = -np.inf
+    return bank
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:
@@ -354,3 +384,4 @@ def warm_up(prior: Prior, starts: Poses) -> None:
     bank, valid = FilterBank(prior), np.ones(len(prior.a), dtype=np.bool_)
     for k, now in enumerate((0, round(SPACING_S * SECOND))):
         bank.seen(Observation(k, now, now, starts, valid))
+        bank.ahead(now)

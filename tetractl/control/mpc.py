@@ -81,13 +81,10 @@ class Mpc:
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
         self.section = section
-        problem, dead_time_s = section.problem(setup), section.dead_time
-        prior = section.prior.of(problem, dead_time_s, setup.lag_s) if section.estimate else None
+        problem, prior = section.problem(setup), section.known(setup)
         square = isinstance(section.first_plan, Square)
         self.setup, self.legs, self.leg = setup, setup.legs, 0
-        self.estimator = StateEstimator(
-            problem, section.period, dead_time_s, prior, square, setup.loss
-        )
+        self.estimator = StateEstimator(problem, section.period, prior, square, setup.loss)
         self.hold, self.stands = setup.hold, setup.wheel_radius is not None
         self.held: tuple[int, Outcome] | None = None  # start of the hold [ns], and its outcome
         self._begin_leg()
@@ -392,9 +389,8 @@ class MpcSection(MpcFields):
 
     def warm_up(self, setup: Setup) -> None:
         """Call the planner's functions once so that they are compiled: search for one signal,
-        predict the robots' paths under it and, if `estimate`, identify robots from a few frames."""
+        predict the robots' paths under it, and follow robots in a few frames."""
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
-        if self.estimate:
-            warm_up_filter(self.prior.of(problem, self.dead_time, setup.lag_s), setup.starts)
+        warm_up_filter(self.known(setup), setup.starts)

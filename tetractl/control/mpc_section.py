@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, PositiveInt, model_validator
 
-from tetractl.control.filter import Prior
+from tetractl.control.prior import Prior, nothing
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
@@ -15,7 +15,9 @@ from tetractl.experiment.controller import ControllerSection, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
+from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
+FLOW = 0.05  # default standard deviation of a component of the flow, over the mean speed
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
 
@@ -66,19 +68,16 @@ class PriorSection(Model):
     turns towards [rad]."""
     marker_bias: NonNegative = 0.05
     """Standard deviation of the angle between the measured heading and the course [rad]."""
-    flow: NonNegative = 0.0
-    """Standard deviation of each component of the flow that carries a robot [length unit/s]."""
+    flow: NonNegative | None = None
+    """Standard deviation of each component of the flow that carries a robot, or of its slide
+    [length unit/s]; by default a twentieth of the robots' mean speed."""
     position_noise: NonNegative = 0.0
     """Standard deviation of a measured position [length unit]; 0 if unknown."""
     heading_noise: NonNegative = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
-    helix_frequency: NonNegative = 0.0
-    """Frequency of the helix on which cells swim [Hz]."""
-    helix_radius: NonNegative = 0.0
-    """Radius of the helix on which cells swim [length unit]; 0 for no helix."""
 
-    def of(self, problem: Problem, dead_time: float, lag_s: float = 0.0) -> Prior:
-        """Return the prior of a problem's robots; `lag_s` is the lag of their wheels [s]."""
+    def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
+        """Return the prior of a problem's robots; those without wheels are taken for cells."""
         return Prior(
             a=problem.a,
             speed=problem.speed,
@@ -88,12 +87,12 @@ class PriorSection(Model):
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
             marker_bias_std=self.marker_bias,
-            flow_std=self.flow,
+            flow_std=FLOW * float(problem.speed.mean()) if self.flow is None else self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
-            helix_frequency=self.helix_frequency,
-            helix_radius=self.helix_radius,
-            lag=lag_s,
+            helix_frequency=HELIX_HZ[0],
+            helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if setup.wheel_radius is None else 0.0,
+            lag=setup.lag_s,
         )
 
 
@@ -196,6 +195,12 @@ class MpcFields(ControllerSection):
         swarm = 4 * self.optimizer.evaluations_min * (length + robots)
         residuals = robots * (2 + robots // 2 + len(setup.obstacles))
         return swarm + residuals * length
+
+    def known(self, setup: Setup) -> Prior:
+        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
+        problem = self.problem(setup)
+        given = self.prior.of(problem, self.dead_time, setup)
+        return given if self.estimate else nothing(problem, self.dead_time)
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
         """Return the problem with the robots at `poses`, or at their starts."""

@@ -20,7 +20,9 @@ from pydantic import Field
 from tetractl.control.cost import evaluate
 from tetractl.control.detour import best_stop
 from tetractl.control.estimator import StateEstimator
+from tetractl.control.filter import warm_up
 from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
+from tetractl.control.prior import nothing
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command
 from tetractl.core.plan import End, Outcome, Plan, Problem, Region
@@ -81,6 +83,10 @@ class RrtSection(ControllerSection):
         """Return the controller of one trial."""
         return Rrt(self, setup, key)
 
+    def warm_up(self, setup: Setup) -> None:
+        """Compile the prediction over the dead time."""
+        warm_up(nothing(self.problem(setup), self.dead_time), setup.starts)
+
 
 class Rrt:
     """The controller of one trial; `key` seeds all its random numbers."""
@@ -88,7 +94,9 @@ class Rrt:
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
         problem = section.problem(setup)
-        self._estimator = StateEstimator(problem, section.period, section.dead_time, None)
+        self._estimator = StateEstimator(
+            problem, section.period, nothing(problem, section.dead_time)
+        )
         radius = float(setup.speed[0] / setup.a[0])
         self._edge = section.edge * radius
         self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)

@@ -9,7 +9,9 @@ from pydantic import Field
 
 from tetractl.control.cost import evaluate
 from tetractl.control.estimator import StateEstimator
+from tetractl.control.filter import warm_up
 from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
+from tetractl.control.prior import nothing
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
@@ -52,8 +54,10 @@ class SequenceSection(ControllerSection):
         return SequenceController(self, setup, key)
 
     def warm_up(self, setup: Setup) -> None:
-        """Compile the cost by evaluating it once."""
-        evaluate(self.problem(setup), np.zeros((1, 1)))
+        """Compile the cost and the prediction over the dead time by using each once."""
+        problem = self.problem(setup)
+        evaluate(problem, np.zeros((1, 1)))
+        warm_up(nothing(problem, self.dead_time), setup.starts)
 
 
 class SequenceController:
@@ -61,8 +65,9 @@ class SequenceController:
 
     def __init__(self, section: SequenceSection, setup: Setup, key: int) -> None:
         self.section, self._key = section, key
+        problem = section.problem(setup)
         self._estimator = StateEstimator(
-            section.problem(setup), section.period, section.dead_time, None
+            problem, section.period, nothing(problem, section.dead_time)
         )
         self._k = 0
 

@@ -115,6 +115,10 @@ class Search:
     stopped: StopReason | str
 
 
+TESTED = "way along the course", "way across the course", "heading"
+"""What the columns of `Estimate.misfit` are about."""
+
+
 @dataclass(frozen=True, slots=True)
 class Estimate:
     """A controller's estimates of N robots while they move, with standard deviations, named
@@ -123,7 +127,9 @@ class Estimate:
     `a` (N,) [rad/s] and `speed` (N,) [length unit/s] are the values used for the plan.
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
     `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
-    robots. `heading_bias` and `dead_time` are None if they are not estimated.
+    robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is
+    how far from independent the errors of the predictions are, in the order of TESTED: above 1, the
+    model does not fit at the level 0.001. None if it is not tested.
     """
 
     a: Floats
@@ -134,6 +140,14 @@ class Estimate:
     heading_bias_std: Floats | None = None
     dead_time: float | None = None
     dead_time_std: float | None = None
+    misfit: Floats | None = None
+
+    def unfit(self, names: Sequence[str]) -> set[str]:
+        """Return what the model does not fit, such as "heading of red"."""
+        if self.misfit is None:
+            return set()
+        which = zip(*(each.tolist() for each in np.nonzero(self.misfit > 1)), strict=True)
+        return {f"{TESTED[j]} of {names[i]}" for i, j in which}
 
     def only(self, some: Bools) -> "Estimate":
         """Return the estimates of the robots for which `some` (N,) is true."""
@@ -145,7 +159,8 @@ class Estimate:
             None if bias is None or std is None else bias[some],
             None if std is None else std[some],
         )
-        return Estimate(*a, *speed, *kept, self.dead_time, self.dead_time_std)
+        misfit = None if self.misfit is None else self.misfit[some]
+        return Estimate(*a, *speed, *kept, self.dead_time, self.dead_time_std, misfit)
 
 
 @dataclass(frozen=True, slots=True)

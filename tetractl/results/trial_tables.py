@@ -90,6 +90,7 @@ def estimates(log: TrialLog) -> Table:
         "heading_bias_std_rad": "heading_bias_std",
         "dead_time_s": "dead_time",
         "dead_time_std_s": "dead_time_std",
+        "misfit": "misfit",
     }
     columns: dict[str, list[Any]] = {name: [] for name in ("k", "time_s", "robot", *of)}
     for step in log.steps:
@@ -102,7 +103,7 @@ def estimates(log: TrialLog) -> Table:
             for column, name in of.items():
                 value = getattr(found, name)
                 one = value[i] if isinstance(value, np.ndarray) else value
-                columns[column].append(None if one is None else float(one))
+                columns[column].append(None if one is None else float(np.max(one)))
     return _table("estimates", columns)
 
 

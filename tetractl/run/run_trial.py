@@ -47,6 +47,7 @@ class Trial:
     _tour: TourMeasure = field(init=False)
     # frames newer than the frame of the last step
     _between: list[Observation] = field(default_factory=list)
+    _unfit: set[str] = field(default_factory=set)  # what the controller's model does not fit
 
     def __post_init__(self) -> None:
         setup = self.start.setup
@@ -120,6 +121,7 @@ class Trial:
             step = Step(k, observation, decision, command, self._solving_ns, missed)
             for observer in self.observers:
                 observer.on_step(step)
+            self._tell_misfit(decision, command)
             if self.interrupt.requested:
                 return Outcome.INTERRUPTED, "interrupted; the step was finished"
             late = self.clock.now() - (began + round(k * period_s * SECOND))
@@ -221,9 +223,17 @@ class Trial:
             )
         return command
 
-    def _say(self, command: Command, text: str) -> None:
+    def _say(self, command: Command, text: str, level: str = "info") -> None:
         for observer in self.observers:
-            observer.on_note(Note(command.sent_ns, "info", text))
+            observer.on_note(Note(command.sent_ns, level, text))
+
+    def _tell_misfit(self, plan: Plan, command: Command) -> None:
+        """Warn, once for each part, if a robot does not move as the controller's model does."""
+        known = plan.estimate
+        new = set() if known is None else known.unfit(self.start.setup.names) - self._unfit
+        if new:
+            self._say(command, f"the model does not fit: {', '.join(sorted(new))}", "warning")
+            self._unfit |= new
 
     def _steer(self, direction: float | None) -> Command:
         command = self.plant.steer(direction)

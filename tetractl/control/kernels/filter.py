@@ -1,7 +1,9 @@
 """The compiled part of `tetractl.control.filter`; `tests/oracles/filter.py` is its readable twin.
 
-The state of a robot is (x, y, heading of its course, ln of a and of the speed over the spec's, turn
-bias, marker bias, flow along x and y, helix as sine and cosine), in the order of the indices below.
+The state of a robot is, in the order of the indices below: x, y, heading of its course, helix as
+sine and cosine; ln of a and of the speed over the spec's, turn bias, marker bias, flow along x and
+y, and ln of the helix's frequency over the usual one. The first MOVED change with time, the others
+only by their random walk.
 """
 
 import math
@@ -15,10 +17,11 @@ from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
-X, Y, HEADING, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, SINE, COSINE = range(11)
-SIZE = 11  # number of state variables with a covariance
-SWING, PACE = 11, 12  # turning rate / a and speed / v of lagging wheels, without variance
-STATE = 13  # number of state variables
+X, Y, HEADING, SINE, COSINE = range(5)
+LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, LN_W = range(5, 12)
+MOVED, SIZE = 5, 12  # number of state variables that move, and of all with a covariance
+SWING, PACE = 12, 13  # turning rate / a and speed / v of lagging wheels, without variance
+STATE = 14  # number of state variables
 STILL = 1e-3  # pace below which a stopped robot counts as standing
 FOLLOWS = 3  # number of latest commands that a robot may follow
 STUCK = FOLLOWS  # slot of the hypothesis that a robot stands although it was sent a direction
@@ -33,6 +36,7 @@ SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
 FORGET_S = 10.0  # time constant with which scores of dead times decay
 SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
 MEAN_CAPPED = 0.8  # mean of the square of a standard normal number, capped at 4
+BLOCK, MOST_SQUARE = 8, 25.0  # frames of a block of innovations; largest square of their sum
 _wrap = inlined(wrap)
 
 
@@ -43,12 +47,12 @@ class FilterModel(NamedTuple):
     speed: Floats  # (N,) length unit/s
     noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
     walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
-    helix: float  # its angular frequency [rad/s]
+    helix: float  # its angular frequency [rad/s], 0 if there is none
     lag: float  # time constant with which turning rate and speed follow a direction [s]
 
 
 class Bank(NamedTuple):
-    """B filters, each with its own dead time and SLOTS hypotheses for each of N robots."""
+    """B filters of each of N robots, each with its own dead time and SLOTS hypotheses."""
 
     state: Floats  # (B, N, SLOTS, STATE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
@@ -56,9 +60,13 @@ class Bank(NamedTuple):
     weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
     scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
     unfit: Floats  # (B, N) time since a hypothesis fitted [s]
-    tau: Floats  # (B,) dead time [s]
-    score: Floats  # (B,) ln of the likelihood, up to a constant
-    next: NDArray[np.int64]  # (B,) index of the command that acts next
+    # (B, N, 2, 4) innovations along and across the course and of the heading, over their
+    # deviations, and 1: sums over the present block; then sums of the former blocks' mean squares
+    white: Floats
+    tau: Floats  # (B, N) dead time [s]
+    score: Floats  # (B, N) ln of the likelihood, up to a constant; -inf for no filter
+    next: NDArray[np.int64]  # (B, N) index of the command that acts next
+    pitch: NDArray[np.int64]  # (B, N) which frequency of the helix the filter started from
 
 
 @compiled(**INLINE_FAST)
@@ -72,91 +80,107 @@ def _advance(model, i, z, cov, u, scale, seconds):
     goal = 1.0 if drives else 0.0
     if not drives and (lag == 0 or z[PACE] < STILL):
         z[SWING] = z[PACE] = 0.0
-    while left > 0:
+    slopes = np.zeros((MOVED, SIZE))  # of the change of the moved states
+    while left > 0 and (drives or z[PACE] > 0):
         t = min(left, SUBSTEP_S)
         left -= SUBSTEP_S
-        if drives or z[PACE] > 0:
-            a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
-            wish, pull = 0.0, 0.0
-            early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
-            late = early * early
-            off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
-            if drives:
-                wish = math.sin(off)
-            half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
-            middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
-            if drives:
-                wish, pull = math.sin(off), math.cos(off)
-            turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
-            way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
-            z[SWING] = wish + late * (z[SWING] - wish)
-            z[PACE] = goal + late * (z[PACE] - goal)
-            keep = math.exp(-t * a * pull)
-            dx, dy = way * math.cos(middle), way * math.sin(middle)
-            z[X] += dx + t * z[FLOW_X]
-            z[Y] += dy + t * z[FLOW_Y]
-            z[HEADING] += turn
-            # derivatives of the heading in the middle
-            by_h, by_a, by_b = (
-                0.5 * (1 + keep),
-                half,
-                0.5 * (1 - keep),
-            )
-            for k in range(SIZE):  # rows of F P
-                h, la, b = cov[HEADING, k], cov[LN_A, k], cov[BIAS, k]
-                m = by_h * h + by_a * la + by_b * b
-                cov[X, k] += -dy * m + dx * cov[LN_V, k] + t * cov[FLOW_X, k]
-                cov[Y, k] += dx * m + dy * cov[LN_V, k] + t * cov[FLOW_Y, k]
-                cov[HEADING, k] = keep * h + turn * la + (1 - keep) * b
-            for k in range(SIZE):  # columns of (F P) F'
-                h, la, b = cov[k, HEADING], cov[k, LN_A], cov[k, BIAS]
-                m = by_h * h + by_a * la + by_b * b
-                cov[k, X] += -dy * m + dx * cov[k, LN_V] + t * cov[k, FLOW_X]
-                cov[k, Y] += dx * m + dy * cov[k, LN_V] + t * cov[k, FLOW_Y]
-                cov[k, HEADING] = keep * h + turn * la + (1 - keep) * b
-            if model.helix > 0:
-                c, s = math.cos(model.helix * t), math.sin(model.helix * t)
-                z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
-                for k in range(SIZE):
-                    p, q = cov[SINE, k], cov[COSINE, k]
-                    cov[SINE, k], cov[COSINE, k] = c * p + s * q, c * q - s * p
-                for k in range(SIZE):
-                    p, q = cov[k, SINE], cov[k, COSINE]
-                    cov[k, SINE], cov[k, COSINE] = c * p + s * q, c * q - s * p
-            for k in range(SIZE):
-                more = model.walk[k, i] * model.walk[k, i] * t
-                if k <= Y:
-                    more *= scale[0]
-                elif k == HEADING:
-                    more *= scale[1]
-                cov[k, k] += more
+        a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
+        wish, pull = 0.0, 0.0
+        early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
+        late = early * early
+        off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
+        if drives:
+            wish = math.sin(off)
+        half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
+        middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
+        if drives:
+            wish, pull = math.sin(off), math.cos(off)
+        turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
+        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
+        z[SWING] = wish + late * (z[SWING] - wish)
+        z[PACE] = goal + late * (z[PACE] - goal)
+        keep = math.exp(-t * a * pull)
+        dx, dy = way * math.cos(middle), way * math.sin(middle)
+        z[X] += dx + t * z[FLOW_X]
+        z[Y] += dy + t * z[FLOW_Y]
+        z[HEADING] += turn
+        for row, by in ((X, -dy), (Y, dx)):  # by the heading in the middle
+            slopes[row, HEADING], slopes[row, BIAS] = 0.5 * by * (1 + keep), 0.5 * by * (1 - keep)
+            slopes[row, LN_A] = by * half
+        slopes[X, LN_V], slopes[Y, LN_V] = dx, dy
+        slopes[X, FLOW_X] = slopes[Y, FLOW_Y] = t
+        slopes[HEADING, HEADING], slopes[HEADING, BIAS] = keep - 1, 1 - keep
+        slopes[HEADING, LN_A] = turn
+        if model.helix > 0:
+            angle = t * model.helix * math.exp(z[LN_W])
+            c, s = math.cos(angle), math.sin(angle)
+            z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
+            slopes[SINE, SINE], slopes[SINE, COSINE] = c - 1, s
+            slopes[COSINE, SINE], slopes[COSINE, COSINE] = -s, c - 1
+            slopes[SINE, LN_W], slopes[COSINE, LN_W] = angle * z[COSINE], -angle * z[SINE]
+        _spread(cov, slopes)
+        for k in range(SIZE):
+            factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
+            cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
 
 
 @compiled(**INLINE_FAST)
-def _correct(z, cov, n, index, factor, off, var):
-    """Update by a measured number that differs by `off` from its prediction h z; h has n entries
-    h[index] = factor.
+def _spread(cov, slopes):
+    """Replace P by (1 + S) P (1 + S)' for the slopes S (MOVED, SIZE) of the moved states."""
+    more = np.zeros((MOVED, SIZE))
+    for _ in range(2):  # rows, then columns, which are the rows of the transposed matrix
+        for j in range(MOVED):
+            for k in range(SIZE):
+                more[j, k] = 0.0
+            for m in range(SIZE):
+                by = slopes[j, m]
+                if by != 0.0:
+                    for k in range(SIZE):
+                        more[j, k] += by * cov[m, k]
+        for j in range(MOVED):
+            for k in range(SIZE):
+                cov[j, k] += more[j, k]
+        for j in range(SIZE):
+            for k in range(j):
+                cov[j, k], cov[k, j] = cov[k, j], cov[j, k]
+
+
+@compiled(**INLINE_FAST)
+def _expected(model, i, z, slopes):
+    """Return the pose that a camera would measure; its slopes (3, SIZE) are filled."""
+    c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
+    rate = model.helix * math.exp(z[LN_W]) / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
+    across = rate * z[COSINE]
+    flat = 1 / (1 + across * across)
+    slopes[0, X] = slopes[1, Y] = slopes[2, HEADING] = slopes[2, MARKER] = 1.0
+    slopes[0, SINE], slopes[1, SINE], slopes[2, COSINE] = -s, c, rate * flat
+    slopes[0, HEADING], slopes[1, HEADING] = -c * z[SINE], -s * z[SINE]
+    slopes[2, LN_W], slopes[2, LN_V] = across * flat, -across * flat
+    tilt = math.atan(across)
+    return z[X] - s * z[SINE], z[Y] + c * z[SINE], z[HEADING] + z[MARKER] + tilt
+
+
+@compiled(**INLINE_FAST)
+def _correct(z, cov, slope, off, var):
+    """Update by a measured number that differs by `off` from its prediction, of the given slope
+    (SIZE,) and variance; return the number's variance before the update.
 
     P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': after a long time without a
     fit, P is many orders larger than `var`, and by rounding P - k h P would not be a covariance.
-    Returns the number's variance before the update.
     """
-    gain = np.empty(SIZE)
-    total = var
+    gain, total = np.zeros(SIZE), var
     for k in range(SIZE):
-        value = 0.0
-        for j in range(n):
-            value += cov[k, index[j]] * factor[j]
-        gain[k] = value
-    for j in range(n):
-        total += factor[j] * gain[index[j]]
+        for j in range(SIZE):
+            gain[k] += cov[k, j] * slope[j]
+    for k in range(SIZE):
+        total += slope[k] * gain[k]
     for k in range(SIZE):
         share, left = gain[k] / total, 0.0
         z[k] += share * off
         for m in range(SIZE):
             cov[k, m] -= share * gain[m]
-        for j in range(n):
-            left += cov[k, index[j]] * factor[j]
+        for j in range(SIZE):
+            left += cov[k, j] * slope[j]
         for m in range(SIZE):
             cov[k, m] += (var * share - left) * (gain[m] / total)
     for k in range(SIZE):
@@ -166,75 +190,45 @@ def _correct(z, cov, n, index, factor, off, var):
 
 
 @compiled(**INLINE_FAST)
-def _measure(model, i, z, cov, scale, pose, squares):
+def _measure(model, i, z, cov, scale, pose, found):
     """Update one hypothesis by a pose (3,); return the logarithm of the pose's likelihood.
 
-    `squares` (2,) is filled with the mean squared deviations of position and heading, relative to
-    their variances; an outlier has the likelihood of a pose at the gate.
+    `found` (3,) is filled with the innovations along and across the course and of the heading, over
+    their deviations; an outlier has the likelihood of a pose at the gate.
     """
-    index, factor = np.empty(3, dtype=np.int64), np.empty(3)
-    c, s, n = math.cos(z[HEADING]), math.sin(z[HEADING]), 1 if model.helix == 0 else 2
-    rate = model.helix / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
-    off = np.empty(3)
-    off[0] = pose[0] - z[X] + s * z[SINE]
-    off[1] = pose[1] - z[Y] - c * z[SINE]
-    off[2] = _wrap(pose[2] - z[HEADING] - z[MARKER] - rate * z[COSINE])
-    var = np.empty(3)
+    slopes, before = np.zeros((3, SIZE)), z[:SIZE].copy()
+    expected = _expected(model, i, z, slopes)
+    c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
+    off, var, sure = np.empty(3), np.empty(3), np.empty(3)
+    d2 = lns = 0.0
     for j in range(3):
-        var[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
-    sure, lns = np.empty(3), 0.0
-    sure[0] = cov[X, X] - 2 * s * cov[X, SINE] + s * s * cov[SINE, SINE] + var[0]
-    sure[1] = cov[Y, Y] + 2 * c * cov[Y, SINE] + c * c * cov[SINE, SINE] + var[1]
-    sure[2] = (
-        cov[HEADING, HEADING]
-        + cov[MARKER, MARKER]
-        + 2 * cov[HEADING, MARKER]
-        + rate * (2 * cov[HEADING, COSINE] + 2 * cov[MARKER, COSINE] + rate * cov[COSINE, COSINE])
-        + var[2]
-    )
-    d2 = 0.0
-    for j in range(3):
+        off[j] = pose[j] - expected[j] if j < 2 else _wrap(pose[j] - expected[j])
+        var[j] = sure[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
+        for k in range(SIZE):
+            for m in range(SIZE):
+                sure[j] += slopes[j, k] * cov[k, m] * slopes[j, m]
         d2 += off[j] * off[j] / sure[j]
         lns += math.log(sure[j])
-    squares[0] = 0.5 * (off[0] * off[0] / sure[0] + off[1] * off[1] / sure[1])
-    squares[1] = off[2] * off[2] / sure[2]
+    east, north = off[0] / math.sqrt(sure[0]), off[1] / math.sqrt(sure[1])
+    found[0], found[1] = c * east + s * north, c * north - s * east
+    found[2] = off[2] / math.sqrt(sure[2])
     if not d2 <= GATE:
         return -0.5 * (GATE + lns)
-    found = 0.0
+    ln = 0.0
     for j in range(3):
-        if j == 0:
-            index[0], factor[0], index[1], factor[1] = X, 1.0, SINE, -s
-            miss = pose[0] - z[X] + s * z[SINE]
-        elif j == 1:
-            index[0], factor[0], index[1], factor[1] = Y, 1.0, SINE, c
-            miss = pose[1] - z[Y] - c * z[SINE]
-        else:
-            index[0], factor[0], index[1], factor[1] = HEADING, 1.0, MARKER, 1.0
-            index[2], factor[2], n = COSINE, rate, n + 1
-            miss = _wrap(pose[2] - z[HEADING] - z[MARKER] - rate * z[COSINE])
-        total = _correct(z, cov, n, index, factor, miss, var[j])
-        found -= 0.5 * (miss * miss / total + math.log(total))
-    return found
+        miss = off[j]
+        for k in range(SIZE):
+            miss -= slopes[j, k] * (z[k] - before[k])
+        total = _correct(z, cov, slopes[j], miss, var[j])
+        ln -= 0.5 * (miss * miss / total + math.log(total))
+    return ln
 
 
 @compiled(**INLINE_FAST)
 def _copy(bank, b, i, source, slot):
     """Copy the state of one hypothesis to another."""
-    for k in range(STATE):
-        bank.state[b, i, slot, k] = bank.state[b, i, source, k]
-    for k in range(SIZE):
-        for m in range(SIZE):
-            bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
-
-
-@compiled(**INLINE_FAST)
-def _best(weight, most):
-    """Return the slot, of the first `most`, with the greatest weight."""
-    found = 0
-    for s in range(1, most):
-        if weight[s] > weight[found]:
-            found = s
-    return found
+    bank.state[b, i, slot] = bank.state[b, i, source]
+    bank.cov[b, i, slot] = bank.cov[b, i, source]
 
 
 @compiled(**INLINE_FAST)
@@ -252,37 +246,32 @@ def _switch(bank, model, b, i, u, step):
     The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held = bank.weight[b, i], bank.u[b, i]
-    best = _best(weight, FOLLOWS)
-    most = weight[best]
-    place = 0
+    best, place = np.argmax(weight[:FOLLOWS]), np.argmin(weight[:FOLLOWS])
+    heard = weight[best] + math.log(1 - LOST)
     for s in range(FOLLOWS):
         if held[s] == u and weight[s] > -math.inf:  # the direction is the same as before
-            if weight[s] < most + math.log(1 - LOST):
+            if weight[s] < heard:
                 _copy(bank, b, i, best, s)
-                weight[s] = most + math.log(1 - LOST)
+                weight[s] = heard
             return
-        if weight[s] < weight[place]:
-            place = s
-    if place != best:
-        _copy(bank, b, i, best, place)
-    for s in range(FOLLOWS):
-        weight[s] += math.log(LOST)
+    _copy(bank, b, i, best, place)
+    weight[:FOLLOWS] += math.log(LOST)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
-    speed = model.speed[i] * math.exp(z[LN_V])
-    before, after = _rate(model, i, z, held[best]), _rate(model, i, z, u)
-    cov[HEADING, HEADING] += (step * (after - before)) ** 2 / 12
+    changes = _rate(model, i, z, u) - _rate(model, i, z, held[best])
+    cov[HEADING, HEADING] += (step * changes) ** 2 / 12
     if math.isnan(held[best]) != math.isnan(u):
+        speed = model.speed[i] * math.exp(z[LN_V])
         cov[X, X] += (step * speed) ** 2 / 12
         cov[Y, Y] += (step * speed) ** 2 / 12
-    held[place], weight[place] = u, most + math.log(1 - LOST)
+    held[place], weight[place] = u, heard
 
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds):
     """Exchange probability between the hypotheses that robot i drives and that it is stuck."""
-    weight, held = bank.weight[b, i], bank.u[b, i]
-    best = _best(weight, FOLLOWS)
-    if math.isnan(held[best]):
+    weight = bank.weight[b, i]
+    best = np.argmax(weight[:FOLLOWS])
+    if math.isnan(bank.u[b, i, best]):
         weight[STUCK] = -math.inf
         return
     share = min(0.5, seconds / STUCK_FOR_S)
@@ -301,16 +290,13 @@ def _stick(bank, b, i, seconds):
 def _weigh(bank, b, i, model, pose, seconds):
     """Update all hypotheses of robot i by a pose; return the logarithm of the pose's likelihood."""
     weight, scale = bank.weight[b, i], bank.scale[b, i]
-    squares, best_squares = np.zeros(2), np.full(2, np.inf)
-    most = -math.inf
+    found, best, most = np.zeros(3), np.zeros(3), -math.inf
     for s in range(SLOTS):
-        if weight[s] == -math.inf:
-            continue
-        z, cov = bank.state[b, i, s], bank.cov[b, i, s]
-        weight[s] += _measure(model, i, z, cov, scale, pose, squares)
-        if weight[s] > most:
-            most = weight[s]
-            best_squares[0], best_squares[1] = squares[0], squares[1]
+        if weight[s] > -math.inf:
+            z, cov = bank.state[b, i, s], bank.cov[b, i, s]
+            weight[s] += _measure(model, i, z, cov, scale, pose, found)
+            if weight[s] > most:
+                most, best[:] = weight[s], found
     total = 0.0
     for s in range(SLOTS):
         total += math.exp(weight[s] - most)
@@ -318,16 +304,34 @@ def _weigh(bank, b, i, model, pose, seconds):
     for s in range(SLOTS):
         if weight[s] > -math.inf:
             weight[s] = max(weight[s] - total, LEAST_WEIGHT)
-    if 2 * best_squares[0] + best_squares[1] <= GATE:
+    places, turns = best[0] ** 2 + best[1] ** 2, best[2] ** 2
+    if places + turns <= GATE:
         bank.unfit[b, i] = 0.0
         for k in range(2):
-            change = min(best_squares[k], 4.0) / MEAN_CAPPED - 1
+            change = min(turns if k else 0.5 * places, 4.0) / MEAN_CAPPED - 1
             scale[k] = min(max(scale[k] * (1 + change / SCALE_MEMORY), SCALE_LEAST), SCALE_MOST)
+        _test(bank.white[b, i], best)
     else:
         bank.unfit[b, i] += seconds
         if bank.unfit[b, i] > LOST_TRACK_S:
             place(bank, b, i, model, pose)
     return total
+
+
+@compiled(**INLINE_FAST)
+def _test(white, found):
+    """Add a frame's innovations (3,) to the present block; add a whole block to the former ones.
+
+    If the model is right, innovations are independent, so that the squared sum of a block's
+    innovations over their number is 1 in the mean, and chi-square over all blocks.
+    """
+    white[0, :3] += found
+    white[0, 3] += 1
+    if white[0, 3] >= BLOCK:
+        for j in range(3):
+            white[1, j] += min(white[0, j] ** 2 / BLOCK, MOST_SQUARE)
+        white[1, 3] += 1
+        white[0] = 0.0
 
 
 @compiled(**ENTRY_FAST)
@@ -336,11 +340,10 @@ def place(bank, b, i, model, pose):
     bank.unfit[b, i] = 0.0
     for s in range(SLOTS):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
-        z[X], z[Y] = pose[0], pose[1]
-        z[HEADING] += _wrap(pose[2] - z[MARKER] - z[HEADING])
-        for j in range(3):
-            for k in range(SIZE):
-                cov[j, k] = cov[k, j] = 0.0
+        z[X], z[Y], z[HEADING] = pose[0], pose[1], pose[2] - z[MARKER]
+        for j in (X, Y, HEADING):
+            cov[j] = 0.0
+            cov[:, j] = 0.0
             cov[j, j] = 4 * model.noise[j, i] ** 2
 
 
@@ -351,50 +354,46 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
     measured; only those with `seen` (N,) True are used.
     """
-    least = -math.inf
-    for b in range(bank.tau.size):
-        t = since
-        while t < until:
-            coming = bank.next[b]
-            acts = when[coming] + bank.tau[b] if coming < when.size else math.inf
-            end = max(t, min(acts, until))
-            for i in range(model.a.size):
+    for i in range(model.a.size):
+        for b in range(bank.tau.shape[0]):
+            if bank.score[b, i] == -math.inf:
+                continue
+            t = since
+            while t < until:
+                coming, end = bank.next[b, i], until
+                acts = coming < when.size and when[coming] + bank.tau[b, i] <= until
+                if acts:
+                    end = max(t, when[coming] + bank.tau[b, i])
                 for s in range(SLOTS):
                     if bank.weight[b, i, s] > -math.inf:
                         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
                         _advance(model, i, z, cov, bank.u[b, i, s], bank.scale[b, i], end - t)
-                if acts <= until:
+                t = end
+                if acts:
                     _switch(bank, model, b, i, u[coming], step)
-            if acts <= until:
-                bank.next[b] += 1
-            t = end
-            if acts > until:
-                break
-        for i in range(model.a.size):
+                    bank.next[b, i] += 1
             if seen[i]:
-                bank.score[b] += _weigh(bank, b, i, model, poses[i], until - since)
+                bank.score[b, i] += _weigh(bank, b, i, model, poses[i], until - since)
             _stick(bank, b, i, until - since)
-        least = max(least, bank.score[b])
-    for b in range(bank.tau.size):
-        bank.score[b] = (bank.score[b] - least) * math.exp(-(until - since) / FORGET_S)
+        scores = bank.score[:, i]
+        scores[:] = (scores - scores.max()) * math.exp(-(until - since) / FORGET_S)
 
 
 @compiled(**ENTRY_FAST)
 def drive(model, states, u, seconds):
-    """Predict states (N, STATE) in place through directions u (C, N), each held for `seconds` (C,).
+    """Predict states (N, STATE) in place through directions u (C, N), each held for `seconds`
+    (C, N).
 
-    The robots' wheels then stop: the states are those in which the robots come to rest.
+    Lagging wheels then stop: the states are those in which the robots come to rest.
     """
-    scale = np.zeros(2)
+    scale, cov = np.zeros(2), np.zeros((SIZE, SIZE))
     for i in range(model.a.size):
-        cov = np.zeros((SIZE, SIZE))
-        for c in range(seconds.size):
-            _advance(model, i, states[i], cov, u[c, i], scale, seconds[c])
         z = states[i]
+        for c in range(len(u)):
+            _advance(model, i, z, cov, u[c, i], scale, seconds[c, i])
         turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
-        way = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE]
         half = 0.5 * turn
-        chord = way * (1 - half * half / 6)
+        chord = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE] * (1 - half * half / 6)
         z[X] += chord * math.cos(z[HEADING] + half)
         z[Y] += chord * math.sin(z[HEADING] + half)
         z[HEADING] += turn

@@ -224,7 +224,8 @@ def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
         _named(estimate, name, f"{name}_std")
         for name in ("a", "speed", "heading_bias", "dead_time")
     )
-    return pb.Estimate(k=k, **{key: value for two in each for key, value in two.items()})
+    misfit = [] if estimate.misfit is None else estimate.misfit.ravel()
+    return pb.Estimate(k=k, misfit=misfit, **{key: v for two in each for key, v in two.items()})
 
 
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
@@ -234,12 +235,15 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
     if counts != {robots}:
         raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
     bias, bias_std = (_floats(values) if values else None for values in perhaps)
+    if len(message.misfit) not in (0, 3 * robots):
+        raise ValueError(f"an estimate has {len(message.misfit)} values of misfit")
     return Estimate(
         *map(_floats, sure),
         heading_bias=bias,
         heading_bias_std=bias_std,
         dead_time=message.dead_time if message.HasField("dead_time") else None,
         dead_time_std=message.dead_time_std if message.HasField("dead_time_std") else None,
+        misfit=_floats(message.misfit).reshape(-1, 3) if message.misfit else None,
     )
 
 

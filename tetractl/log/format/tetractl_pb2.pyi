@@ -166,7 +166,7 @@ class StepTiming(_message.Message):
     def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: bool = ...) -> None: ...
 
 class Estimate(_message.Message):
-    __slots__ = ("k", "a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std")
+    __slots__ = ("k", "a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit")
     K_FIELD_NUMBER: _ClassVar[int]
     A_FIELD_NUMBER: _ClassVar[int]
     A_STD_FIELD_NUMBER: _ClassVar[int]
@@ -176,6 +176,7 @@ class Estimate(_message.Message):
     HEADING_BIAS_STD_FIELD_NUMBER: _ClassVar[int]
     DEAD_TIME_FIELD_NUMBER: _ClassVar[int]
     DEAD_TIME_STD_FIELD_NUMBER: _ClassVar[int]
+    MISFIT_FIELD_NUMBER: _ClassVar[int]
     k: int
     a: _containers.RepeatedScalarFieldContainer[float]
     a_std: _containers.RepeatedScalarFieldContainer[float]
@@ -185,4 +186,5 @@ class Estimate(_message.Message):
     heading_bias_std: _containers.RepeatedScalarFieldContainer[float]
     dead_time: float
     dead_time_std: float
-    def __init__(self, k: _Optional[int] = ..., a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ...) -> None: ...
+    misfit: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, k: _Optional[int] = ..., a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ...) -> None: ...

@@ -18,7 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.filter import FilterBank, Prior
+from tetractl.control.filter import FilterBank
+from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.poses import Bools, Floats, Observation, Poses

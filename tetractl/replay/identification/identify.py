@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.filter import Prior
+from tetractl.control.prior import Prior
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table

@@ -46,7 +46,7 @@ clock = VirtualClock()
 plant = SimPlant(spec.plant, spec.setup, clock, np.random.SeedSequence(1))
 plant.open()
 problem = spec.controller.problem(spec.setup)
-known = StateEstimator(problem, 0.2, 0.0, spec.controller.prior.of(problem, 0.0))
+known = StateEstimator(problem, 0.2, spec.controller.prior.of(problem, 0.0, spec.setup))
 command, digest = None, hashlib.sha256()
 for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     clock.sleep_until(k * SECOND // 5)

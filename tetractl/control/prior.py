@@ -1,0 +1,60 @@
+"""What is assumed of the robots' motion before they have moved."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tetractl.core.plan import Estimate, Problem
+from tetractl.core.poses import Floats
+
+
+class Prior(NamedTuple):
+    """The prior on N robots: means and standard deviations.
+
+    `a` (N,) [rad/s] and `speed` (N,) [length unit/s] have relative standard deviations, the dead
+    time [s] an absolute one; the mean heading bias, marker bias [rad] and flow [length unit/s] are
+    0. `position_noise` [length unit] and `heading_noise` [rad] are standard deviations of one
+    measurement, 0 if unknown. The helix has a usual frequency [Hz] and radius [length unit]; the
+    radius is 0 if there is no helix. Wheels follow commands with a time constant `lag` [s], 0 for
+    robots without wheels.
+    """
+
+    a: Floats
+    speed: Floats
+    dead_time: float
+    a_std: float
+    speed_std: float
+    dead_time_std: float
+    heading_bias_std: float
+    marker_bias_std: float = 0.0
+    flow_std: float = 0.0
+    position_noise: float = 0.0
+    heading_noise: float = 0.0
+    helix_frequency: float = 0.0
+    helix_radius: float = 0.0
+    lag: float = 0.0
+
+    @property
+    def certain(self) -> bool:
+        """Whether nothing is to be identified."""
+        return self.dead_time_std == 0
+
+    def estimate(self) -> Estimate:
+        """Return the prior's means as an estimate, with absolute standard deviations."""
+        std = math.hypot(self.heading_bias_std, self.marker_bias_std)
+        return Estimate(
+            a=self.a,
+            a_std=self.a_std * self.a,
+            speed=self.speed,
+            speed_std=self.speed_std * self.speed,
+            heading_bias=np.zeros_like(self.a),
+            heading_bias_std=np.full_like(self.a, std),
+            dead_time=self.dead_time,
+            dead_time_std=self.dead_time_std,
+        )
+
+
+def nothing(problem: Problem, dead_time: float) -> Prior:
+    """Return the prior of robots of which everything is known, with a dead time [s]."""
+    return Prior(problem.a, problem.speed, dead_time, *(0.0,) * 4)

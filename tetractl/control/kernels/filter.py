@@ -88,11 +88,11 @@ def _advance(model, i, z, cov, u, scale, seconds):
             if drives:
                 wish, pull = math.sin(off), math.cos(off)
             turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
-            way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
+            way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal)) * (1 - turn * turn / 24)
             z[SWING] = wish + late * (z[SWING] - wish)
             z[PACE] = goal + late * (z[PACE] - goal)
             keep = math.exp(-t * a * pull)
-            dx, dy = way * math.cos(middle), way * math.sin(middle)
+            dx, dy = way * math.cos(middle), way * math.sin(middle)  # a chord
             z[X] += dx + t * z[FLOW_X]
             z[Y] += dy + t * z[FLOW_Y]
             z[HEADING] += turn
@@ -349,9 +349,9 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
     """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
 
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
-    measured; only those with `seen` (N,) True are used.
+    measured; only those with `seen` (N,) True are used. Returns ln of their likelihoods (B, N).
     """
-    least = -math.inf
+    found = np.zeros(bank.unfit.shape)
     for b in range(bank.tau.size):
         t = since
         while t < until:
@@ -372,11 +372,11 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                 break
         for i in range(model.a.size):
             if seen[i]:
-                bank.score[b] += _weigh(bank, b, i, model, poses[i], until - since)
+                found[b, i] = _weigh(bank, b, i, model, poses[i], until - since)
             _stick(bank, b, i, until - since)
-        least = max(least, bank.score[b])
-    for b in range(bank.tau.size):
-        bank.score[b] = (bank.score[b] - least) * math.exp(-(until - since) / FORGET_S)
+        bank.score[b] += found[b].sum()
+    bank.score[:] = (bank.score - bank.score.max()) * math.exp(-(until - since) / FORGET_S)
+    return found
 
 
 @compiled(**ENTRY_FAST)

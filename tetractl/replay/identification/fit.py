@@ -26,6 +26,7 @@ from scipy.stats import chi2
 
 from tetractl.control.filter import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats
+from tetractl.replay.identification.newton import newton_step
 from tetractl.replay.identification.passes import Belief, Frames, Passed, marginal, run
 
 ROUNDS = 6
@@ -34,8 +35,6 @@ REACH_S, APART_S = 0.3, 0.02  # half width and spacing of the first pass's dead 
 # prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at most
 FIRST, WEAK = np.array([0.5, 0.5, 0.2]), np.array([2.0, 0.5, 1.0])
 WIDER = 10.0  # prior standard deviation of a pass, over the deviation after the pass before
-STEP, LONGEST = 0.1, 1.0  # steps of the noise's parameters, for derivatives, and at most
-SHARES = np.array([0.0, 0.05, 0.2, 0.5, 1.0])  # tried shares of a step
 LOOSE = 5.0  # prior standard deviation of the noise's parameters
 NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 FAR = np.array([3.0, 1.0, 1.5])  # half widths from which ends of ln a, ln speed, bias are unknown
@@ -108,25 +107,11 @@ class _Fit:
         self.mean, self.std = found.mean[at, best], found.std[at, best]
 
     def fit_noise(self) -> None:
-        """Do a Newton step in the noise's parameters, with derivatives by differences."""
-        one, (i, j) = STEP * np.eye(4), np.triu_indices(4, 1)
-        found = self._varied(np.vstack([np.zeros(4), one, -one, one[i] + one[j]])[None])
-        base, up, down, both = np.split(found, (1, 5, 9), axis=1)
-        gradient = (up - down) / (2 * STEP) - self.noise / LOOSE**2
-        bend = np.zeros((len(base), 4, 4))
-        bend[:, range(4), range(4)] = (2 * base - up - down) / STEP**2 + 1 / LOOSE**2
-        bend[:, i, j] = bend[:, j, i] = (up[:, i] + up[:, j] - base - both) / STEP**2
-        value, vector = np.linalg.eigh(bend)
-        value = np.maximum(np.abs(value), 1 / LOOSE**2)
-        self.noise_std = np.sqrt(np.einsum("nij,nj->ni", vector**2, 1 / value))
-        step = np.einsum("nij,nj,nkj,nk->ni", vector, 1 / value, vector, gradient)
-        step = np.clip(step, -LONGEST, LONGEST)
-        best = self._varied(SHARES[:, None] * step[:, None]).argmax(axis=1)
-        self.noise += SHARES[best][:, None] * step
+        """Do a Newton step in the noise's parameters."""
+        self.noise, self.noise_std = newton_step(self._likelihood, self.noise, LOOSE)
 
-    def _varied(self, change: Floats) -> Floats:
-        """Return ln of the likelihoods (N, V) with `change` (N or 1, V, 4) added to the noise."""
-        noise = self.noise[:, None] + change
+    def _likelihood(self, noise: Floats) -> Floats:
+        """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
         rows = np.repeat(np.arange(len(noise)), noise.shape[1])
         belief = self._belief(rows, noise.reshape(-1, 4))
         found = run(self.frames, rows, belief, np.array([self.tau])).likelihood

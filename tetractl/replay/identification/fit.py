@@ -19,6 +19,7 @@ a measure of lack of fit in time series models", Biometrika 65, 1978), intervals
 bias are widened by the ratio of the residuals' long-run deviation to their own.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -27,7 +28,7 @@ from scipy.stats import chi2
 from tetractl.control.filter import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.newton import newton_step
-from tetractl.replay.identification.passes import Belief, Frames, Passed, marginal, run
+from tetractl.replay.identification.passes import UNKNOWN_S, Belief, Frames, Passed, marginal, run
 
 ROUNDS = 6
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the first pass starts
@@ -39,10 +40,14 @@ LOOSE = 5.0  # prior standard deviation of the noise's parameters
 NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 FAR = np.array([3.0, 1.0, 1.5])  # half widths from which ends of ln a, ln speed, bias are unknown
 LAGS, DOUBT = 5, 0.001  # lags of the test of residuals, and its level
+# deviations of residuals below which no camera shows that a model does not fit: of positions over
+# the speed [s], and of headings [rad]
+RESOLVED_S, RESOLVED = 5e-4, 1e-3
 RESIDUALS = ("along the path", "across the path", "heading")
 
 
-class SampleInterval(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class SampleInterval:
     """A value and its 95 % interval; an end is infinite if the data do not bound the value."""
 
     value: float
@@ -135,7 +140,9 @@ class _Fit:
     def result(self) -> Fitted:
         """Return the fit with its intervals."""
         watched = self.fit_motion(watched=True)
-        misfits, wider = _white(watched.residuals)
+        speed = np.exp(self.mean[:, 1])
+        resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
+        misfits, wider = _white(watched.residuals, resolved)
         half = NORMAL * self.std * wider[:, None]
         half = np.where(half > FAR, np.inf, half)
         motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
@@ -145,26 +152,29 @@ class _Fit:
         ends = [size + sign * NORMAL * self.noise_std for sign in (0, -1, 1)]
         ends[1][:, 1::2] = np.maximum(ends[1][:, 1::2], 0.0)
         noise = np.stack([self._deviations(rows, one) for one in ends], axis=-1)
-        reach = NORMAL * self.tau_std * wider.max()
+        reach = NORMAL * self.tau_std * wider.max() if self.tau_std < UNKNOWN_S else np.inf
         return Fitted(
-            SampleInterval(self.tau, max(0.0, self.tau - reach), self.tau + reach),
-            [[SampleInterval(*v) for v in robot] for robot in motion],
-            [[SampleInterval(*v) for v in robot] for robot in noise],
+            SampleInterval(*(max(0.0, self.tau + end) for end in (0.0, -reach, reach))),
+            [[SampleInterval(*v) for v in robot] for robot in motion.tolist()],
+            [[SampleInterval(*v) for v in robot] for robot in noise.tolist()],
             watched.lost,
             misfits,
         )
 
 
-def _white(residuals: Floats) -> tuple[list[list[str]], Floats]:
-    """Return the kinds of each robot's residuals (F, N, 3) that are not white, and their greatest
-    ratio of long-run to own deviation (N,), at least 1.
+def _white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
+    """Return the kinds of each robot's residuals (F, N, 3) that are not white though their
+    deviation is above `resolved` (N, 3), and the greatest ratio of their long-run deviation to it
+    (N,), at least 1.
     """
     misfits: list[list[str]] = [[] for _ in range(residuals.shape[1])]
     wider = np.ones(len(misfits))
     for robot, kind in np.ndindex(residuals.shape[1:]):
         r = residuals[:, robot, kind]
         seen = np.isfinite(r)
-        r = np.nan_to_num(np.clip(r, *np.nanstd(r) * np.array([-4.0, 4.0])))
+        if np.std(r[seen]) < resolved[robot, kind]:
+            continue
+        r = np.nan_to_num(np.clip(r, *np.std(r[seen]) * np.array([-4.0, 4.0])))
         rho = np.array([r[lag:] @ r[:-lag] for lag in range(1, LAGS + 1)]) / (r @ r + 1e-300)
         if chi2.sf(seen.sum() * (rho**2).sum(), LAGS) < DOUBT / residuals[0].size:
             misfits[robot].append(RESIDUALS[kind])

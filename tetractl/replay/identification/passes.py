@@ -22,6 +22,7 @@ DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usua
 DIRECTIONS_MAX = 10_000  # largest number of directions between two frames
 UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera's next pose [s]
 POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
+UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
 GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
 STATES = slice(3, 6)  # ln a, ln of the speed and heading bias among the filter's states
 
@@ -172,8 +173,7 @@ def marginal(
     Returns the likeliest dead time and its standard deviation [s], by a parabola, means and
     standard deviations (N, 3) there, which account for that of the dead time, and the pass.
     """
-    center = max(tau, POINTS[-1] * tau_std)
-    rows, taus = np.arange(len(belief.mean)), center + POINTS * tau_std
+    rows, taus = np.arange(len(belief.mean)), tau + POINTS * tau_std
     found = run(tracks, rows, belief, taus, watched=watched)
     total = found.likelihood.sum(axis=1)
     bend, slope, _ = np.polyfit(POINTS, total, 2)
@@ -182,9 +182,9 @@ def marginal(
     shape = belief.mean.shape
     rise, middle = np.polyfit(POINTS, found.mean.reshape(len(POINTS), -1), 1)
     std = tau_std * float(np.clip(np.sqrt(0.5 / max(-bend, 1e-9)), *GROWTH))
+    std = min(std, UNKNOWN_S)
     deviation = np.hypot(found.std[len(POINTS) // 2], rise.reshape(shape) * std / tau_std)
-    tau = max(0.0, center + best * tau_std)
-    return tau, std, (middle + best * rise).reshape(shape), deviation, found
+    return tau + best * tau_std, std, (middle + best * rise).reshape(shape), deviation, found
 
 
 def _bank(kernel, belief: Belief, tau: Floats):

@@ -23,7 +23,7 @@ from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
 from tetractl.replay.identification.fit import WEAK
-from tetractl.replay.identification.passes import SHORTEST_S, Belief, Frames, marginal
+from tetractl.replay.identification.passes import SHORTEST_S, Belief, TrackFrames, marginal
 from tetractl.replay.identification.tracks import Track
 
 HOLD_S = 0.4  # least time for which a direction is held
@@ -198,7 +198,7 @@ def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
     mean = np.column_stack([np.log(setup.a), np.log(setup.speed), np.zeros(n)])
     noise, walk = (np.column_stack([one * setup.speed, np.full(n, two)]) for one, two in NOISE)
     belief = Belief(mean, np.broadcast_to(WEAK, mean.shape), noise, walk)
-    frames = Frames.of(_driven(setup, directions, dead_time))
+    frames = TrackFrames.of(_driven(setup, directions, dead_time))
     _, tau_std, _, std, _ = marginal([frames], belief, dead_time, APART_S)
     return np.concatenate([[tau_std], std[:, 0], std[:, 2]])
 

@@ -28,7 +28,14 @@ from scipy.stats import chi2
 from tetractl.control.filter import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.newton import newton_step
-from tetractl.replay.identification.passes import UNKNOWN_S, Belief, Frames, Passed, marginal, run
+from tetractl.replay.identification.passes import (
+    UNKNOWN_S,
+    Belief,
+    Passed,
+    TrackFrames,
+    marginal,
+    run,
+)
 
 ROUNDS = 6
 RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the first pass starts
@@ -71,7 +78,7 @@ class Fitted(NamedTuple):
     misfits: list[list[str]]
 
 
-def fit(frames: list[Frames], a: Floats, speed: Floats, dead_time: float) -> Fitted:
+def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float) -> Fitted:
     """Fit the parameters to the frames of some tracks, from expected turning rates a (N,) [rad/s],
     speeds (N,) [length unit/s] and dead time [s].
     """
@@ -90,7 +97,9 @@ class _Fit:
     and count by their magnitudes.
     """
 
-    def __init__(self, frames: list[Frames], a: Floats, speed: Floats, dead_time: float) -> None:
+    def __init__(
+        self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float
+    ) -> None:
         self.frames, count = frames, len(a)
         usual = POSITION_NOISE_S * speed, SLIP * speed
         self._unit = np.column_stack([*usual, np.tile((HEADING_NOISE, WALK), (count, 1))])

@@ -12,7 +12,7 @@ from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.experiment.identified import Identified, IdentifiedRobot, IdentifiedValue
 from tetractl.replay.identification.fit import SampleInterval, fit
-from tetractl.replay.identification.passes import Frames, speeds
+from tetractl.replay.identification.passes import TrackFrames, speeds
 from tetractl.replay.identification.tracks import Track, require_same
 
 LEAST = 20  # least number of intervals of a robot for a fit
@@ -68,7 +68,7 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     contain too few data.
     """
     require_same(tracks)
-    frames = [Frames.of(track) for track in tracks]
+    frames = [TrackFrames.of(track) for track in tracks]
     counts = np.sum([one.used.sum(axis=0) for one in frames], axis=0)
     for name, count in zip(tracks[0].names, counts, strict=True):
         if count < LEAST:

@@ -28,7 +28,7 @@ STATES = slice(3, 6)  # ln a, ln of the speed and heading bias among the filter'
 
 
 @dataclass(frozen=True, slots=True)
-class Frames:
+class TrackFrames:
     """M frames of a track and the C directions u [rad], sent `when` (C,) [s], that act in them.
 
     `used` (M, N) is which of the poses (M, N, 3) the filter is updated by; at those with `placed`
@@ -43,7 +43,7 @@ class Frames:
     u: Floats
 
     @classmethod
-    def of(cls, track: Track) -> "Frames":
+    def of(cls, track: Track) -> "TrackFrames":
         """Return the frames at least SHORTEST_S apart, from the first direction to the stop.
 
         A robot's poses are used from where it drives, and restart it after a gap of UNSEEN_S.
@@ -74,7 +74,7 @@ class Frames:
         return cls(time, poses, seen & ~placed, placed, when, track.u[changes])
 
 
-def speeds(tracks: Sequence[Frames]) -> Floats:
+def speeds(tracks: Sequence[TrackFrames]) -> Floats:
     """Return the median distance per time of each robot (N,) between frames [length unit/s]."""
     pace = []
     for track in tracks:
@@ -119,7 +119,7 @@ class Passed(NamedTuple):
 
 
 def run(
-    tracks: Sequence[Frames],
+    tracks: Sequence[TrackFrames],
     rows: NDArray[np.int64],
     belief: Belief,
     tau: Floats,
@@ -166,7 +166,7 @@ def run(
 
 
 def marginal(
-    tracks: Sequence[Frames], belief: Belief, tau: float, tau_std: float, watched: bool = False
+    tracks: Sequence[TrackFrames], belief: Belief, tau: float, tau_std: float, watched: bool = False
 ) -> tuple[float, float, Floats, Floats, Passed]:
     """Run the filter with dead times around `tau` [s], apart by `tau_std`, for N robots.
 

@@ -189,7 +189,7 @@ def intervals(count: int, seconds: float) -> None:
     for seed in range(FIRST_SEED, FIRST_SEED + count):
         made = film(seed, seconds, 768, 3.0, cells=12, strangers=1, events=False)
         seen = follow(Reel(made), made.look.um_px, record(made))
-        for path, cell in zip(seen.paths, summarise(seen, record(made))[0], strict=True):
+        for path, cell in zip(seen.paths, summarise(seen, record(made)), strict=True):
             i = who(made, path)
             if i is None or cell.a is None or cell.speed is None:
                 continue

@@ -18,7 +18,7 @@ from tetractl.log.format.channels import RUN
 from tetractl.log.read import limits
 from tetractl.log.read import rows as log_rows
 from tetractl.log.read.salvage import scan
-from tetractl.replay.identification import tracks
+from tetractl.replay.identification import passes, tracks
 
 GOLDEN = ROOT / "tests" / "golden"
 
@@ -64,8 +64,8 @@ def test_a_table_is_read_within_bounds(name, tmp_path, monkeypatch):
 
 
 def test_directions_between_two_frames_are_bounded(tmp_path, monkeypatch):
-    """Each direction of an interval takes memory in every interval."""
-    monkeypatch.setattr(tracks, "PIECES_MAX", 1000)
+    """Each takes time in every pass of the filter."""
+    monkeypatch.setattr(passes, "DIRECTIONS_MAX", 50)
     (tmp_path / "poses.csv").write_text(poses(f"{i / 10},r,{i},0,0\n" for i in range(60)))
     sent = "".join(f"{i / 1000},{i % 2}\n" for i in range(100))
     (tmp_path / "commands.csv").write_text(f"time_s,direction_rad\n{sent}5,0\n")

@@ -78,7 +78,7 @@ class RobotFilter:
             wish, pull = (0.0, 0.0) if stands else (math.sin(phi), math.cos(phi))
             turn, keep = a * self.integral(wish, z[SWING], t), math.exp(-t * a * pull)
             pace = 0.0 if stands else 1.0
-            length = v * self.integral(pace, z[PACE], t)
+            length = v * self.integral(pace, z[PACE], t) * (1 - turn**2 / 24)
             way = length * np.array([math.cos(middle), math.sin(middle)])
             by_middle = np.zeros(SIZE)
             by_middle[[HEADING, LN_A, BIAS]] = (1 + keep) / 2, half, (1 - keep) / 2

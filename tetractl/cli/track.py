@@ -90,7 +90,7 @@ def track(
             pictures, pictures.um_px, directions, lambda number: on_picture(number, None)
         )
     with progress("Fitting"):
-        cells, _ = summarise(found, directions)
+        cells = summarise(found, directions)
     if out is not None:
         _write(out, pictures, found, cells)
     if as_json:

@@ -1,41 +1,45 @@
 """Speed, turning rate and bias of each cell of a film, with 95 % intervals.
 
-The filter of `lab.cameras.cells.helix` runs over the whole film again, with each cell's most likely
-noise of heading, speed and blobs. The filter's covariance after a cell's last picture gives the
-uncertainty of turning rate a, bias and speed.
+The filter of `lab.cameras.cells.helix` runs over the whole film again. Newton steps find each
+cell's likeliest noise of heading, speed and blobs, variants of a cell being further cells of one
+pass. The filter's covariance after a cell's last picture gives the uncertainty of turning rate a,
+bias and speed.
 """
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.follow import CellPath, Followed
 from tetractl.lab.cameras.cells.helix import (
     BIAS,
-    HEADING,
     RATE,
     SPEED,
     STATES,
     A,
     C,
     HelixFilter,
+    Piece,
     S,
 )
+from tetractl.replay.identification.newton import newton_step
 
 START = 5  # number of pictures from which the first heading is computed
 NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 SETTLED_S = 1.0  # time after which the filter has estimated a cell's helix [s]
 SHORTEST_S = 2.0  # duration of the shortest path that is fitted [s]
-WALKS = (0.02, 0.035, 0.05, 0.07, 0.1, 0.15, 0.25)  # candidate walks of the heading [rad/sqrt(s)]
-EXACTNESS = (0.2, 0.3, 0.45, 0.7, 1.0, 1.5)  # candidate noise of blobs, relative to the usual noise
-UNSTEADY = (1.0, 3.0, 8.0, 20.0)  # candidate walks of the speed [um/s per sqrt(s)]
-STRAY = (0.5, 2.0, 6.0)  # candidate walks of position and helix [um per sqrt(s)]
-ROUNDS = 2
+# usual noise: walk of the heading [rad/sqrt(s)]; noise of blobs, relative to that stated; walks
+# of the speed [um/s per sqrt(s)], and of position and helix [um per sqrt(s)]
+USUAL = np.array([0.07, 0.7, 3.0, 2.0])
+SPREAD = 1.0  # standard deviation of ln of the noise among cells
+RATE_WALK = 0.3  # walk of the helix's rate [rad/s per sqrt(s)]
+ROUNDS = 3
 CONSTANT = [RATE, A, BIAS]
 WIDE_A = 0.3  # prior deviation of a (relative, and in rad/s) in the second run of the filter
 
@@ -84,59 +88,23 @@ class CellSummary:
     probability: float
 
 
-@dataclass(frozen=True, slots=True)
-class TrackNoise:
-    """The noise of each of N cells, (N,): `walk` of the heading [rad/sqrt(s)], `exactness`, the
-    blobs' noise relative to the usual noise, walks `unsteady` of the speed [um/s per sqrt(s)] and
-    `stray` of position and helix [um per sqrt(s)].
-    """
-
-    walk: Floats
-    exactness: Floats
-    unsteady: Floats
-    stray: Floats
-
-    @classmethod
-    def usual(cls, count: int) -> "TrackNoise":
-        """Return the noise from which the fit starts."""
-        return cls(*(np.full(count, value) for value in (0.07, 0.7, 3.0, 2.0)))
-
-    def repeated(self, times: int) -> "TrackNoise":
-        """Return the noise of `times` copies of the cells."""
-        return TrackNoise(*(np.tile(getattr(self, name), times) for name in self.__slots__))
-
-    @property
-    def growth(self) -> Floats:
-        """The filter's `growth` (N, 9): standard deviation of each state's random walk per
-        sqrt(s).
-        """
-        none, rate = np.zeros(len(self.walk)), np.full(len(self.walk), 0.3)
-        place = self.stray
-        return np.column_stack(
-            [place, place, self.walk, self.unsteady, place, place, rate, none, none]
-        )
-
-
-def summarise(
-    followed: Followed,
-    field: FieldRecord | None,
-) -> tuple[tuple[CellSummary, ...], TrackNoise]:
-    """Return the results for each cell, and the fitted noise."""
-    pieces = no_field if field is None else field.pieces
+def summarise(followed: Followed, field: FieldRecord | None) -> tuple[CellSummary, ...]:
+    """Return the results for each cell."""
     long = [path for path in followed.paths if path.times[-1] - path.times[0] >= SHORTEST_S]
     fits: dict[int, tuple[Floats, Floats]] = {}
-    noise = TrackNoise.usual(len(long))
     if long:
-        table = _Measured.of(long, pieces)
-        noise = _likeliest(table, field is not None)
-        means, _, _ = table.filtered(noise, field is not None)
-        means, covariances, _ = table.filtered(noise, field is not None, means)
+        table = _Measured.of(long, field)
+        noise = np.zeros((len(long), len(USUAL)))
+        for _ in range(ROUNDS):
+            noise, _ = newton_step(table.likelihood, noise, SPREAD)
+        rows = np.arange(len(long))
+        means, _, _ = table.filtered(rows, noise)
+        means, covariances, _ = table.filtered(rows, noise, means)
         for i, path in enumerate(long):
             fits[path.identity] = means[i], covariances[i]
-    done = tuple(
+    return tuple(
         _summary(path, fits.get(path.identity), field is not None) for path in followed.paths
     )
-    return done, noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,20 +113,18 @@ class _Measured:
     its own, and their standard deviations.
 
     `starts` (N, 5) are the number of each cell's first picture, and its x, y, heading and speed
-    there. `pieces` (K,) are the field from the previous picture to each picture.
+    there. `pieces` (K,) are the field from the previous picture to each picture, if it is `known`.
     """
 
     values: Floats
     deviations: Floats
     starts: Floats
-    pieces: Sequence[Sequence[tuple[float, float, float]]]
+    pieces: Sequence[Sequence[Piece]]
+    known: bool
 
     @classmethod
-    def of(
-        cls,
-        paths: Sequence[CellPath],
-        pieces: Callable[[float, float], Sequence[tuple[float, float, float]]],
-    ) -> "_Measured":
+    def of(cls, paths: Sequence[CellPath], field: FieldRecord | None) -> "_Measured":
+        pieces = no_field if field is None else field.pieces
         times = np.unique(np.concatenate([path.times for path in paths]))
         values = np.full((len(times), len(paths), 3), np.nan)
         deviations = np.ones_like(values)
@@ -179,40 +145,41 @@ class _Measured:
             x, y = values[last, i, :2]
             starts.append((last, x, y, math.atan2(vy, vx), math.hypot(vx, vy)))
         between = [pieces(a, b) for a, b in pairwise(times.tolist())]
-        return cls(values, deviations, np.array(starts), [(), *between])
+        return cls(values, deviations, np.array(starts), [(), *between], field is not None)
 
-    def repeated(self, times: int) -> "_Measured":
-        """Return the measurements of `times` copies of the cells."""
-        values, deviations = (np.tile(v, (1, times, 1)) for v in (self.values, self.deviations))
-        return _Measured(values, deviations, np.tile(self.starts, (times, 1)), self.pieces)
+    def likelihood(self, noise: Floats) -> Floats:
+        """Return ln of the likelihood (N, V) of variants of the noise (N, V, 4) of each cell."""
+        rows = np.repeat(np.arange(len(noise)), noise.shape[1])
+        return self.filtered(rows, noise.reshape(-1, len(USUAL)))[2].reshape(noise.shape[:2])
 
     def filtered(
-        self, noise: TrackNoise, known: bool, about: Floats | None = None
+        self, cells: NDArray[np.int64], noise: Floats, about: Floats | None = None
     ) -> tuple[Floats, Floats, Floats]:
-        """Run the filter; return each cell's means (N, 12) and covariances (N, 12, 12) after its
-        last measurement, and its log-likelihood (N,).
+        """Run the filter for `cells` (R,) with ln of their noise (R, 4) over the usual one; return
+        their means (R, 12) and covariances (R, 12, 12) after the last measurement, and their
+        log-likelihood (R,).
 
-        `known` is whether the field is known. The constant states (rate of the helix, turning rate
-        a, bias) start at their values in `about` (N, 12), the means of an earlier run; without
-        `about`, the filter has to estimate them first, with a slightly larger error.
+        The constant states (rate of the helix, turning rate a, bias) start at their values in
+        `about` (R, 12), the means of an earlier run; without `about`, the filter has to estimate
+        them first, with a slightly larger error.
         """
-        count = self.values.shape[1]
-        bank, growth = HelixFilter(known), noise.growth
-        rows = np.full(count, -1)
-        total = np.zeros(count)
-        first = self.starts[:, 0].astype(int)
-        last = np.array([_last(self.values[:, i, 0]) for i in range(count)])
+        count, bank = len(cells), HelixFilter(self.known)
+        walk, exact, unsteady, place = (USUAL * np.exp(noise)).T
+        constant = np.full(count, RATE_WALK), np.zeros(count), np.zeros(count)
+        growth = np.column_stack([place, place, walk, unsteady, place, place, *constant])
+        values, starts = self.values[:, cells], self.starts[cells]
+        deviations = self.deviations[:, cells] * exact[:, None]
+        rows, total = np.full(count, -1), np.zeros(count)
+        last = np.array([_last(values[:, i, 0]) for i in range(count)])
         means = np.full((count, STATES), np.nan)
         covariances = np.full((count, STATES, STATES), np.nan)
         for k, pieces in enumerate(self.pieces):
             bank.predict(pieces)
-            there = np.flatnonzero((rows >= 0) & np.isfinite(self.values[k, :, 0]))
-            if len(there):
-                deviation = self.deviations[k, there] * noise.exactness[there, None]
-                likelihood, _ = bank.update(rows[there], self.values[k, there], deviation)
-                total[there] += likelihood
-            for i in np.flatnonzero(first == k):
-                rows[i] = bank.add(*self.starts[i, 1:])
+            there = np.flatnonzero((rows >= 0) & np.isfinite(values[k, :, 0]))
+            likelihood, _ = bank.update(rows[there], values[k, there], deviations[k, there])
+            total[there] += likelihood
+            for i in np.flatnonzero(starts[:, 0] == k):
+                rows[i] = bank.add(*starts[i, 1:])
                 bank.growth[rows[i]] = growth[i]
                 if about is not None and np.isfinite(about[i]).all():
                     bank.mean[rows[i], CONSTANT] = about[i, CONSTANT]
@@ -227,25 +194,6 @@ class _Measured:
 def _last(values: Floats) -> int:
     known = np.flatnonzero(np.isfinite(values))
     return int(known[-1]) if len(known) else -1
-
-
-def _likeliest(table: _Measured, known: bool) -> TrackNoise:
-    """Return the most likely noise of each cell, fitted one component after another."""
-    count = table.values.shape[1]
-    best = TrackNoise.usual(count)
-    for _ in range(ROUNDS):
-        for name, options in (
-            ("exactness", EXACTNESS),
-            ("walk", WALKS),
-            ("unsteady", UNSTEADY),
-            ("stray", STRAY),
-        ):
-            tried = best.repeated(len(options))
-            tried = replace(tried, **{name: np.repeat(options, count)})
-            score = table.repeated(len(options)).filtered(tried, known)[2]
-            chosen = score.reshape(len(options), count).argmax(axis=0)
-            best = replace(best, **{name: np.array(options)[chosen]})
-    return best
 
 
 def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> CellSummary:
@@ -281,11 +229,3 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
         magnetised=None if a is None else a.low > 0,
         probability=min(cell.probability for cell in path.seen),
     )
-
-
-def headings(path: CellPath) -> Floats:
-    """Return the heading of the helix in each picture (K,) [rad]."""
-    return np.array([cell.heading for cell in path.seen])
-
-
-assert HEADING == 2  # TrackNoise.growth has the order of the filter's states

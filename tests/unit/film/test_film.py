@@ -21,7 +21,7 @@ def test_a_speeds_and_biases_are_within_their_intervals():
     for seed in (31, 33):
         made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
         seen = followed(made)
-        for path, cell in zip(seen.paths, summarise(seen, record(made))[0], strict=True):
+        for path, cell in zip(seen.paths, summarise(seen, record(made)), strict=True):
             i = who(made, path)
             if cell.a is None or cell.seconds < 3 or i is None:
                 continue
@@ -39,7 +39,7 @@ def test_a_speeds_and_biases_are_within_their_intervals():
 def test_without_a_field_there_is_no_a():
     made = film(seed=34, side=512, cells=3, crossings=False)
     seen = followed(made, known=False)
-    cells, _ = summarise(seen, None)
+    cells = summarise(seen, None)
     assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
     assert as_items(seen, cells)["cells"][0]["a_rad_s"] is None
 

@@ -8,10 +8,9 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
-from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
 from tetractl.replay.identification.design import propose
-from tetractl.replay.identification.identify import identify
-from tetractl.replay.identification.tracks import Track, csv_tracks, drives_of
+from tetractl.replay.identification.identify import identify, tables
+from tetractl.replay.identification.tracks import Track, csv_tracks
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 EXPECTED = np.array([6.0, 4.0, 3.0])
@@ -127,46 +126,20 @@ def test_too_little_and_other_robots_are_refused():
         | {"names": ("a", "b", "c")}
     )
     with pytest.raises(UsageError, match="robots or length unit differ"):
-        drives_of([track, other])
+        identify([track, other], EXPECTED)
 
 
-def test_the_deviance_is_that_of_the_covariance():
-    rng, size = np.random.default_rng(1), 12
-    t, slope = rng.uniform(0.03, 0.05, size), rng.uniform(0.8, 1.1, size)
-    linked = np.arange(size) != 7
-    linked[0] = False
-    noise, r = ChainNoise(0.02, 0.3), rng.normal(0, 0.05, size)
-    covariance = np.diag(
-        noise.measured**2 * (1 + slope**2) + noise.walk**2 * t * (1 + 4 * slope + slope**2) / 6
-    )
-    for k in np.flatnonzero(linked):
-        covariance[k, k - 1] = covariance[k - 1, k] = -(noise.measured**2) * slope[k]
-    expected = r @ np.linalg.solve(covariance, r) + np.linalg.slogdet(covariance)[1]
-    chain = Chain(t, slope, np.ones(size, dtype=bool), linked)
-    assert chain.deviance(noise, r, np.empty((size, 0))) == pytest.approx(expected, rel=1e-10)
-    by = rng.normal(size=(size, 2))
-    information = by.T @ np.linalg.solve(covariance, by)
-    explained = by.T @ np.linalg.solve(covariance, r)
-    restricted = expected - explained @ np.linalg.solve(information, explained)
-    restricted += np.linalg.slogdet(information)[1]
-    assert chain.deviance(noise, r, by) == pytest.approx(restricted, rel=1e-8)
-
-
-def test_the_ends_of_a_noise_interval_are_where_the_profile_rises_to_the_limit():
-    rng, size = np.random.default_rng(2), 400
-    t = np.full(size, 0.04)
-    e = rng.normal(0, 0.01, size + 1)
-    r = np.diff(e) + rng.normal(0, 0.03 * 0.2, size)
-    linked = np.arange(size) > 0
-    chain = Chain(t, np.ones(size), np.ones(size, dtype=bool), linked)
-    nothing = np.empty((size, 0))
-    best = chain.noise_of(r, nothing)
-    (low, high), (walk_low, walk_high) = chain.noise_intervals(r, nothing, best)
-    assert low < 0.01 < high and walk_low < 0.03 < walk_high
-    walks = np.linspace(1e-6, 0.1, 400)
-    for end in (low, high):
-        profile = min(chain.deviance(ChainNoise(end, walk), r, nothing) for walk in walks)
-        assert profile - chain.deviance(best, r, nothing) == pytest.approx(LIMIT, abs=0.15)
+def test_a_model_that_does_not_fit_is_told():
+    """A robot that turns faster to one side, by half as much again."""
+    _, track = drive(5, *NOISY, "plant.dead_time=0.1")
+    found = identify([track], EXPECTED)
+    assert not any(robot.misfits for robot in found.robots)
+    assert "the model fits" in tables(found)[0].note
+    turned = np.diff(track.poses[:, 1, 2], prepend=track.poses[0, 1, 2])
+    track.poses[:, 1, 2] += 0.5 * np.cumsum(np.maximum(turned, 0.0))
+    wrong = identify([track], EXPECTED)
+    assert "heading" in wrong.robots[1].misfits
+    assert "the model does not fit" in tables(wrong)[0].note
 
 
 def test_a_design_stays_clear_and_tells_much():

@@ -85,18 +85,16 @@ def _advance(model, i, z, cov, u, scale, seconds):
         t = min(left, SUBSTEP_S)
         left -= SUBSTEP_S
         a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
-        wish, pull = 0.0, 0.0
         early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
         late = early * early
         off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
-        if drives:
-            wish = math.sin(off)
+        wish = math.sin(off) if drives else 0.0
         half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
         middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
-        if drives:
-            wish, pull = math.sin(off), math.cos(off)
+        wish, pull = (math.sin(off), math.cos(off)) if drives else (0.0, 0.0)
         turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
-        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal))
+        chord = 1 - turn * turn / 24
+        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal)) * chord
         z[SWING] = wish + late * (z[SWING] - wish)
         z[PACE] = goal + late * (z[PACE] - goal)
         keep = math.exp(-t * a * pull)
@@ -234,9 +232,8 @@ def _copy(bank, b, i, source, slot):
 @compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
-    if math.isnan(u):
-        return 0.0
-    return model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
+    rate = model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
+    return 0.0 if math.isnan(u) else rate
 
 
 @compiled(**INLINE_FAST)
@@ -352,18 +349,19 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
     """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
 
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
-    measured; only those with `seen` (N,) True are used.
+    measured; only those with `seen` (N,) True are used. Returns ln of their likelihoods (B, N).
     """
+    found = np.zeros(bank.unfit.shape)
     for i in range(model.a.size):
         for b in range(bank.tau.shape[0]):
             if bank.score[b, i] == -math.inf:
                 continue
             t = since
             while t < until:
-                coming, end = bank.next[b, i], until
-                acts = coming < when.size and when[coming] + bank.tau[b, i] <= until
-                if acts:
-                    end = max(t, when[coming] + bank.tau[b, i])
+                coming, at = bank.next[b, i], math.inf
+                if coming < when.size:
+                    at = when[coming] + bank.tau[b, i]
+                acts, end = at <= until, max(t, min(at, until))
                 for s in range(SLOTS):
                     if bank.weight[b, i, s] > -math.inf:
                         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
@@ -373,10 +371,12 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                     _switch(bank, model, b, i, u[coming], step)
                     bank.next[b, i] += 1
             if seen[i]:
-                bank.score[b, i] += _weigh(bank, b, i, model, poses[i], until - since)
+                found[b, i] = _weigh(bank, b, i, model, poses[i], until - since)
+                bank.score[b, i] += found[b, i]
             _stick(bank, b, i, until - since)
         scores = bank.score[:, i]
         scores[:] = (scores - scores.max()) * math.exp(-(until - since) / FORGET_S)
+    return found
 
 
 @compiled(**ENTRY_FAST)

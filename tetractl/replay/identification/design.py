@@ -3,8 +3,8 @@
 Of many random sequences, the one is taken that minimises the sum of the logarithms of the predicted
 variances of the dead time and of each robot's turning rate and heading bias (a D-optimal design).
 It is then improved one direction at a time. No robot may come within `margin` of the arena's edge
-or an obstacle, and no two robots within twice `margin` of each other. Variances are predicted from
-the Fisher information of the robots' turns in intervals of SHORTEST_S, with the noise NOISE.
+or an obstacle, and no two robots within twice `margin` of each other. Variances are those of the
+filter that will identify the robots, run over the path without noise.
 
 Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and Data Analysis",
 Academic Press (1977), chapter 6.
@@ -15,23 +15,25 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tetractl.control.filter import POSITION_NOISE_S, SLIP
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
 from tetractl.model.obstacles import Obstacles
-from tetractl.replay.identification.chain import ChainNoise
-from tetractl.replay.identification.tracks import SHORTEST_S, Track, drives_of
-from tetractl.replay.identification.turning import Turning, Turns
+from tetractl.replay.identification.fit import WEAK
+from tetractl.replay.identification.passes import SHORTEST_S, Belief, TrackFrames, marginal
+from tetractl.replay.identification.tracks import Track
 
 HOLD_S = 0.4  # least time for which a direction is held
-NOISE = ChainNoise(0.01, 0.03)  # noise of headings [rad], and their random walk [rad/sqrt(s)]
+# noise of positions over the speed [s] and of headings [rad], and their random walks, over sqrt(s)
+NOISE = (POSITION_NOISE_S, 0.01), (SLIP, 0.03)
+APART_S = 0.0005  # spacing of the dead times from which the accuracy of theirs is predicted [s]
 CANDIDATES, CHANGES = 60, 120
 # most draws per direction; after a failed draw, probability to go back, and by how many directions
 TRIES, GIVE_UP, GIVEN_UP = 60, 0.1, 3
 TURN = 2.0  # largest change of direction [rad]: near pi, a robot may turn either way
-WEAK = np.array([0.5, 2.0, 1.0])  # prior standard deviations of dead time, ln a and bias
 AWAY = 0.15  # margin relative to the arena's shorter side; smaller for robots that start nearer
 
 
@@ -193,15 +195,12 @@ def _score(setup: Setup, directions: Floats, dead_time: float) -> float:
 def _deviations(setup: Setup, directions: Floats, dead_time: float) -> Floats:
     """Return predicted standard deviations (1 + 2 N,): of dead time, log turning rates, biases."""
     n = len(setup.names)
-    drives = drives_of([_driven(setup, directions, dead_time)])
-    turns, p = Turns(drives), Turning(dead_time, np.log(setup.a), np.zeros(n))
-    by = turns.derivatives(p)
-    normal = np.diag(np.repeat(WEAK, [1, n, n]) ** -2.0)
-    for i, chain in enumerate(turns.chains(p, drives.intervals.usable)):
-        columns = chain.whiten(chain.factor(NOISE), by[:, i])
-        at = np.array([0, 1 + i, 1 + n + i])
-        normal[np.ix_(at, at)] += columns.T @ columns
-    return np.sqrt(np.diag(np.linalg.inv(normal)))
+    mean = np.column_stack([np.log(setup.a), np.log(setup.speed), np.zeros(n)])
+    noise, walk = (np.column_stack([one * setup.speed, np.full(n, two)]) for one, two in NOISE)
+    belief = Belief(mean, np.broadcast_to(WEAK, mean.shape), noise, walk)
+    frames = TrackFrames.of(_driven(setup, directions, dead_time))
+    _, tau_std, _, std, _ = marginal([frames], belief, dead_time, APART_S)
+    return np.concatenate([[tau_std], std[:, 0], std[:, 2]])
 
 
 def _driven(setup: Setup, directions: Floats, dead_time: float) -> Track:

@@ -1,223 +1,191 @@
-"""Fits a dead time that all robots share, and each robot's turning rate a and heading bias, by
-maximum likelihood.
+"""Fits a dead time that all robots share, and each robot's turning rate a, speed, heading bias and
+noise, by maximising the likelihood of the controller's filter (`control.filter`).
 
-The controller's filters (`control.filter`) run over the longest track, once for each factor of
-RATES, starting from the expected turning rates a times that factor. The fit starts from the final
-estimates of the run that predicts the turns best. Each of ROUNDS rounds then infers lost commands
-from the robots' turns, leaves out intervals that deviate from the model by more than OUTLYING
-standard deviations, fits the measurement noise and the random walk of the headings, and fits the
-parameters by Gauss-Newton steps on the whitened residuals. A parameter's 95 % interval contains the
-values for which the deviance, minimised over all other parameters, is at most LIMIT above its
-minimum.
+A first pass of the filter over the longest track has a grid of dead times, and each of RATES as
+factors on the expected turning rates a. The fit starts from the likeliest. In each of ROUNDS
+rounds, passes over all tracks
 
-Normal priors around the fit's starting values, with the wide standard deviations WEAK, keep a
-parameter bounded if the data do not determine it.
+- with the noise varied give gradient and curvature of the likelihood in the noise of measurements
+  and the random walks, for a Newton step;
+- with dead times around the likeliest give a parabola, whose maximum and width are the dead time
+  and its standard deviation, and each robot's a, speed and bias with theirs.
+
+The filter estimates a, speed and bias as constant states with wide priors, so that the likelihood
+is the restricted one, which accounts for their fit. Intervals are normal in ln a, ln of the speed,
+bias, dead time, ln of the measurement noise, and the random walks.
+
+The residuals of a model that fits are white. Where they are not, by the test of Ljung and Box ("On
+a measure of lack of fit in time series models", Biometrika 65, 1978), intervals of a, speed and
+bias are widened by the ratio of the residuals' long-run deviation to their own.
 """
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
-from tetractl.control.filter import FilterBank
-from tetractl.control.prior import Prior
-from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
-from tetractl.core.poses import Bools, Floats, Observation, Poses
-from tetractl.replay.identification.chain import LIMIT, Chain, ChainNoise
-from tetractl.replay.identification.tracks import Drives, Track
-from tetractl.replay.identification.turning import Turning, Turns
+from tetractl.control.filter import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
+from tetractl.core.poses import Floats
+from tetractl.replay.identification.newton import newton_step
+from tetractl.replay.identification.passes import (
+    UNKNOWN_S,
+    Belief,
+    Passed,
+    TrackFrames,
+    marginal,
+    run,
+)
 
-OUTLYING = 4.0  # largest deviation of a used interval [standard deviations]
-ROUNDS = 5
-RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the filters start
-WEAK = (0.5, 2.0, 1.0)  # prior standard deviations of tau [s], ln a and beta [rad]
-# largest distances from tau, ln a and beta at which an interval's end is searched
-FAR = 1.0, 3.0, 1.5
-STEP = (0.03, 0.3, 0.3)  # longest Gauss-Newton step of tau, ln a and beta
-NEWTON = 3  # Gauss-Newton steps at each point of a profile
-POINTS = 6  # number of points on each side of a profile
+ROUNDS = 6
+RATES = (1.0, 0.4, 2.5)  # factors on the expected a, from which the first pass starts
+REACH_S, APART_S = 0.3, 0.02  # half width and spacing of the first pass's dead times [s]
+# prior standard deviations of ln a, ln of the speed and bias [rad]: of the first pass, and at most
+FIRST, WEAK = np.array([0.5, 0.5, 0.2]), np.array([2.0, 0.5, 1.0])
+WIDER = 10.0  # prior standard deviation of a pass, over the deviation after the pass before
+LOOSE = 5.0  # prior standard deviation of the noise's parameters
+NORMAL = 1.96  # standard deviations to either end of a 95 % interval
+FAR = np.array([3.0, 1.0, 1.5])  # half widths from which ends of ln a, ln speed, bias are unknown
+LAGS, DOUBT = 5, 0.001  # lags of the test of residuals, and its level
+# deviations of residuals below which no camera shows that a model does not fit: of positions over
+# the speed [s], and of headings [rad]
+RESOLVED_S, RESOLVED = 5e-4, 1e-3
+RESIDUALS = ("along the path", "across the path", "heading")
 
 
 @dataclass(frozen=True, slots=True)
-class Fitted:
-    """The most likely parameters and the ends of their 95 % intervals; an end that was not found is
-    infinite.
+class SampleInterval:
+    """A value and its 95 % interval; an end is infinite if the data do not bound the value."""
 
-    `chains` and `noises` describe each robot's turns; `used` (K, N) is True for intervals in the
-    fit.
+    value: float
+    low: float
+    high: float
+
+
+class Fitted(NamedTuple):
+    """The likeliest values with their 95 % intervals: the dead time [s], and of each robot a, speed
+    and heading bias as `motion`, and standard deviations of measured positions, of their random
+    walk, of measured headings and of theirs as `noise`.
+
+    `lost` (N,) is the expected number of commands that a robot lost; `misfits` names, for each
+    robot, the residuals that are not white.
     """
 
-    best: Turning
-    low: Turning
-    high: Turning
-    turns: Turns
-    chains: list[Chain]
-    noises: list[ChainNoise]
-    used: Bools
+    dead_time: SampleInterval
+    motion: list[list[SampleInterval]]
+    noise: list[list[SampleInterval]]
+    lost: Floats
+    misfits: list[list[str]]
 
 
-def fit(tracks: list[Track], drives: Drives, prior: Prior) -> Fitted:
-    """Fit the parameters to tracks; `drives` are the same tracks joined, `prior` the expected
-    values.
+def fit(frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float) -> Fitted:
+    """Fit the parameters to the frames of some tracks, from expected turning rates a (N,) [rad/s],
+    speeds (N,) [length unit/s] and dead time [s].
     """
-    longest = max(tracks, key=lambda track: len(track.time))
-    starts = [_filtered(longest, prior._replace(a=prior.a * rate)) for rate in RATES]
-    first = min((_Fit(drives, start) for start in starts), key=_Fit.misfit)
+    state = _Fit(frames, a, speed, dead_time)
     for _ in range(ROUNDS):
-        first.improve()
-    return first.result()
-
-
-def _filtered(track: Track, prior: Prior) -> Turning:
-    """Return the final estimates of the controller's filters, run over the frames and commands of a
-    track.
-    """
-    bank, every = FilterBank(prior), (True,) * len(prior.a)
-    sent, at = (track.sent * SECOND).round().astype(np.int64).tolist(), 0
-    for k in np.flatnonzero(track.time <= track.until).tolist():
-        now = round(track.time[k] * SECOND)
-        while at < len(sent) and sent[at] <= now:
-            bank.sent(Command(float(track.u[at]), sent[at], every))
-            at += 1
-        poses = Poses.of(np.nan_to_num(track.poses[k]))
-        bank.seen(Observation(k, now, now, poses, track.valid[k]))
-    found = bank.estimate()
-    assert found.dead_time is not None and found.heading_bias is not None
-    return Turning(found.dead_time, np.log(found.a), found.heading_bias)
+        state.fit_noise()
+        state.fit_motion()
+    return state.result()
 
 
 class _Fit:
-    """The parameters, noise and used intervals of a fit, improved round by round."""
+    """The parameters of a fit, improved round by round.
 
-    def __init__(self, drives: Drives, start: Turning) -> None:
-        self.turns, self.p = Turns(drives), start
-        self.used = drives.intervals.usable
-        n = self.used.shape[1]
-        self._weak, self._far, self._step = (np.repeat(v, [1, n, n]) for v in (WEAK, FAR, STEP))
-        self._center = start.vector()
-        self._chains: list[Chain] = []
-        self._noises: list[ChainNoise] = []
-        self._factors: list[Floats] = []
+    The noise of a robot has four parameters (N, 4): the logarithms of the noise of measured
+    positions and headings over `unit` (N, 4), and their random walks over theirs, which may be 0
+    and count by their magnitudes.
+    """
 
-    def misfit(self) -> float:
-        """Return the mean absolute error of the predicted turns [rad]; an error above 0.2 rad
-        counts as 0.2 rad.
-        """
-        r = np.abs(self.turns.missed(self.p))
-        return float(np.minimum(r, 0.2)[self.used].mean()) if self.used.any() else np.inf
+    def __init__(
+        self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float
+    ) -> None:
+        self.frames, count = frames, len(a)
+        usual = POSITION_NOISE_S * speed, SLIP * speed
+        self._unit = np.column_stack([*usual, np.tile((HEADING_NOISE, WALK), (count, 1))])
+        self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
+        self.noise_std = np.ones_like(self.noise)
+        self.std = np.tile(FIRST / WIDER, (count, 1))
+        self.mean = np.column_stack([np.log(a), np.log(speed), np.zeros(count)])
+        rows = np.repeat(np.arange(count), len(RATES))
+        first = self._belief(rows, self.noise[rows])
+        first.mean[:, 0] += np.tile(np.log(RATES), count)
+        low = max(0.0, dead_time - REACH_S)
+        tau = np.arange(low, dead_time + REACH_S, APART_S)
+        longest = max(frames, key=lambda one: len(one.time))
+        found = run([longest], rows, first, tau, APART_S)
+        likelihood = found.likelihood.reshape(len(tau), count, -1)
+        at = int(likelihood.max(axis=2).sum(axis=1).argmax())
+        best = np.arange(count) * len(RATES) + likelihood[at].argmax(axis=1)
+        self.tau, self.tau_std = float(tau[at]), APART_S / 2
+        self.mean, self.std = found.mean[at, best], found.std[at, best]
 
-    def improve(self) -> None:
-        """Do one round: infer losses, leave out outliers, fit the noise, fit the parameters."""
-        usable = self.turns.drives.intervals.usable
-        if not self._noises:
-            r = self.turns.missed(self.p)
-            spread = [_spread(r[usable[:, i], i]) for i in range(r.shape[1])]
-            self._chains = self.turns.chains(self.p, usable)
-            self._noises = [ChainNoise(one / np.sqrt(2), one) for one in spread]
-        self.turns.believe(self.p, self._chains, self._noises)
-        r = self.turns.missed(self.p)
-        limits = [
-            OUTLYING * np.sqrt(c.variance(n))
-            for c, n in zip(self._chains, self._noises, strict=True)
-        ]
-        self.used = usable & (np.abs(r) <= np.column_stack(limits))
-        self._chains = self.turns.chains(self.p, self.used)
-        by = self.turns.derivatives(self.p)
-        self._noises = [c.noise_of(r[:, i], by[:, i]) for i, c in enumerate(self._chains)]
-        self._factors = [c.factor(n) for c, n in zip(self._chains, self._noises, strict=True)]
-        for _ in range(NEWTON):
-            self.p = self._newton(self.p, None)
+    def fit_noise(self) -> None:
+        """Do a Newton step in the noise's parameters."""
+        self.noise, self.noise_std = newton_step(self._likelihood, self.noise, LOOSE)
 
-    def _whitened(self, p: Turning, derivatives: bool) -> tuple[Floats, Floats]:
-        """Return the whitened residuals y (N K,) and, if `derivatives`, the whitened derivatives of
-        the predicted turns with respect to the parameters (N K, 1 + 2 N), otherwise an empty array.
-        """
-        r, count = self.turns.missed(p), self.used.shape[1]
-        by = self.turns.derivatives(p) if derivatives else np.empty((*r.shape, 0))
-        ys, rows = [], []
-        for i, (chain, factor) in enumerate(zip(self._chains, self._factors, strict=True)):
-            y = chain.whiten(factor, np.column_stack([r[:, i], by[:, i]]))
-            ys.append(y[:, 0])
-            if derivatives:
-                row = np.zeros((len(r), 1 + 2 * count))
-                row[:, 0], row[:, 1 + i], row[:, 1 + count + i] = y[:, 1:].T
-                rows.append(row)
-        return np.concatenate(ys), np.concatenate(rows) if rows else np.empty((0, 0))
+    def _likelihood(self, noise: Floats) -> Floats:
+        """Return ln of the likelihoods (N, V) of variants of the noise (N, V, 4)."""
+        rows = np.repeat(np.arange(len(noise)), noise.shape[1])
+        belief = self._belief(rows, noise.reshape(-1, 4))
+        found = run(self.frames, rows, belief, np.array([self.tau])).likelihood
+        return found.reshape(noise.shape[:2])
 
-    def _newton(self, p: Turning, fixed: int | None) -> Turning:
-        """Return the parameters after a Gauss-Newton step, which leaves the parameter of index
-        `fixed` unchanged.
-        """
-        y, by = self._whitened(p, True)
-        v = p.vector()
-        normal = by.T @ by + np.diag(self._weak**-2.0)
-        right = by.T @ y - (v - self._center) / self._weak**2
-        if fixed is not None:
-            normal[fixed], normal[:, fixed], right[fixed] = 0.0, 0.0, 0.0
-            normal[fixed, fixed] = 1.0
-        self._deviations = np.sqrt(np.diag(np.linalg.inv(normal)))
-        v = v + np.clip(np.linalg.solve(normal, right), -self._step, self._step)
-        v[0] = max(v[0], 0.0)
-        return Turning.of(v)
+    def fit_motion(self, watched: bool = False) -> Passed:
+        """Find the likeliest dead time, a, speed and bias at the present noise."""
+        belief = self._belief(np.arange(len(self.mean)), self.noise)
+        found = marginal(self.frames, belief, self.tau, self.tau_std, watched)
+        self.tau, self.tau_std, self.mean, self.std, passed = found
+        return passed
 
-    def _deviance(self, p: Turning) -> float:
-        y, _ = self._whitened(p, False)
-        return float(y @ y + (((p.vector() - self._center) / self._weak) ** 2).sum())
+    def _belief(self, rows: np.ndarray, noise: Floats) -> Belief:
+        std, unit = np.minimum(WIDER * self.std, WEAK)[rows], self._deviations(rows, noise)
+        return Belief(self.mean[rows], std, unit[:, ::2], unit[:, 1::2])
 
-    def _end(self, which: int, sign: int, deviation: float, least: float) -> float:
-        """Return the lower (`sign` -1) or upper (+1) end of the interval of parameter `which`: the
-        value at which the deviance, minimised over all other parameters, is LIMIT above `least`.
-        """
-        best = self.p.vector()
-        p, reach = self.p, 1.96 * deviation
-        inside, outside = 0.0, np.inf
-        for _ in range(POINTS):
-            if reach > self._far[which]:
-                return sign * np.inf
-            v = p.vector()
-            v[which] = best[which] + sign * reach
-            if which == 0 and v[0] <= 0:
-                if inside == outside:
-                    break
-                v[0] = 0.0
-            p = Turning.of(v)
-            for _ in range(NEWTON):
-                p = self._newton(p, which)
-            above = self._deviance(p) - least
-            if which == 0 and v[0] == 0.0 and above <= LIMIT:
-                return 0.0
-            if above <= LIMIT:
-                inside = reach
-            else:
-                outside = reach
-            if abs(above - LIMIT) < 0.02:
-                break
-            guess = reach * np.sqrt(LIMIT / max(above, LIMIT / 9))
-            if not inside < guess < outside:
-                guess = 2 * reach if np.isinf(outside) else (inside + outside) / 2
-            reach = float(guess)
-        return float(best[which] + sign * reach)
+    def _deviations(self, rows: np.ndarray, noise: Floats) -> Floats:
+        """Return the standard deviations (R, 4) for parameters of the noise (R, 4)."""
+        return self._unit[rows] * np.where([True, False] * 2, np.exp(noise), np.abs(noise))
 
     def result(self) -> Fitted:
-        """Return the fit with the intervals of its parameters."""
-        best = self.p.vector()
-        self._newton(self.p, None)
-        deviations, least = self._deviations, self._deviance(self.p)
-        low, high = (
-            np.array([self._end(j, sign, deviations[j], least) for j in range(len(best))])
-            for sign in (-1, 1)
-        )
+        """Return the fit with its intervals."""
+        watched = self.fit_motion(watched=True)
+        speed = np.exp(self.mean[:, 1])
+        resolved = np.stack([RESOLVED_S * speed, RESOLVED_S * speed, RESOLVED + 0 * speed], axis=1)
+        misfits, wider = _white(watched.residuals, resolved)
+        half = NORMAL * self.std * wider[:, None]
+        half = np.where(half > FAR, np.inf, half)
+        motion = np.stack([self.mean, self.mean - half, self.mean + half], axis=-1)
+        motion[:, :2] = np.exp(motion[:, :2])
+        size, rows = np.abs(self.noise), np.arange(len(self.noise))
+        size[:, ::2] = self.noise[:, ::2]
+        ends = [size + sign * NORMAL * self.noise_std for sign in (0, -1, 1)]
+        ends[1][:, 1::2] = np.maximum(ends[1][:, 1::2], 0.0)
+        noise = np.stack([self._deviations(rows, one) for one in ends], axis=-1)
+        reach = NORMAL * self.tau_std * wider.max() if self.tau_std < UNKNOWN_S else np.inf
         return Fitted(
-            self.p,
-            Turning.of(low),
-            Turning.of(high),
-            self.turns,
-            self._chains,
-            self._noises,
-            self.used,
+            SampleInterval(*(max(0.0, self.tau + end) for end in (0.0, -reach, reach))),
+            [[SampleInterval(*v) for v in robot] for robot in motion.tolist()],
+            [[SampleInterval(*v) for v in robot] for robot in noise.tolist()],
+            watched.lost,
+            misfits,
         )
 
 
-def _spread(r: Floats) -> float:
-    """Return the standard deviation of residuals, estimated from the median of their magnitudes."""
-    return max(float(np.median(np.abs(r))) / 0.6745, 1e-6) if r.size else 1.0
+def _white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats]:
+    """Return the kinds of each robot's residuals (F, N, 3) that are not white though their
+    deviation is above `resolved` (N, 3), and the greatest ratio of their long-run deviation to it
+    (N,), at least 1.
+    """
+    misfits: list[list[str]] = [[] for _ in range(residuals.shape[1])]
+    wider = np.ones(len(misfits))
+    for robot, kind in np.ndindex(residuals.shape[1:]):
+        r = residuals[:, robot, kind]
+        seen = np.isfinite(r)
+        if np.std(r[seen]) < resolved[robot, kind]:
+            continue
+        r = np.nan_to_num(np.clip(r, *np.std(r[seen]) * np.array([-4.0, 4.0])))
+        rho = np.array([r[lag:] @ r[:-lag] for lag in range(1, LAGS + 1)]) / (r @ r + 1e-300)
+        if chi2.sf(seen.sum() * (rho**2).sum(), LAGS) < DOUBT / residuals[0].size:
+            misfits[robot].append(RESIDUALS[kind])
+            wider[robot] = max(wider[robot], np.sqrt(max(1 + 2 * rho.sum(), 1.0)))
+    return misfits, wider

@@ -9,23 +9,17 @@ from collections.abc import Collection
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
-from tetractl.core.poses import Bools, Floats, wrap
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.read.validate import LENGTH_MAX
 
-SHORTEST_S = 0.035  # shortest interval: a frame that follows sooner is left out
-DRIVING = 0.5  # a robot drives if it travels at least this fraction of its usual distance
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
-PIECES_MAX = 10_000_000  # largest number of intervals times directions in one interval
-APART_S = 1000.0  # time between two tracks that are joined
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,50 +44,6 @@ class Track:
     u: Floats
     until: float
     frame_age: float | None = None
-
-
-class Intervals(NamedTuple):
-    """K intervals between two camera frames of N robots.
-
-    An interval lasts from `since` to `until` (K,) [s]. `heading` (K, N) [rad] is the heading at the
-    interval's start, `turned` (K, N) [rad] the turn and `travelled` (K, N) [length unit] the
-    distance during the interval. `usable` (K, N) is False for a robot that was not tracked, or did
-    not move yet.
-    """
-
-    since: Floats
-    until: Floats
-    heading: Floats
-    turned: Floats
-    travelled: Floats
-    usable: Bools
-
-
-class Directions(NamedTuple):
-    """C directions u (C,) [rad], and the times `when` (C,) [s] at which they were sent."""
-
-    when: Floats
-    u: Floats
-
-
-@dataclass(frozen=True, slots=True)
-class Drives:
-    """Tracks of N robots joined into one, with APART_S between two tracks: K intervals between
-    frames.
-
-    `moved` (K, N, 2) is the displacement of an interval [length unit]. `after` (K,) is True if an
-    interval begins with the last frame of the interval before.
-    """
-
-    intervals: Intervals
-    directions: Directions
-    moved: Floats
-    after: Bools
-
-    @property
-    def seconds(self) -> Floats:
-        """The length of each interval [s], (K,)."""
-        return self.intervals.until - self.intervals.since
 
 
 def track_of(log: TrialLog) -> Track:
@@ -154,8 +104,8 @@ def stopped_ns(log: TrialLog) -> int | None:
     return min(stops, default=log.stop.sent_ns if log.stop else None)
 
 
-def drives_of(tracks: list[Track]) -> Drives:
-    """Return several tracks of the same robots as one; UsageError if robots or units differ."""
+def require_same(tracks: list[Track]) -> None:
+    """Raise UsageError if tracks are not of the same robots in the same unit."""
     first = tracks[0]
     for other in tracks[1:]:
         if (other.names, other.unit) != (first.names, first.unit):
@@ -163,94 +113,6 @@ def drives_of(tracks: list[Track]) -> Drives:
                 f"{other.source}: robots or length unit differ from those of {first.source}",
                 "identify them separately",
             )
-    parts = [_drive(track, APART_S * (i + 1)) for i, track in enumerate(tracks)]
-    intervals = Intervals(
-        *(
-            np.concatenate([getattr(one.intervals, name) for one in parts])
-            for name in Intervals._fields
-        )
-    )
-    directions = Directions(
-        np.concatenate([one.directions.when for one in parts]),
-        np.concatenate([one.directions.u for one in parts]),
-    )
-    moved = np.concatenate([one.moved for one in parts])
-    return Drives(intervals, directions, moved, np.concatenate([one.after for one in parts]))
-
-
-def _drive(track: Track, begin: float) -> Drives:
-    """Return one track as `Drives`, with its times shifted so that the first command is sent at
-    `begin` [s].
-    """
-    if not len(track.sent):
-        raise UsageError(f"{track.source}: no direction was sent")
-    origin = float(track.sent[0])
-    kept = _thinned(track.time)
-    time, poses, valid = track.time[kept], track.poses[kept], track.valid[kept]
-    moved = np.diff(poses[..., :2], axis=0)
-    travelled = np.hypot(moved[..., 0], moved[..., 1])
-    seen = valid[:-1] & valid[1:]
-    t = np.diff(time)[:, None]
-    told = (time[:-1] >= origin) & (time[1:] <= track.until)
-    pace = np.divide(travelled, t, out=np.zeros_like(travelled), where=t > 0)
-    usual = np.array(
-        [np.median(pace[told & seen[:, i], i]) if (told & seen[:, i]).any() else np.inf
-         for i in range(len(track.names))]
-    )  # fmt: skip
-    driving = np.logical_or.accumulate(seen & (pace >= DRIVING * usual) & told[:, None], axis=0)
-    began = np.vstack([np.zeros((1, len(track.names)), dtype=np.bool_), driving[:-1]])
-    usable = seen & began & told[:, None]
-    some = usable.any(axis=1)
-    index = np.flatnonzero(some)
-    changes = np.append(True, np.diff(track.u) != 0)  # repeated directions are left out
-    return Drives(
-        Intervals(
-            since=time[:-1][some] - origin + begin,
-            until=time[1:][some] - origin + begin,
-            heading=poses[:-1, :, 2][some],
-            turned=wrap(np.diff(poses[..., 2], axis=0))[some],
-            travelled=travelled[some],
-            usable=usable[some],
-        ),
-        Directions(track.sent[changes] - origin + begin, track.u[changes]),
-        moved=moved[some],
-        after=np.diff(index, prepend=-2) == 1,
-    )
-
-
-def _thinned(time: Floats) -> list[int]:
-    """Return the indices of frames of a track that are at least SHORTEST_S apart."""
-    kept: list[int] = []
-    for i, t in enumerate(time):
-        if not kept or t - time[kept[-1]] >= SHORTEST_S - 1e-9:
-            kept.append(i)
-    return kept
-
-
-def substeps(
-    intervals: Intervals, when: Floats, tau: float
-) -> list[tuple[NDArray[np.int64], Floats]]:
-    """Return which of the directions sent at `when` (C,) [s] act in each interval: a pair of arrays
-    for the oldest direction in each interval, a pair for the next, and so on.
-
-    A pair holds the directions' indices (K,) and the times (K,) for which they act [s], 0 if an
-    interval has fewer directions. A direction acts from `tau` [s] after it was sent; the first
-    direction also acts before that.
-    """
-    acts = when + tau
-    ends = np.append(acts[1:], np.inf)  # the last direction acts until the end
-    first = np.maximum(acts.searchsorted(intervals.since, "right") - 1, 0)
-    last = acts.searchsorted(intervals.until, "left") - 1
-    found, begin = [], intervals.since
-    pieces = int((last - first).max(initial=0)) + 1
-    if pieces * len(first) > PIECES_MAX:
-        raise UsageError(f"{pieces} directions were sent between two frames", "log more frames")
-    for piece in range(pieces):
-        number = np.minimum(first + piece, len(when) - 1)
-        end = np.minimum(ends[number], intervals.until)
-        found.append((number, np.maximum(end - begin, 0.0)))
-        begin = np.maximum(begin, end)
-    return found
 
 
 ORIGIN = "CSV"

@@ -29,7 +29,7 @@ from solverbench.report import load, progress
 
 from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner, steering
-from tetractl.control.lengths import Searcher, choose, least_length
+from tetractl.control.lengths import Searcher, least_length
 from tetractl.control.mpc import Mpc
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.commands import Command

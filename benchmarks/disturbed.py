@@ -54,14 +54,13 @@ WORLD = (
 FAR_MM = 100.0
 BODY_MM = 47.0  # radius of an m3pi, in every row, also of controllers that are not given it
 RATES = {
-    5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=800"),
-    20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=3200"),
+    5: ("controller.period=0.2", "controller.signal_periods=1", "controller.steps_max=800"),
+    20: ("controller.period=0.05", "controller.signal_periods=4", "controller.steps_max=3200"),
 }
 """Settings for each rate of the control [Hz]."""
 PLAIN = (
     "controller.estimate=false",
-    "controller.accept_error=0",
-    "controller.stop_between=false",
+    "controller.accept_error=1e9",
     "controller.collision.adaptive=false",
     "controller.collision.margin=20",
     "controller.collision.radius=0",
@@ -80,11 +79,9 @@ ABLATION: list[Row] = [
     ("whole", ()),
     ("without identification, dead time given", ("controller.estimate=false", TOLD)),
     ("without identification, dead time not given", ("controller.estimate=false",)),
-    ("without going round", ("controller.accept_error=0",)),
-    ("without a stop between steps", ("controller.stop_between=false",)),
+    ("without going round or resting", ("controller.accept_error=1e9",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
     ("without the wheels' lag, on a bench", ("wheels.lag=0",)),
-    ("all lengths at step 0", ("controller.initial_lengths=all",)),
     ("none of them, dead time given", (*PLAIN, TOLD)),
     ("none of them, dead time not given", PLAIN),
 ]
@@ -98,7 +95,7 @@ KNOWLEDGE: list[Row] = [
 ]
 """The dead time of the world, {}, is filled in."""
 ACCEPT: list[Row] = [
-    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
+    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (40, 30, 20, 15, 12, 10, 8)
 ]
 
 

@@ -34,7 +34,7 @@ robots:
 obstacles: [{type: circle, center: [250, 400], radius: 20}]
 wheels: {radius: 40}
 controller:
-  {type: pso-mpc, horizon_max: 6, steps_max: 5, estimate: true, motion: exact,
+  {type: mpc, period: 0.2, horizon_max: 6, steps_max: 5,
    optimizer: {particles: 6, iterations: 14}}
 plant:
   {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_noise: 0.1,

@@ -60,7 +60,7 @@ LAB = WRITTEN["init: lab"]
 
 def test_defaults_follow_the_period_the_robots_and_their_bodies():
     control = parse_spec(LAB, "lab.yaml").experiment.controller
-    assert (control.period, control.hold, control.steps_max) == (0.05, 4, 3200)
+    assert (control.period, control.signal_periods, control.steps_max) == (0.05, 4, 3200)
     assert control.accept_error == 8.6  # of 380 mm/s
     assert (control.collision.separation, control.arrival_tolerance) == (94, 0)
     assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)

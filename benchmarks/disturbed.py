@@ -28,7 +28,7 @@ from solverbench.report import load, progress
 from tetractl.control.build import build_controller
 from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
-from tetractl.control.mpc_section import MpcFields
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Verdict
@@ -60,7 +60,8 @@ RATES = {
 """Settings for each rate of the control [Hz]."""
 PLAIN = (
     "controller.estimate=false",
-    "controller.accept_error=1e9",
+    "controller.collision.stop_before_collision=false",
+    "controller.collision.silence=0",
     "controller.collision.adaptive=false",
     "controller.collision.margin=20",
     "controller.collision.radius=0",
@@ -79,11 +80,10 @@ ABLATION: list[Row] = [
     ("whole", ()),
     ("without identification, dead time given", ("controller.estimate=false", TOLD)),
     ("without identification, dead time not given", ("controller.estimate=false",)),
-    ("without going round or resting", ("controller.accept_error=1e9",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
     ("without the wheels' lag, on a bench", ("wheels.lag=0",)),
-    ("none of them, dead time given", (*PLAIN, TOLD)),
-    ("none of them, dead time not given", PLAIN),
+    ("without identification and safety, dead time given", (*PLAIN, TOLD)),
+    ("without identification and safety, dead time not given", PLAIN),
 ]
 KNOWLEDGE: list[Row] = [
     ("dead time given", (TOLD,)),
@@ -159,7 +159,7 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     return counted(Knowing, section, setup, key)
 
 
-def counted(kind: type[M], section: MpcFields, setup: Setup, key: int) -> M:
+def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M:
     """Return a controller whose deadline is kept by the work of its searches."""
     work = WorkClock()
     optimizers = work.wrap(section.optimizer), work.wrap(CircleSearch())

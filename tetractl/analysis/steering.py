@@ -9,8 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
-from tetractl.control.mpc import RecommendedMpc
-from tetractl.control.mpc_section import Collision, SearchFields
+from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation

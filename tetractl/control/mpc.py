@@ -18,7 +18,6 @@ plan under way, and only the first signal is exerted.
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -28,10 +27,10 @@ from tetractl.control.delay import driven
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
-from tetractl.control.holding import CircleSearch, signals_ahead
+from tetractl.control.holding import signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
-from tetractl.control.margins import Margins, off_course
-from tetractl.control.mpc_section import MpcFields
+from tetractl.control.margins import Margins
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.rng import mix
 from tetractl.control.value import Value
 from tetractl.core.clock import SECOND
@@ -51,7 +50,7 @@ from tetractl.core.plan import (
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import OptimizerSection, Square, same
+from tetractl.experiment.controller import Square
 
 NEXT = 2  # number of next signals of the present plan that must be safe
 UNSURE = 2  # number of last signals of a plan that need not be safe
@@ -85,7 +84,7 @@ class Mpc:
 
     def __init__(
         self,
-        section: MpcFields,
+        section: RecommendedMpc,
         setup: Setup,
         key: int,
         optimizer: Optimizer,
@@ -188,7 +187,8 @@ class Mpc:
             return Outcome.NOTHING_BETTER
         if holds and self.setup.wheel_radius is None:
             return self._circle(problem)
-        value = self._value(problem)
+        spent_s = (self.k - self.leg.k) * self.section.period
+        value = Value(self.section.accept_error, spent_s, problem.period)
         if self._warm is None:
             return self._at_rest(problem, observation, value, gaps, holds)
         if self._state is State.LEAVING:
@@ -197,10 +197,6 @@ class Mpc:
                 return self._given(problem, State.RESTING)
             return self._given(problem, State.LEAVING, left)
         return self._under_way(problem, observation, value, holds)
-
-    def _value(self, problem: Problem) -> Value:
-        spent_s = (self.k - self.leg.k) * self.section.period
-        return Value(self.section.accept_error, spent_s, problem.period)
 
     def _under_way(
         self, problem: Problem, observation: Observation, value: Value, holds: bool
@@ -360,19 +356,10 @@ class Mpc:
         return replace(make_plan(problem, [found], 0, key), state=State.HOLDING)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins. Adaptive margins grow by the distance that robots
-        may leave their course, given the estimate `known`, which is None for a certain motion."""
-        collision = self.section.collision
-        if not collision.adaptive:
-            return problem
-        off = off_course(problem.speed, self.section.period, self.estimator.dead_time_s, known)
-        margin = collision.margin + collision.radius + off
-        apart = collision.separation + 2 * off if collision.separation else 0.0
-        return replace(
-            problem,
-            obstacles=self.margins.obstacles(problem.poses, margin),
-            separation=self.margins.separation(problem.poses, apart),
-        )
+        """Return the problem with its margins, given the estimate `known` of the motion, which is
+        None for a certain motion."""
+        periods = self.section.period, self.estimator.dead_time_s
+        return self.margins.around(problem, self.section.collision, *periods, known)
 
     def _enters(self, problem: Problem, observation: Observation, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
@@ -401,23 +388,3 @@ class Mpc:
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
         return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
-
-
-class RecommendedMpc(MpcFields):
-    """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
-    polished starts in place of a particle swarm, identification while robots drive, paths that keep
-    clear, and one value that decides between a plan, a longer way, a rest and a stop. Every default
-    is what we recommend for robots on wheels."""
-
-    type: Literal["mpc"] = "mpc"
-    tours: ClassVar[bool] = True
-
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> Mpc:
-        """Return the controller of one trial."""
-        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)

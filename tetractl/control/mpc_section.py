@@ -2,9 +2,10 @@
 `SearchFields`, and `mpc`, the recommended controller, all of them.
 """
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveInt
@@ -12,10 +13,11 @@ from pydantic import Field, PositiveInt
 from tetractl.control.filter import Prior, warm_up
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
+from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
-from tetractl.experiment.controller import ControllerSection, OptimizerSection
+from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
@@ -164,9 +166,13 @@ class SearchFields(ControllerSection):
         compiled_foresee(problem, found.signals)
 
 
-class MpcFields(SearchFields):
-    """The fields of `mpc`, with the defaults that we recommend for robots on wheels."""
+class RecommendedMpc(SearchFields):
+    """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
+    polished starts in place of a particle swarm, identification while robots drive, paths that keep
+    clear, and one value that decides between a plan, a longer way, a rest and a stop. Every default
+    is what we recommend for robots on wheels."""
 
+    type: Literal["mpc"] = "mpc"
     period: float = Field(default=0.05, ge=1e-3, allow_inf_nan=False)
     """Control period T [s]."""
     steps_max: int = Field(
@@ -205,6 +211,8 @@ class MpcFields(SearchFields):
     neither pause nor count with silence by default."""
     optimizer: Annotated[OptimizerSection, _MULTISTART] = Field(default_factory=_MULTISTART.make)
     """The optimiser of each search."""
+
+    tours: ClassVar[bool] = True
 
     @property
     def body_radius(self) -> float:
@@ -247,3 +255,16 @@ class MpcFields(SearchFields):
         super().warm_up(setup)
         if self.estimate:
             warm_up(self.prior.of(self.problem(setup), self.dead_time, setup.lag_s), setup.starts)
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> Controller:
+        """Return the controller of one trial."""
+        from tetractl.control.holding import CircleSearch
+        from tetractl.control.mpc import Mpc
+
+        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)

@@ -17,7 +17,7 @@ The value of a candidate is an error [length unit], the less the better:
 
 from dataclasses import dataclass
 
-PATIENCE_S = 40.0  # time in which `attempt` doubles
+PATIENCE_S = 80.0  # time in which `attempt` doubles
 PRICE = 0.02  # price of a second, in units of `accept`
 TOUCHES, UNHEARD = 2.0, 1.5  # caution, in units of `accept`
 

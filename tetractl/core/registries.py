@@ -19,7 +19,7 @@ CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
     {
-        "mpc": "tetractl.control.mpc:RecommendedMpc",
+        "mpc": "tetractl.control.mpc_section:RecommendedMpc",
         "pso-mpc": "tetractl.control.algorithm2:PsoMpc",
         "sequence": "tetractl.control.sequence:SequenceSection",
         "ensemble": "tetractl.control.ensemble:EnsembleSection",

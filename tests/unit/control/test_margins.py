@@ -86,7 +86,7 @@ def test_robots_keep_the_separation_they_have():
 
 
 def test_the_separation_grows_by_what_both_robots_may_be_off():
-    spec = experiment(controller={"collision": {"separation": 50, "adaptive": True}})
+    spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
     problem, section = spec.controller.problem(spec.setup), spec.controller
     found = section.build(spec.setup, 3)._with_margins(problem, None)
     assert found.separation == pytest.approx(

@@ -131,11 +131,15 @@ class Mpc:
                 self.last, self.k = decision, self.k + 1
                 found = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
                 return found.of_all(self.left, observation.poses)
-            final = self.leg.index == len(self.setup.legs) - (self.setup.hold is None)
-            if decision not in PASSED or self._state is State.STUCK or final:
+            if decision not in PASSED or self._state is State.STUCK or self._last_leg:
                 return decision
             now_ns, moving = observation.sampled_ns, self._moving
             self._begin(Leg(self.leg.index + 1, self.k, now_ns, moving, Outcome(decision)))
+
+    @property
+    def _last_leg(self) -> bool:
+        """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
+        return self.leg.index == len(self.setup.legs) - (self.setup.hold is None)
 
     @property
     def _state(self) -> State:
@@ -204,7 +208,7 @@ class Mpc:
         """Decide while a plan is under way."""
         warm = self._warm
         assert warm is not None
-        last = self.leg.index >= len(self.setup.legs) - 1
+        last = self._last_leg
         held = self.estimator.held_at_action(observation)
         stop = best_stop(problem, held, self.section.period if last else 0.0)
         goes_on = np.inf

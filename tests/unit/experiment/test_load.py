@@ -316,7 +316,7 @@ def test_the_reference_experiment_is_that_of_section_v(name):
     (box,) = experiment.obstacles
     assert (box.left, box.bottom, box.width, box.height) == (1200, 1100, 200, 200)
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
-    assert experiment.controller.signal_periods * experiment.controller.period == pytest.approx(0.2)
+    assert experiment.controller.problem(experiment.setup).period == pytest.approx(0.2)
     reference = experiment.reference
     assert (reference.n, reference.mean, reference.std) == (20, 648.6, 225.1)
 

@@ -60,7 +60,7 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     assert found.checked == len(log.steps)
 
 
-POOR = (*SLOW, "controller.optimizer={type: pso, particles: 2, iterations: 1}")
+FACING = (*SLOW, "robots.green.start=[652, 800]", "robots.green.heading=3.14159")  # a wall
 
 
 def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
@@ -68,7 +68,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
 ):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
     monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
     assert result.outcome is Outcome.NOTHING_BETTER
@@ -78,7 +78,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
 
 
 def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(tmp_path):
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
     turns = [k for k, step in enumerate(log.steps) if step.plan.facing is not None]

@@ -83,7 +83,7 @@ INSTANCES = (
 
 def benchmark() -> list[Instance]:
     """The instances of the benchmark, whose controllers end with their sequence."""
-    plain = ("controller.accept_error=0", "controller.stop_between=false")
+    plain = ("controller.collision.stop_before_collision=false",)
     return [
         Instance(path.stem, f"benchmark/{path.name}", (), controller=plain)
         for path in sorted((EXPERIMENTS / "benchmark").glob("*.yaml"))

@@ -29,7 +29,7 @@ from tetractl.control.build import build_controller
 from tetractl.control.filter import Ahead, FilterBank
 from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
-from tetractl.control.mpc_section import MpcFields
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.clock import VirtualClock
@@ -56,14 +56,14 @@ WORLD = (
 FAR_MM = 100.0
 BODY_MM = 47.0  # radius of an m3pi, in every row, also of controllers that are not given it
 RATES = {
-    5: ("controller.period=0.2", "controller.hold=1", "controller.steps_max=800"),
-    20: ("controller.period=0.05", "controller.hold=4", "controller.steps_max=3200"),
+    5: ("controller.period=0.2", "controller.signal_periods=1", "controller.steps_max=800"),
+    20: ("controller.period=0.05", "controller.signal_periods=4", "controller.steps_max=3200"),
 }
 """Settings for each rate of the control [Hz]."""
 PLAIN = (
     "controller.estimate=false",
-    "controller.accept_error=0",
-    "controller.stop_between=false",
+    "controller.collision.stop_before_collision=false",
+    "controller.collision.silence=0",
     "controller.collision.adaptive=false",
     "controller.collision.margin=20",
     "controller.collision.radius=0",
@@ -82,13 +82,10 @@ ABLATION: list[Row] = [
     ("whole", ()),
     ("without identification, dead time given", ("controller.estimate=false", TOLD)),
     ("without identification, dead time not given", ("controller.estimate=false",)),
-    ("without going round", ("controller.accept_error=0",)),
-    ("without a stop between steps", ("controller.stop_between=false",)),
     ("without margins that follow: 20 mm and the radius", NOT_KEPT),
     ("without the wheels' lag, on a bench", ("wheels.lag=0",)),
-    ("all lengths at step 0", ("controller.initial_lengths=all",)),
-    ("none of them, dead time given", (*PLAIN, TOLD)),
-    ("none of them, dead time not given", PLAIN),
+    ("without identification and safety, dead time given", (*PLAIN, TOLD)),
+    ("without identification and safety, dead time not given", PLAIN),
 ]
 KNOWLEDGE: list[Row] = [
     ("dead time given", (TOLD,)),
@@ -100,7 +97,7 @@ KNOWLEDGE: list[Row] = [
 ]
 """The dead time of the world, {}, is filled in."""
 ACCEPT: list[Row] = [
-    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (0, 40, 30, 20, 15, 12, 10, 8)
+    (f"accept {mm} mm", (f"controller.accept_error={mm}",)) for mm in (40, 30, 20, 15, 12, 10, 8)
 ]
 
 
@@ -187,7 +184,7 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
     return counted(Knowing, section, setup, key)
 
 
-def counted(kind: type[M], section: MpcFields, setup: Setup, key: int) -> M:
+def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M:
     """Return a controller whose deadline is kept by the work of its searches."""
     work = WorkClock()
     optimizers = work.wrap(section.optimizer), work.wrap(CircleSearch())

@@ -34,7 +34,7 @@ NOISE = [
 def _log(number: int, sets: list[str]):
     """Return a log of random directions, and its spec."""
     rng = np.random.default_rng([number, 1])
-    timing = (f"controller.period={PERIOD}", "controller.hold=1", "wheels.watchdog=null")
+    timing = (f"controller.period={PERIOD}", "controller.signal_periods=1", "wheels.watchdog=null")
     loaded = api.load_spec(SPEC, f"trials.seed={number}", *timing, *sets, *NOISE)
     spec = sequence_spec(loaded, rng.uniform(-2, 2, STEPS), 0.0)
     with TemporaryDirectory() as folder:

@@ -133,7 +133,7 @@ def misses(folder: Path, seconds: float) -> None:
     for rate in (5, 20, 120):
         sets = (  # one plan of directions held for 0.2 s, re-planned more or less often
             f"controller.period={1 / rate!r}",
-            f"controller.hold={round(rate / 5)}",
+            f"controller.signal_periods={round(rate / 5)}",
             f"controller.steps_max={round(seconds * rate)}",
             f"controller.deadline={0.7 / rate!r}",
         )

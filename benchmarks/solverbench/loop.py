@@ -47,7 +47,7 @@ DISTURBED = (
 COMPENSATED = "controller.dead_time=0.14"
 FAST = (
     "controller.period=0.008333333333333333",
-    "controller.hold=24",
+    "controller.signal_periods=24",
     "controller.steps_max=2400",
 )
 Times = Sequence[float] | np.ndarray

@@ -1,14 +1,14 @@
 """IPOPT by multiple shooting, the package benchmarks/tetractl-ipopt: raced, and in the loop."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
 from typing import Any, NoReturn
 
 import numpy as np
 
+from tetractl.control.algorithm2 import Algorithm2
 from tetractl.control.cost import evaluate
-from tetractl.control.lengths import Candidate
-from tetractl.control.mpc import Mpc
 from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
 
 from .peers import Meter
 from .problems import LENGTH
@@ -33,10 +33,10 @@ def ipopt(cap_s: float) -> Callable[[Meter, int], NoReturn]:
     return run
 
 
-class Shrinking(Mpc):
+class Shrinking(Algorithm2):
     """Model predictive control by IPOPT: one length at step 0, then what is left of the plan."""
 
-    def _candidates(self) -> Iterable[Candidate]:
+    def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
         yield (LENGTH, None) if self.warm is None else (len(self.warm), self.warm)
 
 

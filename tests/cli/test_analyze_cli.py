@@ -12,7 +12,7 @@ arena: {left: 0, bottom: 0, width: 3000, height: 3000}
 robots:
   - {name: one, start: [500, 1000], target: [1500, 900], a: 4, speed: 300}
   - {name: two, start: [500, 2000], target: [1500, 2100], a: 3.8, speed: 300}
-controller: {type: pso-mpc, motion: exact, initial_lengths: geometric,
+controller: {type: mpc, period: 0.2,
   optimizer: {type: multistart}}
 plant: {type: sim, heading_noise: 0.05}
 """

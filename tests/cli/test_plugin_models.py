@@ -55,10 +55,12 @@ arena: {left: 0, bottom: 0, width: 1000, height: 1000}
 robots: [{name: a, start: [150, 500], target: [850, 500], a: 6, speed: 180}]
 obstacles: [{type: diamond, center: [500, 510], radius: 120}]
 controller:
-  type: pso-mpc
+  type: mpc
+  period: 0.2
   motion: pivot
   horizon_max: 30
-  collision: {test: swept, margin: 10}
+  estimate: false
+  collision: {margin: 10}
   optimizer: {type: multistart, tolerance: 0.1}
 plant: {type: sim, motion: pivot}
 trials: {count: 1}

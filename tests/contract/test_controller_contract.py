@@ -23,7 +23,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
-MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] == "pso-mpc"}
+MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] in ("pso-mpc", "mpc")}
 
 
 @pytest.fixture(params=CONTROLLERS.values(), ids=list(CONTROLLERS))

@@ -31,8 +31,8 @@ from tetractl.run.task import trial_seeds
 
 LAB = ROOT / "experiments" / "three_m3pi_lab.yaml"
 PLAIN = (
-    "type: pso-mpc, period: 0.05, hold: 4, motion: exact, steps_max: 400, "
-    "optimizer: {type: multistart}, collision: {test: swept, margin: 50, walls: true}"
+    "type: mpc, steps_max: 400, estimate: false, "
+    "collision: {margin: 50, adaptive: false, stop_before_collision: false, silence: 0}"
 )
 BENCH = ROOT / "experiments" / "three_m3pi_bench.yaml"
 

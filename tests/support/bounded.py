@@ -43,10 +43,11 @@ def spec(
         for i in range(robots)
     ]
     controller = {
-        "type": "pso-mpc",
+        "type": "mpc",
+        "period": 0.2,
         "motion": motion,
         "horizon_max": signals,
-        "collision": {"test": "swept", "walls": bool(obstacles)},
+        "collision": {"walls": bool(obstacles)},
         "optimizer": {"type": "multistart", "rounds": 3},
     }
     arena = {"left": 0, "bottom": 0, "width": 1000, "height": 1000}

@@ -14,35 +14,24 @@ SMALL: dict[str, dict[str, Any]] = {
 PSO, MULTISTART = SMALL["pso"], SMALL["multistart"]
 assert SMALL.keys() == set(OPTIMIZERS.builtin), "a further optimiser joins the contract by an entry"
 
-MPC: dict[str, dict[str, Any]] = {
+PUBLISHED: dict[str, dict[str, Any]] = {
     **{name: {"optimizer": optimizer} for name, optimizer in SMALL.items()},
     "pso, relative stop": {"optimizer": PSO | {"stop": {"type": "relative"}}, "motion": "exact"},
     "pso, target": {"optimizer": PSO | {"stop": {"type": "target", "cost": 900}}, "motion": "arc"},
-    "pso, swept": {"optimizer": PSO, "collision": {"test": "swept", "margin": 20, "walls": True}},
-    "multistart, dead time": {
-        "optimizer": MULTISTART,
-        "motion": "exact",
-        "dead_time": 0.14,
-        "estimate": True,
-        "hold": 2,
-    },
-    "multistart, whole": {
-        "optimizer": MULTISTART,
-        "motion": "exact",
-        "estimate": True,
-        "initial_lengths": "geometric",
-        "accept_error": 40,
-        "stop_between": True,
-        "collision": {"test": "swept", "radius": 40, "separation": 80, "adaptive": True},
-    },
+}
+RECOMMENDED: dict[str, dict[str, Any]] = {
+    "": {"optimizer": MULTISTART},
+    "pso, margins": {"optimizer": PSO, "collision": {"margin": 20}},
+    "dead time": {"optimizer": MULTISTART, "dead_time": 0.14, "signal_periods": 2},
+    "bodies": {"optimizer": MULTISTART, "accept_error": 40, "collision": {"radius": 40}},
 }
 """Model predictive control, each optimiser and other variants: the controller's part of a spec."""
 CONTROLLERS: dict[str, dict[str, Any]] = {
     **{
-        f"mpc, {name}": {"type": "pso-mpc", "horizon_max": 14} | fields
-        for name, fields in MPC.items()
+        f"{kind}, {name}".removesuffix(", "): {"type": kind, "horizon_max": 14} | fields
+        for kind, variants in (("pso-mpc", PUBLISHED), ("mpc", RECOMMENDED))
+        for name, fields in variants.items()
     },
-    "mpc, recommended": {"type": "mpc", "horizon_max": 14, "optimizer": MULTISTART},
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "ensemble": {"type": "ensemble"},
     "rrt": {"type": "rrt", "margin": 40},

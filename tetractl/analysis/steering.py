@@ -9,14 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
-from tetractl.control.mpc import MpcSection
-from tetractl.control.mpc_kinds import PsoMpc
+from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.task import trial_seeds
+
+LONG_S = 60.0
+POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False, silence=0.0)
+"""How robots are steered whose controller has no margins: as points that may leave the arena."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,35 +37,39 @@ class Planned:
     shortest: int | None
 
 
-def planner(experiment: Experiment) -> MpcSection:
+def planner(experiment: Experiment) -> RecommendedMpc:
     """Return the section of the model predictive control by which an experiment is analysed.
 
-    This is the spec's `controller` if its type is mpc or pso-mpc, otherwise pso-mpc with the exact
-    motion and the spec's period and number of steps. The optimiser is multistart, which has a
-    tolerance, and a step's evaluations and time are not limited.
+    This is the spec's `controller` if its type is mpc, otherwise mpc with the spec's period, number
+    of steps and, if it has them, motion and longest sequence. The optimiser is multistart, which
+    has a tolerance, and the time of a step is hardly limited.
     """
     control = experiment.controller
-    if not isinstance(control, MpcSection):
-        period = {"period": control.period, "steps_max": control.steps_max}
-        return PsoMpc(motion="exact", optimizer=Multistart(), **period)
-    optimizer = control.optimizer
-    found = {
-        "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
-        "evaluations_max": None,
-        "deadline": None,
-        "arrival_tolerance": 0.0,
-    }
-    return control.model_copy(update=found)
+    if isinstance(control, RecommendedMpc):
+        optimizer = control.optimizer
+        found = {
+            "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
+            "deadline": LONG_S,
+            "arrival_tolerance": 0.0,
+        }
+        return control.model_copy(update=found)
+    shared = {"period": control.period, "steps_max": control.steps_max, "signal_periods": 1}
+    if isinstance(control, SearchFields):
+        names = ("motion", "horizon_max", "obstacle_weight")
+        shared |= {name: getattr(control, name) for name in names}
+    setup = experiment.setup
+    section = RecommendedMpc(estimate=False, collision=POINTS, **shared)
+    return section.fitted(setup.wheel_radius is not None, float(setup.speed.sum()))
 
 
-def tolerance(section: MpcSection) -> float:
+def tolerance(section: RecommendedMpc) -> float:
     """Return the cost up to which a plan reaches the targets [length unit]: the larger of the
     optimiser's tolerance and the accepted error.
     """
     return max(section.optimizer.good_enough or 0.0, section.accept_error)
 
 
-def plans(section: MpcSection, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
+def plans(section: RecommendedMpc, setup: Setup, seed: int, count: int) -> Iterator[Planned]:
     """Yield the plans with which the first `count` trials of a batch with this seed would begin."""
     every = np.ones(len(setup.names), dtype=np.bool_)
     observation = Observation(0, 0, 0, setup.starts, every)
@@ -117,7 +124,7 @@ class Steering:
 
 
 def steering(
-    section: MpcSection, setup: Setup, noise: Noise, seed: int, count: int
+    section: RecommendedMpc, setup: Setup, noise: Noise, seed: int, count: int
 ) -> Steering | None:
     """Search `count` plans for the robots of a setup, and analyse the plans that reach the targets;
     None if no plan reaches them.
@@ -138,7 +145,7 @@ def steering(
     shares = (left[:, -1] ** 2).reshape(-1, 2).sum(axis=1)
     return Steering(
         shortest=min((one.shortest for one in found if one.shortest is not None), default=None),
-        signal_s=section.hold * section.period,
+        signal_s=section.signal_periods * section.period,
         errors=errors,
         open_loop=np.array(
             [mean_errors(p, one.miss).sum() for p, one in zip(free, linear, strict=True)]

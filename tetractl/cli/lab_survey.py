@@ -107,7 +107,7 @@ def survey(
             print(f"cells {numbers}: predicted mean total error {error}")
     if not found or not np.isfinite(found[0].error):
         control, able = planner(experiment), sum(cell.magnetised for cell in cells)
-        horizon_s = control.horizon_max * control.hold * control.period
+        horizon_s = control.horizon_max * control.signal_periods * control.period
         why = (
             f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
             f"{tolerance(control):g} {unit} of the targets"

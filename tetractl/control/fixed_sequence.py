@@ -1,15 +1,28 @@
 """Functions that controllers share: the problem whose cost is logged by controllers that do not
-search, search records of given signals, and plans from search records.
+search, search records of given signals, plans from search records, and the best moment to stop.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.control.delay import driven
+from tetractl.core.clock import SECOND
 from tetractl.core.plan import Plan, Problem, Region, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
+
+MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
+
+
+@dataclass(frozen=True, slots=True)
+class StopForecast:
+    """A stop `delay_ns` from now, and the predicted sum of distances to the targets after it."""
+
+    delay_ns: int
+    error: float
 
 
 def plain_problem(setup: Setup, period: float, obstacles: Region, swept: bool = False) -> Problem:
@@ -61,3 +74,17 @@ def make_plan(
         chosen=chosen,
         generator=step_key,
     )
+
+
+def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
+    """Return the stop within the coming control period that leaves the least sum of distances.
+
+    The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
+    follow `direction` (N,) [rad], NaN for a robot that stands still.
+    """
+    delays = np.arange(MOMENTS, dtype=np.float64) * (period_s / MOMENTS)
+    x, y, _ = driven(problem, problem.poses, direction, delays[:, None])
+    targets = problem.targets
+    errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
+    best = int(np.argmin(errors))
+    return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))

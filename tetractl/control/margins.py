@@ -26,6 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.control.evaluate import compiled_path
+from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds, Shape
@@ -65,6 +66,27 @@ class Margins:
         # indices of the robots of each pair
         self._one, self._other = np.triu_indices(len(targets), 1)
         self._apart = self._least(*xy)
+
+    def around(
+        self,
+        problem: Problem,
+        collision: Collision,
+        period_s: float,
+        dead_time_s: float,
+        known: Estimate | None,
+    ) -> Problem:
+        """Return the problem with the margins of `collision`. Adaptive margins grow by the distance
+        that robots may leave their course, given the estimate `known`, which is None for a certain
+        motion."""
+        if not collision.adaptive:
+            return problem
+        off = off_course(problem.speed, period_s, dead_time_s, known)
+        apart = collision.separation + 2 * off if collision.separation else 0.0
+        return replace(
+            problem,
+            obstacles=self.obstacles(problem.poses, collision.margin + collision.radius + off),
+            separation=self.separation(problem.poses, apart),
+        )
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no

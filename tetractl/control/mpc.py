@@ -1,62 +1,58 @@
-"""Model predictive control, Algorithm 2: choose the horizon, exert the first signal, warm start.
+"""The recommended controller: model predictive control in which one value decides.
 
-Where each line of Algorithm 2 is:
+Each control step makes a list of candidates and chooses the one of least value
+(`tetractl.control.value`):
 
-    2-4     for h = 1 ... h_max: u_(h) = pso(NULL)                        lengths.candidates
-    5, 23   u_(opt) = the u_(h) of the least J                            lengths.choose
-    6, 24   u_(warm) = u_(opt) without its first signal                   plan, at the next step
-    7, 25   exert u_(opt)(1)                                              run.trial, from plan
-    9, 26   for k = 1 ... k_max                                           plan, by run.trial
-    10      H = length of u_(warm)                                        lengths.candidates
-    11, 22  for h = H - 1, H, H + 1                                       lengths.candidates,
-            H first if the optimiser has a tolerance                      Searcher.search_all
-    12      feedback of the robots, once per step                         plan
-    13-15   break if the robots are close enough to their targets         plan
-    16-17   u_gb^0 = u_(warm) and a 0, for h = H + 1                      lengths.candidates
-    18-20   u_gb^0 = the last h signals of u_(warm), for the others       lengths.candidates
-    21      u_(h) = pso(u_gb^0), by any optimiser                         lengths.Searcher
+    stop     within the coming control period, and end the trial there
+    rest     stop so, and search a new plan while the robots stand
+    plan     the plan under way without its first signal, and plans one signal shorter and longer
+    longer   longer plans, while they can be worth more and time allows
+    leave    at rest: a way out of a corner, then rest
+    turn     at rest: turn on the spot, then rest
 
-Extensions, each with its field of `controller`: a plan may hold each signal for several control
-periods (`hold`); poses may be predicted over the dead time (`dead_time`); the motion may be
-identified while robots drive (`estimate`); margins may grow with the uncertainty, and robots pause,
-or turn on the spot, before an obstacle that no plan avoids (`collision`); longer sequences may be
-searched if no short one ends at the targets (`accept_error`); the stop may come between two steps
-(`stop_between`). By the experiment's fields `robots.via` and `hold` (not `controller.hold`), robots
-may pass way-points and stay at their targets.
+What the robots do then is the plan's `State`. docs/reference/controllers/mpc.md draws the states.
+As in Algorithm 2 of the paper, plans of several lengths are searched, each from what is left of the
+plan under way, and only the first signal is exerted.
 """
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import ClassVar
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from tetractl.control.corners import away
 from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
-from tetractl.control.detour import ENOUGH, away, best_stop, growth, late, longer
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
-from tetractl.control.filter import warm_up as warm_up_filter
-from tetractl.control.fixed_sequence import given_search, make_plan
-from tetractl.control.holding import CircleSearch, signals_ahead
-from tetractl.control.lengths import Searcher, affordable, candidates, choose, least_length
-from tetractl.control.margins import Margins, off_course
-from tetractl.control.mpc_section import MpcFields
+from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
+from tetractl.control.holding import signals_ahead
+from tetractl.control.lengths import Searcher, least_length, longer
+from tetractl.control.margins import Margins
+from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.rng import mix
+from tetractl.control.value import Value
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import End, Estimate, Limits, Outcome, Plan, Problem, Search, never
+from tetractl.core.plan import (
+    PAUSE_S,
+    End,
+    Estimate,
+    Limits,
+    Outcome,
+    Plan,
+    Problem,
+    Search,
+    State,
+    never,
+)
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import OptimizerSection, Square, same
+from tetractl.experiment.controller import Square
 
-RESTED_S = 2.0  # least time between two pauses for lack of a safe plan [s]
 NEXT = 2  # number of next signals of the present plan that must be safe
-TURN_STEPS = 4  # number of steps for which robots turn on the spot
-TURNS = 3 * TURN_STEPS  # largest number of these steps before robots drive again
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
@@ -65,40 +61,53 @@ PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
 """Outcomes after which the next leg (the part of a trial up to a way-point) begins."""
 
 
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """The part of a trial up to way-point `index` or the targets, or, after it, the hold, with the
+    step and the time [ns] of its beginning, when the robots were `moving` or not; `outcome` is how
+    the leg before ended."""
+
+    index: int
+    k: int
+    began_ns: int
+    moving: bool
+    outcome: Outcome
+
+
 class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
-    `timer()`, the time [ns], is read only if the section sets a deadline.
+    Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
+    which that plan's first signal was first sent, and the `leg`. `timer()`, the time [ns], is read
+    only if the section sets a deadline.
     """
 
     def __init__(
         self,
-        section: MpcFields,
+        section: RecommendedMpc,
         setup: Setup,
         key: int,
         optimizer: Optimizer,
         circler: Optimizer,
         timer: Callable[[], int] = time.perf_counter_ns,
     ) -> None:
-        self.section = section
-        problem, prior = section.problem(setup), section.known(setup)
-        square = isinstance(section.first_plan, Square)
-        self.setup, self.legs, self.leg = setup, setup.legs, 0
-        self.estimator = StateEstimator(problem, section.period, prior, square, setup.loss)
-        self.hold, self.stands = setup.hold, setup.wheel_radius is not None
-        self.held: tuple[int, Outcome] | None = None  # start of the hold [ns], and its outcome
-        self._begin_leg()
+        self.section, self.setup, self.key, self.timer = section, setup, key, timer
         self.optimizer, self.circler = optimizer, circler
-        self.key, self.timer = key, timer
-        self.k, self.moving = 0, False
-        self.leaving = False  # whether the plan leads robots out of a corner
-        self.blocked = False  # whether the last plan touches an obstacle or its margin
-        self.left_over = 0.0  # predicted total error at the end of the last plan
-        self.began = 0  # step k of the last plan for standing robots
-        self.facing: float | None = None  # direction to which robots now turn on the spot [rad]
-        self.turns = 0  # number of steps in which robots turned on the spot since they drove
-        self.stuck = False  # whether no standing robot could move safely
-        self.resume = 0  # length with which the search for longer sequences continues, or 0
+        square = isinstance(section.first_plan, Square)
+        self.estimator = StateEstimator(
+            section.problem(setup), section.period, section.known(setup), square, setup.loss
+        )
+        self.stands = section.collision.stop_before_collision
+        self.k, self.began = 0, 0
+        self.last: Plan | None
+        self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED))
+
+    def _begin(self, leg: Leg) -> None:
+        """Begin a leg, for the robots that are not lost. The next plan is searched afresh."""
+        self.leg, self.last, self.left = leg, None, self.estimator.left
+        walls = self.setup.arena if self.section.collision.walls else None
+        radius = self.section.collision.radius
+        self.margins = Margins(self.setup.obstacles, walls, self._targets, radius)
 
     def plan(
         self,
@@ -106,263 +115,274 @@ class Mpc:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Decide u_(opt) of one control step, or end the trial."""
-        if self.warm is not None and self._phase == 0:
-            self.warm = self.warm[1:]  # lines 6, 24
-        first_period = (self.section.hold - self._phase) * self.section.period
+        """Decide what the robots do in one control step, or end the trial."""
         known = self.estimator.seen(observation, last_command, earlier)
         if (self.estimator.left != self.left).any():
-            self._begin_leg()
+            self._begin(replace(self.leg, moving=self._moving))
+        first_period = (self.section.signal_periods - self._phase) * self.section.period
         while True:
-            targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
-            problem = replace(known, targets=targets, first_period=first_period)
+            problem = replace(known, targets=self._targets, first_period=first_period)
             problem = self._with_margins(problem, self.estimator.known)
-            decision = (self._drive if self.held is None else self._stay)(problem, observation)
+            decision = self._decide(problem, observation)
             if isinstance(decision, Plan):
-                self.moving = not decision.pauses
-                return replace(decision, leg=self.leg).of_all(self.left, observation.poses)
-            if decision not in PASSED or self.stuck or self.leg == self.last_leg:
+                self.began = self.k if self._warm is None else self.began
+                self.last, self.k = decision, self.k + 1
+                found = replace(decision, leg=self.leg.index, estimate=self.estimator.estimate)
+                return found.of_all(self.left, observation.poses)
+            if decision not in PASSED or self._state is State.STUCK or self._last_leg:
                 return decision
-            self.leg += 1
-            if self.leg < len(self.legs):
-                self._begin_leg()
-            else:
-                self.held, self.warm = (observation.sampled_ns, Outcome(decision)), None
+            now_ns, moving = observation.sampled_ns, self._moving
+            self._begin(Leg(self.leg.index + 1, self.k, now_ns, moving, Outcome(decision)))
+
+    @property
+    def _last_leg(self) -> bool:
+        """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
+        return self.leg.index == len(self.setup.legs) - (self.setup.hold is None)
+
+    @property
+    def _state(self) -> State:
+        """What the robots were told to do in this leg; they rest before the first step."""
+        return State.RESTING if self.last is None else self.last.state
+
+    @property
+    def _moving(self) -> bool:
+        """Whether the robots drive when the step begins."""
+        return self.leg.moving if self.last is None else not self.last.pauses
 
     @property
     def _phase(self) -> int:
         """Number of control periods for which the plan's present signal has been held."""
-        return 0 if self.warm is None else (self.k - self.began) % self.section.hold
+        under_way = self.last is not None and not self.last.pauses
+        return (self.k - self.began) % self.section.signal_periods if under_way else 0
 
     @property
-    def last_leg(self) -> int:
-        """Index of the last leg: the hold if there is one, otherwise the leg to the targets."""
-        return len(self.legs) - (self.hold is None)
+    def _warm(self) -> Floats | None:
+        """What is left of the plan under way (H,), u_(warm); None if none is."""
+        if self.last is None or self.last.pauses:
+            return None
+        return self.last.signals[self._phase == 0 :]
 
     @property
-    def accept(self) -> float:
-        """Total error accepted at present [length unit]."""
-        return self.accepted * late(self.k / self.section.steps_max)
+    def _targets(self) -> Floats:
+        """The way-points or targets of the leg, for the robots that are not lost."""
+        return self.setup.legs[min(self.leg.index, len(self.setup.legs) - 1), self.left]
 
-    def _begin_leg(self) -> None:
-        """Start planning to the next way-points or targets, for the robots that are not lost."""
-        self.left = self.estimator.left  # True for each robot that is not lost, (N,)
-        walls = self.setup.arena if self.section.collision.walls else None
-        targets = self.legs[min(self.leg, len(self.legs) - 1), self.left]
-        self.margins = Margins(self.setup.obstacles, walls, targets, self.section.collision.radius)
-        self.accepted = self.section.accept_error  # total error, without the factor `late`
-        self.warm: Floats | None = None  # u_(warm), None before the first plan
+    @property
+    def _signals_left(self) -> int:
+        """Largest number of signals of a plan that ends before `steps_max`."""
+        steps = self.section.steps_max + 1 - self.k + self._phase
+        return min(self.section.horizon_max, steps // self.section.signal_periods)
 
-    def _stay(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide how robots stay near their targets until the hold's time is over."""
-        assert self.hold is not None
-        assert self.held is not None
-        if observation.sampled_ns - self.held[0] >= round(self.hold.seconds * SECOND):
-            return self.held[1]
+    def _decide(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
+        """Return the candidate of least value, or how the leg ends."""
+        gaps = problem.poses.distances(problem.targets)
+        holds = self.leg.index == len(self.setup.legs)
+        if holds:
+            assert self.setup.hold is not None
+            if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
+                return self.leg.outcome
+        elif self.section.arrived(gaps):
+            return Outcome.ARRIVED
         if self.k > self.section.steps_max:
             return Outcome.STEPS_MAX
-        if not self.stands:
-            return self._circle(replace(problem, within=self.hold.radius))
-        gaps = problem.poses.distances(problem.targets)
-        if self.warm is None and (gaps <= self.hold.radius).all():
-            return self._pause(problem)
-        decision = self._drive(problem, observation)
-        return decision if isinstance(decision, Plan) or self.stuck else self._pause(problem)
+        if self._state is State.STUCK:
+            return Outcome.NOTHING_BETTER
+        if holds and self.setup.wheel_radius is None:
+            return self._circle(problem)
+        spent_s = (self.k - self.leg.k) * self.section.period
+        value = Value(self.section.accept_error, spent_s, problem.period)
+        if self._warm is None:
+            return self._at_rest(problem, observation, value, gaps, holds)
+        if self._state is State.LEAVING:
+            left = self._warm
+            if not len(left) or self._enters(problem, observation, left):
+                return self._given(problem, State.RESTING)
+            return self._given(problem, State.LEAVING, left)
+        return self._under_way(problem, observation, value, holds)
+
+    def _under_way(
+        self, problem: Problem, observation: Observation, value: Value, holds: bool
+    ) -> Plan | Outcome | End:
+        """Decide while a plan is under way."""
+        warm = self._warm
+        assert warm is not None
+        last = self._last_leg
+        held = self.estimator.held_at_action(observation)
+        stop = best_stop(problem, held, self.section.period if last else 0.0)
+        goes_on = np.inf
+        if len(warm):
+            goes_on = value.plan(evaluate(problem, warm[None]).total[0], len(warm), False)
+        if len(warm) + 2 <= self._signals_left:
+            goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
+        rest = self._rest(problem, value) if self.stands and last else np.inf
+        if stop.error <= min(goes_on, rest):
+            if holds or (self.stands and last):
+                return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
+            outcome = Outcome.NOTHING_BETTER if len(warm) else Outcome.SEQUENCE_COMPLETED
+            return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
+        searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
+        valued = self._search_on(searcher, value, warm)
+        for worth, search in sorted(valued, key=lambda one: one[0]):
+            if self.stands and worth > rest:
+                break
+            plan = self._planned(searcher, search)
+            touches = self.stands and plan.obstacle_cost > 0
+            if not (touches and self._enters(problem, observation, plan.signals)):
+                return plan
+        return self._given(problem, State.RESTING, before=searcher.found)
+
+    def _rest(self, problem: Problem, value: Value) -> float:
+        """Return the value of a stop after which a new plan is searched."""
+        least = least_length(problem)
+        wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
+        return value.rest(least, wait_s) if least <= self._signals_left else np.inf
+
+    def _search_on(
+        self, searcher: Searcher, value: Value, warm: Floats
+    ) -> list[tuple[float, Search]]:
+        """Search plans about as long as the one under way, and longer ones if these can be worth
+        more; return them with their values. The next step continues after the longest searched."""
+        section, count, most = self.section, len(warm), self._signals_left
+        good_enough = section.optimizer.good_enough or 0.0
+        nearest = [(count, warm), (count - 1, warm[1:]), (count + 1, np.append(warm, 0.0))]
+        valued = list[tuple[float, Search]]()
+        for length, start in nearest:
+            if not 0 < length <= max(most, 1):
+                continue
+            search = searcher.search(length, start)
+            if search is None:
+                return valued
+            valued.append((self._worth(searcher, search, value), search))
+            if search.cost <= good_enough and valued[-1][0] <= value.plan(
+                good_enough, length, False
+            ):
+                return [valued[-1]]
+        assert self.last is not None
+        after = self.last.searches[-1].length
+        for length in longer(count, most, after):
+            if value.plan(0.0, length, True) >= min(valued, key=lambda one: one[0])[0]:
+                continue
+            search = searcher.search(length)
+            if search is None:
+                break
+            valued.append((self._worth(searcher, search, value), search))
+        return valued
+
+    def _worth(self, searcher: Searcher, search: Search, value: Value) -> float:
+        """Return the value of a plan found."""
+        problem, error, touches = searcher.problem, search.cost, False
+        if search.cost >= problem.obstacle_weight:
+            ahead = compiled_foresee(problem, search.signals)
+            error, touches = ahead.target, ahead.obstacle > 0
+        new = self._warm is None or search.length > len(self._warm) + 1
+        unheard = not self._safe(problem, search.signals)
+        return value.plan(error, search.length, new, touches, unheard)
+
+    def _at_rest(
+        self,
+        problem: Problem,
+        observation: Observation,
+        value: Value,
+        gaps: Floats,
+        holds: bool,
+    ) -> Plan | Outcome:
+        """Decide while no plan is under way."""
+        error = float(gaps.sum())
+        least = least_length(problem)
+        again = value.plan(0.0, least, True) if least <= self._signals_left else np.inf
+        if holds and self.setup.hold is not None and (gaps <= self.setup.hold.radius).all():
+            return self._given(problem, State.RESTING)
+        if self.k > 0 and not self._moving and error <= again:
+            return self._given(problem, State.RESTING) if holds else Outcome.NOTHING_BETTER
+        searcher = Searcher(
+            self.optimizer,
+            problem,
+            mix(self.key, self.k),
+            self._expired() if self._moving else never,
+        )
+        plan = self._planned(searcher, self._search_afresh(searcher, value))
+        enters = self.stands and plan.obstacle_cost > 0
+        enters = enters and self._enters(problem, observation, plan.signals)
+        if self.stands and plan.obstacle_cost > 0:
+            out, facing = away(problem, self.margins, self.section.collision.separation, True)
+            if out is not None:
+                return self._given(problem, State.LEAVING, out, searcher.found)
+            if facing is not None:
+                return replace(plan, state=State.TURNING, facing=facing)
+            if enters:
+                return replace(plan, state=State.STUCK)
+        return plan
+
+    def _search_afresh(self, searcher: Searcher, value: Value) -> Search:
+        """Search plans of all lengths; return the one of least value."""
+        good_enough = self.section.optimizer.good_enough or 0.0
+        problem, most = searcher.problem, max(1, self._signals_left)
+
+        def good(search: Search) -> bool:
+            return search.cost <= good_enough and self._safe(problem, search.signals)
+
+        if not searcher.spread(least_length(problem), most, good):
+            accepted = max(good_enough, self.section.accept_error)
+            if min(search.cost for search in searcher.found) > accepted:
+                later = self._with_margins(problem, None)  # the motion will be identified by then
+                searcher.thoroughly(later, most, good_enough)
+        return min(searcher.found, key=lambda one: self._worth(searcher, one, value))
+
+    def _planned(self, searcher: Searcher, search: Search) -> Plan:
+        """Return the plan of a search."""
+        chosen = next(i for i, one in enumerate(searcher.found) if one is search)
+        key = mix(self.key, self.k)
+        return make_plan(searcher.problem, searcher.found, chosen, key, compiled_foresee)
+
+    def _given(
+        self,
+        problem: Problem,
+        state: State,
+        signals: Floats | None = None,
+        before: Sequence[Search] = (),
+        delay_ns: int = 0,
+    ) -> Plan:
+        """Return a plan of given signals (L,), none of which is sent while the robots stand; the
+        searches `before` have found no better one."""
+        searches = [*before, given_search(problem, np.zeros(1) if signals is None else signals)]
+        plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
+        return replace(plan, state=state, delay_ns=delay_ns)
 
     def _circle(self, problem: Problem) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""
-        step_key, limits = mix(self.key, self.k), Limits(None, self._expired())
-        length = signals_ahead(problem.period)
-        found = self.circler.search(problem, length, self.warm, step_key, limits)
-        self.warm, self.k = found.signals, self.k + 1
-        plan = make_plan(problem, [found], 0, step_key)
-        return replace(plan, estimate=self.estimator.estimate)
-
-    def _drive(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
-        """Decide the next direction towards the problem's targets."""
-        gaps = problem.poses.distances(problem.targets)
-        if self.section.arrived(gaps):  # lines 13-15
-            return Outcome.ARRIVED
-        if self.k > self.section.steps_max:  # line 9
-            return Outcome.STEPS_MAX
-        if self.stuck:
-            return Outcome.NOTHING_BETTER
-        if self.facing is not None:  # turn further, then rest
-            return self._pause(problem, facing=self.facing if self.turns % TURN_STEPS else None)
-        if self.warm is None and self.k > 0 and self.accept > 0:
-            least = min(least_length(problem), self.section.horizon_max)
-            in_time = self.moving or least <= self._signals_left()
-            if float(gaps.sum()) <= self.accept or not in_time:
-                return Outcome.NOTHING_BETTER
-        stops = self.section.collision.stop_before_collision
-        if self.warm is not None:
-            if stops and self.blocked and self._enters(problem, observation, self.warm):
-                self.leaving = False  # the way out was too short
-                return self._pause(problem)
-            if self.leaving:
-                return self._given(problem, self.warm) if len(self.warm) else self._pause(problem)
-        if ended := self._ended(problem, observation, gaps):
-            if not stops or self.accept == 0 or self.leg < self.last_leg:
-                return ended
-            delay_ns = ended.delay_ns if isinstance(ended, End) else 0
-            return replace(self._pause(problem), delay_ns=delay_ns)  # to end at rest
-        plan = self._decide(problem)
-        self.blocked, self.left_over = plan.obstacle_cost > 0, plan.target_cost
-        if stops and self.blocked:
-            if self.warm is None:
-                enters = self._enters(problem, observation, plan.signals)
-                room = problem, self.margins, self.section.collision.separation
-                look = enters or not self.leaving
-                out, facing = away(*room, self.turns < TURNS) if look else (None, None)
-                if out is not None:
-                    self.began, self.leaving = self.k, True
-                    return self._given(problem, out, plan.searches)
-                if enters or facing is not None:
-                    # the trial ends after a pause, in whose step the searches are logged
-                    self.stuck = facing is None
-                    return self._pause(problem, plan, facing)
-            rested = (self.k - self.began) * self.section.period
-            if self.warm is not None and plan.cost > self.accept > 0 and rested > RESTED_S:
-                return self._pause(problem, plan)
-        if self.warm is None:
-            self.began = self.k
-        self.warm, self.leaving, self.turns, self.k = plan.signals, False, 0, self.k + 1
-        return plan
-
-    def _pause(
-        self, problem: Problem, found: Plan | None = None, facing: float | None = None
-    ) -> Plan:
-        """Return the plan that stops all robots, or turns them on the spot to `facing` [rad]; the
-        searches of the plan `found` are logged too. The next plan is for standing robots."""
-        if found is None:
-            stand = given_search(problem, np.zeros(1))
-            found = make_plan(problem, [stand], 0, mix(self.key, self.k))
-        self.warm, self.blocked, self.resume, self.k = None, False, 0, self.k + 1
-        self.facing, self.turns = facing, self.turns + (facing is not None)
-        return replace(found, estimate=self.estimator.estimate, pauses=True, facing=facing)
-
-    def _given(self, problem: Problem, signals: Floats, before: Sequence[Search] = ()) -> Plan:
-        """Return a plan of given signals (L,); the searches `before` have found no safe plan."""
-        searches = [*before, given_search(problem, signals)]
-        plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
-        self.warm, self.blocked, self.k = signals, True, self.k + 1
-        return replace(plan, estimate=self.estimator.estimate)
+        assert self.setup.hold is not None
+        problem = replace(problem, within=self.setup.hold.radius)
+        limits, length = Limits(None, self._expired()), signals_ahead(problem.period)
+        key = mix(self.key, self.k)
+        found = self.circler.search(problem, length, self._warm, key, limits)
+        return replace(make_plan(problem, [found], 0, key), state=State.HOLDING)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins. Adaptive margins grow by the distance that robots
-        may leave their course, given the estimate `known`, which is None for a certain motion."""
-        collision = self.section.collision
-        if not collision.adaptive:
-            return problem
-        off = off_course(problem.speed, self.section.period, self.estimator.dead_time_s, known)
-        margin = collision.margin + collision.radius + off
-        apart = collision.separation + 2 * off if collision.separation else 0.0
-        return replace(
-            problem,
-            obstacles=self.margins.obstacles(problem.poses, margin),
-            separation=self.margins.separation(problem.poses, apart),
-        )
+        """Return the problem with its margins, given the estimate `known` of the motion, which is
+        None for a certain motion."""
+        periods = self.section.period, self.estimator.dead_time_s
+        return self.margins.around(problem, self.section.collision, *periods, known)
 
-    def _ended(
-        self, problem: Problem, observation: Observation, gaps: Floats
-    ) -> Outcome | End | None:
-        """Return how the trial ends now, because the sequence is completed or stopping costs no
-        more than going on; None if the trial goes on.
-
-        `gaps` (N,) are the distances to the targets. The decision uses no search, so all data that
-        it depends on are in the log."""
-        if self.warm is None or (len(self.warm) > 0 and self.section.accept_error == 0):
-            return None
-        between = self.section.stop_between and self.leg == self.last_leg  # on the last leg only
-        period = self.section.period if between else 0.0
-        in_time = len(self.warm) + 2 <= self._signals_left()  # enough for a detour
-        accept = self.accept if in_time else max(self.accept, self.left_over)
-        if 0 < accept < float((gaps - problem.speed * period).sum()):
-            return None  # no stop could be near enough, even at full speed
-        stopping = best_stop(problem, self.estimator.held_at_action(observation), period)
-        outcome = Outcome.NOTHING_BETTER if len(self.warm) else Outcome.SEQUENCE_COMPLETED
-        cost = evaluate(problem, self.warm[None]).total[0] if len(self.warm) else np.inf
-        if 0 < accept < stopping.error or float(cost) < stopping.error:
-            return None
-        return End(outcome, stopping.delay_ns) if stopping.delay_ns else outcome
-
-    def _enters(self, problem: Problem, observation: Observation, warm: Floats) -> bool:
+    def _enters(self, problem: Problem, observation: Observation, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
         held = self.estimator.held_at_action(observation)
-        ahead = np.full_like(held, warm[0]) if len(warm) else held
         seconds = self.section.period + LATE * self.estimator.dead_time_s
+        ahead = np.full_like(held, signals[0])
         x, y, _ = driven(problem, problem.poses, ahead, seconds * TESTED[:, None])
         return self.margins.entered(x, y)
 
-    def _decide(self, problem: Problem) -> Plan:
-        """Search every candidate horizon, and longer ones if necessary, and choose the plan.
-
-        The horizons share a limit of evaluations equally. If it is too small for all horizons of
-        step 0, fewer horizons, evenly spread, are tried, each with WORTHWHILE times the evaluations
-        of the smallest search."""
-        section, step_key = self.section, mix(self.key, self.k)
-        horizon, most = self._signals_left(), section.evaluations_max
-        wanted = list(candidates(self.warm, horizon))
-        wanted = [one for one in wanted if one[0] <= horizon] or wanted[:1]
-        if most is not None:
-            wanted = affordable(wanted, self.warm, most // section.optimizer.evaluations_min)
-        searcher = Searcher(
-            self.optimizer,
-            section.optimizer,
-            problem,
-            step_key,
-            most,
-            self._expired(),
-            partial(self._safe, problem),
-        )
-        good_enough = section.optimizer.good_enough
-        count = 0 if self.warm is None else len(self.warm)
-        if self.warm is None and section.initial_lengths == "geometric" and good_enough is not None:
-            searcher.search_spread(least_length(problem), horizon, good_enough)
-            if min(search.cost for search in searcher.found) > max(good_enough, self.accept):
-                later = self._with_margins(problem, None)  # the motion will be identified by then
-                problem = searcher.search_thoroughly(later, horizon, good_enough)
-        else:
-            enough = good_enough
-            if enough is not None and self.accept > 0:
-                enough = min(enough, self.accept)  # a cost above it leads to a detour
-            searcher.search_all(wanted, enough, count)
-        accepted = max(self.accept, good_enough or 0.0)
-        good = [search for search in searcher.found if searcher.good(search, accepted)]
-        if self.warm is not None and self.accept > 0 and not good:
-            self._detour(searcher)
-            good = [search for search in searcher.found if searcher.good(search, accepted)]
-        among = good or searcher.found
-        best = among[choose(among, good_enough, count)]
-        if self.warm is not None and best.length > count + 1:
-            self.accepted *= growth(problem, count)
-        chosen = next(i for i, search in enumerate(searcher.found) if search is best)
-        plan = make_plan(problem, searcher.found, chosen, step_key, compiled_foresee)
-        return replace(plan, estimate=self.estimator.estimate)
-
     def _expired(self) -> Callable[[int], bool]:
-        if (seconds := self.section.deadline_s) is None or (self.warm is None and not self.moving):
-            return never
-        end = self.timer() + round(seconds * SECOND)
+        """Return whether the deadline of the step, which begins now, has passed."""
+        end = self.timer() + round(self.section.deadline * SECOND)
         return lambda _: self.timer() >= end
-
-    def _detour(self, searcher: Searcher) -> None:
-        """Search longer sequences within the limits; the next step continues the search."""
-        assert self.warm is not None
-        lengths = [n for n in longer(len(self.warm), self._signals_left()) if n >= self.resume]
-        self.resume = searcher.search_longer(lengths, ENOUGH * self.accept)
-
-    def _signals_left(self) -> int:
-        """Return the largest number of signals of a plan that ends before `steps_max`."""
-        return self.section.signals_within(self.section.steps_max + 1 - self.k + self._phase)
 
     def _safe(self, problem: Problem, signals: Floats) -> bool:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 
         The last UNSURE signals are not tested; of a plan under way, only the first NEXT are."""
-        collision = self.section.collision
-        under_way = self.warm is not None and len(signals) <= len(self.warm) + 1
+        collision, warm = self.section.collision, self._warm
+        under_way = warm is not None and len(signals) <= len(warm) + 1
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not collision.silence or count <= 0:
             return True
@@ -370,27 +390,3 @@ class Mpc:
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
         return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
-
-
-class MpcSection(MpcFields):
-    """Model predictive control, Algorithm 2, with any optimiser; the paper's is PSO."""
-
-    tours: ClassVar[bool] = True
-
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> Mpc:
-        """Return the controller of one trial."""
-        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
-
-    def warm_up(self, setup: Setup) -> None:
-        """Call the planner's functions once so that they are compiled: search for one signal,
-        predict the robots' paths under it, and follow robots in a few frames."""
-        problem = self.problem(setup)
-        found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
-        compiled_foresee(problem, found.signals)
-        warm_up_filter(self.known(setup), setup.starts)

@@ -1,54 +1,62 @@
-"""The fields of model predictive control in a spec; `tetractl.control.mpc` builds from them."""
+"""The fields of model predictive control in a spec: `pso-mpc` as published has those of
+`SearchFields`, and `mpc`, the recommended controller, all of them.
+"""
 
-from collections.abc import Iterator
-from typing import Annotated, Literal, Self
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, PositiveInt, model_validator
+import numpy as np
+from pydantic import Field, PositiveInt
 
 from tetractl.control.prior import Prior, nothing
-from tetractl.core.plan import Problem
+from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
+from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative, Positive, inconsistent
-from tetractl.experiment.controller import ControllerSection, OptimizerSection
+from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
+SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
+LONGEST_S = 160.0  # longest trial [s]
+ACCEPTED = 0.45
+"""Accepted error, as a fraction of the path that all robots together drive in a control period."""
 FLOW = 0.05  # default standard deviation of a component of the flow, over the mean speed
 DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
-_OPTIMIZER = KindSection(OPTIMIZERS, default="pso")
+_PSO, _MULTISTART = (KindSection(OPTIMIZERS, default=name) for name in ("pso", "multistart"))
 
 
 class Collision(Model):
-    """How the planner decides that a robot collides with an obstacle, a wall or another robot."""
+    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
+    neither stop nor count with silence by default."""
 
-    test: Literal["samples", "swept"] = "samples"
-    """`samples` tests the predicted positions, as the paper's equation (13) does; `swept` tests the
-    straight segments between them."""
     margin: NonNegative = 0.0
     """Distance by which obstacles are grown for the planner [length unit]."""
-    walls: bool = False
+    walls: bool = True
     """Whether leaving the arena counts as entering an obstacle."""
     radius: NonNegative = 0.0
     """Radius of a robot, by which obstacles are grown as well [length unit]; 0 for points."""
-    separation: NonNegative = 0.0
+    separation: NonNegative = Field(default_factory=lambda given: 2 * given.get("radius", 0.0))
     """Least distance of the centres of two robots in the plan [length unit]; 0 for robots that may
-    meet. The distance is tested at the predicted positions."""
-    adaptive: bool = False
+    meet. The distance is tested at the predicted positions. The default is two radii."""
+    adaptive: bool = True
     """Whether the margin grows by a robot's greatest deviation from its course before the next
     command acts, given the uncertainty of its motion. If a robot or target is within the margin,
     the margin is reduced to its distance.
     """
-    stop_before_collision: bool = False
-    """Whether all robots pause if the best plan found touches an obstacle or its margin and a robot
-    is about to enter one, or if no plan within `accept_error` keeps clear. When they stand, a new
-    plan is searched. If they cannot drive ahead safely, they turn on the spot first; the trial ends
-    if no turn helps. With an `accept_error`, robots also pause at the end, and drive on if their
-    total error at rest is larger. Only for robots that can stand still, which have `wheels`."""
-    silence: NonNegative = 0.0
+    stop_before_collision: bool = True
+    """Whether all robots rest if the best plan found leads one into an obstacle, or if a new plan
+    from rest is worth more. From rest, robots of which no plan keeps clear leave their corner or
+    turn on the spot first; the trial ends if that does not help either. Robots also end at rest,
+    and drive on if their total error is then too large. Only for robots that can stand still, which
+    have `wheels`."""
+    silence: NonNegative = 1.0
     """Time for which robots may receive no command and keep their direction [s]. The planner
     prefers plans in which robots keep clear even if this happens after any one of the signals.
     """
@@ -96,77 +104,24 @@ class PriorSection(Model):
         )
 
 
-class MpcFields(ControllerSection):
-    """The fields of model predictive control, with the paper's defaults."""
+class SearchFields(ControllerSection):
+    """The fields that `pso-mpc` and `mpc` share, with the paper's defaults."""
 
-    hold: PositiveInt = 1
-    """Number of control periods for which a plan holds each signal. The plan's time grid is `hold`
-    times coarser than the control's, and a signal can still be changed at each control step."""
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
     """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
     of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
-    estimate: bool = False
-    """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
-    identified while they drive, starting from the spec's values.
-    """
-    prior: PriorSection = PriorSection()
-    """The prior uncertainty of the identified values."""
-    accept_error: NonNegative = 0.0
-    """Total error to accept [length unit]. If no sequence about as long as the present plan ends
-    within this error, longer ones (detours) are searched, and the trial ends if stopping leaves at
-    most this error and is as good as any plan. A smaller value makes trials longer. Each detour
-    near the end of a plan raises the accepted error by a tenth; after half of the steps the
-    accepted error grows up to fourfold; when too few steps for a detour are left, any error is
-    accepted. With 0, as in Algorithm 2, a trial ends only at the end of its sequence. The default
-    of `mpc` is 0.45 of the path that all robots together drive in a control period."""
-    stop_between: bool = False
-    """Whether the stop may come between two control steps, at the moment that leaves the least
-    error."""
     horizon_max: int = Field(default=51, ge=1, le=2000)
     """Longest sequence tried at step 0, in signals. A sequence of `length` signals is the paper's
     horizon h = length - 1."""
-    initial_lengths: Literal["all", "geometric"] = "all"
-    """Which lengths up to `horizon_max` are tried at step 0: `all`, as in Algorithm 2 (with an
-    optimiser that has a tolerance, up to the first length that is good enough); or, only with such
-    an optimiser, `geometric`: growing lengths from the shortest that could reach the targets until
-    one is good enough, then bisection. If no length is good enough, three lengths are searched for
-    some seconds each.
-    """
     obstacle_weight: NonNegative = 1000.0
     """Weight omega_p of the obstacle potential in the paper's equation (7) [length unit]."""
-    collision: Collision = Collision()
-    """How the planner of `pso-mpc` tests for obstacles."""
-    evaluations_max: int | None = Field(default=None, ge=1)
-    """Largest number of cost evaluations in one control step, shared equally by its horizons; the
-    best sequence found within the limit is used. No limit by default.
-    """
-    optimizer: Annotated[OptimizerSection, _OPTIMIZER] = Field(default_factory=_OPTIMIZER.make)
+    optimizer: Annotated[OptimizerSection, _PSO] = Field(default_factory=_PSO.make)
     """The optimiser of each search."""
-
-    @model_validator(mode="after")
-    def _a_limit_pays_for_a_search(self) -> Self:
-        least = self.optimizer.evaluations_min
-        if self.evaluations_max is not None and self.evaluations_max < least:
-            message = f"must be at least {least}, the evaluations that one search needs"
-            raise inconsistent("evaluations_max", message)
-        return self
-
-    @property
-    def deadline_s(self) -> float | None:
-        """`deadline`, or the default for an optimiser with a tolerance [s]."""
-        if self.deadline is None and self.optimizer.good_enough is not None:
-            return DEADLINE * self.period
-        return self.deadline
 
     @property
     def iterations_max(self) -> int:
         """Largest number of iterations of one search."""
         return self.optimizer.iterations_max
-
-    @property
-    def body_radius(self) -> float:
-        """Radius of every robot's body [length unit], 0 if the spec gives none."""
-        return self.collision.radius
 
     def bounds(self) -> dict[str, str]:
         """Return the limits of horizons and evaluations as texts to display, {name: text}."""
@@ -174,18 +129,6 @@ class MpcFields(ControllerSection):
         if most := self.optimizer.evaluations_max:
             found["cost evaluations of a horizon"] = f"at most {most}"
         return found
-
-    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
-        """Yield an error if robots that cannot stand still are to pause."""
-        if self.collision.stop_before_collision and setup.wheel_radius is None:
-            message = "is only for robots that can stand still, which have wheels"
-            yield ("collision", "stop_before_collision"), message
-
-    def signals_within(self, steps: int) -> int:
-        """Return the largest number of signals of a plan if `steps` control steps are left.
-        Without `accept_error`, as in Algorithm 2, the steps left do not limit a plan."""
-        left = max(1, steps // self.hold)
-        return min(self.horizon_max, left if self.accept_error else self.horizon_max)
 
     def numbers_held(self, setup: Setup) -> int:
         """Return the number of floats that the longest search stores: positions, velocities, bests
@@ -197,25 +140,135 @@ class MpcFields(ControllerSection):
         return swarm + residuals * length
 
     def known(self, setup: Setup) -> Prior:
-        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
-        problem = self.problem(setup)
-        given = self.prior.of(problem, self.dead_time, setup)
-        return given if self.estimate else nothing(problem, self.dead_time)
+        """Return what is assumed of the robots' motion: nothing is uncertain."""
+        return nothing(self.problem(setup), self.dead_time)
 
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
-        """Return the problem with the robots at `poses`, or at their starts."""
-        collision, walls = self.collision, setup.arena if self.collision.walls else None
-        margin = collision.margin + collision.radius
+        """Return the problem with the robots at `poses`, or at their starts; obstacles are tested
+        at the predicted samples, as in the paper's equation (13)."""
         return Problem(
             poses=setup.starts if poses is None else poses,
             targets=setup.targets,
             a=setup.a,
             speed=setup.speed,
             motion=self.motion,
-            period=self.hold * self.period,
-            first_period=self.hold * self.period,
-            obstacles=Obstacles.of(setup.obstacles, margin, walls),
+            period=self.period,
+            first_period=self.period,
+            obstacles=Obstacles.of(setup.obstacles),
             obstacle_weight=self.obstacle_weight,
-            swept=collision.test == "swept",
+            swept=False,
+        )
+
+    def warm_up(self, setup: Setup) -> None:
+        """Call the planner's functions once so that they are compiled: search for one signal,
+        predict the robots' paths under it, and follow robots in a few frames."""
+        from tetractl.control.evaluate import compiled_foresee
+        from tetractl.control.filter import warm_up
+
+        problem = self.problem(setup)
+        found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
+        compiled_foresee(problem, found.signals)
+        warm_up(self.known(setup), setup.starts)
+
+
+class RecommendedMpc(SearchFields):
+    """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
+    polished starts in place of a particle swarm, identification while robots drive, paths that keep
+    clear, and one value that decides between a plan, a longer way, a rest and a stop. Every default
+    is what we recommend for robots on wheels."""
+
+    type: Literal["mpc"] = "mpc"
+    period: float = Field(default=0.05, ge=1e-3, allow_inf_nan=False)
+    """Control period T [s]."""
+    steps_max: int = Field(
+        default_factory=lambda given: max(1, round(LONGEST_S / given.get("period", SIGNAL_S))),
+        ge=1,
+        le=1_000_000,
+    )
+    """Largest number of control steps k_max."""
+    signal_periods: PositiveInt = Field(
+        default_factory=lambda given: max(1, round(SIGNAL_S / given.get("period", SIGNAL_S)))
+    )
+    """Number of control periods for which a plan holds each signal. The plan's time grid is so many
+    times coarser than the control's, and a signal can still be changed at each control step."""
+    deadline: Positive = Field(
+        default_factory=lambda given: DEADLINE * given.get("period", SIGNAL_S)
+    )
+    """Time after which the searches of a control step end and the best sequence so far is used [s];
+    a plan for standing robots has no deadline. The default is 80 % of the control period. In
+    virtual time the searches' work is counted, so that a simulation depends only on its seed."""
+    motion: Annotated[str, KindName(MOTIONS)] = "exact"
+    """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
+    of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
+    estimate: bool = True
+    """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
+    identified while they drive, starting from the spec's values.
+    """
+    prior: PriorSection = PriorSection()
+    """The prior uncertainty of the identified values."""
+    accept_error: Positive = Field(default=1.0)
+    """Total error to accept [length unit]. It is the scale of the value by which the controller
+    decides between a stop, a longer way and a rest: a second costs a tenth of it. A smaller value
+    makes trials longer. The default is 0.45 of the path that all robots together drive in a control
+    period."""
+    collision: Collision = Collision()
+    """How the planner avoids obstacles, the arena's edge, and other robots. Robots without wheels
+    neither pause nor count with silence by default."""
+    optimizer: Annotated[OptimizerSection, _MULTISTART] = Field(default_factory=_MULTISTART.make)
+    """The optimiser of each search."""
+
+    tours: ClassVar[bool] = True
+
+    @property
+    def body_radius(self) -> float:
+        """Radius of every robot's body [length unit], 0 if the spec gives none."""
+        return self.collision.radius
+
+    def fitted(self, stands: bool, speed: float) -> Self:
+        """Return the section with the defaults for robots of the given summed speed."""
+        fitting: dict[str, Any] = {}
+        if "accept_error" not in self.model_fields_set:
+            fitting["accept_error"] = float(f"{ACCEPTED * self.period * speed:.2g}")
+        if not stands:
+            off = {"stop_before_collision": False, "silence": 0.0}
+            left = {k: v for k, v in off.items() if k not in self.collision.model_fields_set}
+            fitting["collision"] = self.collision.model_copy(update=left)
+        return self.model_copy(update=fitting)
+
+    def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
+        """Yield an error if robots that cannot stand still are to pause."""
+        if self.collision.stop_before_collision and setup.wheel_radius is None:
+            message = "is only for robots that can stand still, which have wheels"
+            yield ("collision", "stop_before_collision"), message
+
+    def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
+        """Return the problem with the robots at `poses`, or at their starts."""
+        collision, walls = self.collision, setup.arena if self.collision.walls else None
+        margin = collision.margin + collision.radius
+        return replace(
+            super().problem(setup, poses),
+            period=self.signal_periods * self.period,
+            first_period=self.signal_periods * self.period,
+            obstacles=Obstacles.of(setup.obstacles, margin, walls),
+            swept=True,
             separation=collision.separation,
         )
+
+    def known(self, setup: Setup) -> Prior:
+        """Return what is assumed of the robots' motion, without uncertainty unless `estimate`."""
+        if not self.estimate:
+            return super().known(setup)
+        return self.prior.of(self.problem(setup), self.dead_time, setup)
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> Controller:
+        """Return the controller of one trial."""
+        from tetractl.control.holding import CircleSearch
+        from tetractl.control.mpc import Mpc
+
+        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)

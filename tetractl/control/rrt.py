@@ -18,10 +18,9 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import evaluate
-from tetractl.control.detour import best_stop
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import warm_up
-from tetractl.control.fixed_sequence import given_search, make_plan, plain_problem
+from tetractl.control.fixed_sequence import best_stop, given_search, make_plan, plain_problem
 from tetractl.control.prior import nothing
 from tetractl.control.rng import mix, uniform
 from tetractl.core.commands import Command

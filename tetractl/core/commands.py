@@ -46,15 +46,6 @@ class Command:
         """Whether the command lets no robot drive; robots may turn on the spot."""
         return self.direction is None and not self.field_off
 
-    @property
-    def undirected(self) -> str:
-        """Words for what the robots do if there is no direction; "" if there is a direction."""
-        if self.direction is not None:
-            return ""
-        if self.facing is not None:
-            return "turn"
-        return "field off" if self.field_off else "pause"
-
 
 @dataclass(frozen=True, slots=True)
 class Note:

@@ -65,6 +65,22 @@ class StopReason(StrEnum):
         return next((reason for reason in cls if reason.value == text), text)
 
 
+class State(StrEnum):
+    """What the robots do in a control step; the value is the text in a log."""
+
+    DRIVING = "driving"  # they follow the plan
+    RESTING = "resting"  # they stand; the next plan is for standing robots
+    LEAVING = "leaving a corner"  # they follow a way out of a corner
+    TURNING = "turning"  # they stand and turn on the spot
+    HOLDING = "holding"  # they cannot stand, and stay near their targets
+    STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
+
+    @property
+    def stands(self) -> bool:
+        """Whether the robots stand; they may turn on the spot."""
+        return self in (State.RESTING, State.TURNING, State.STUCK)
+
+
 PAUSE_S = 0.5
 """Length of a pause, in addition to one control period [s]."""
 
@@ -172,10 +188,10 @@ class Plan:
     are the searches of all horizons tried, in order; `chosen` is the index of the best. `generator`
     is the key of all random numbers of this step. `estimate` are the estimates used for the plan,
     None if the controller estimates nothing. If `field_off`, the field is switched off in this
-    step, signals[0] is not sent, and robots go straight on. If `pauses`, all robots are stopped
-    instead, `delay_ns` after the decision, and stand for PAUSE_S; if `facing` is given, they turn
-    on the spot towards it [rad]. `leg` is the number of way-points passed; while the robots hold,
-    it is one more than the number of way-points.
+    step, signals[0] is not sent, and robots go straight on. If they stand in this `state`, all
+    robots are stopped instead, `delay_ns` after the decision, for PAUSE_S; if they are turning,
+    they turn on the spot towards `facing` [rad]. `leg` is the number of way-points passed; while
+    the robots hold, it is one more than the number of way-points.
     """
 
     signals: Floats = field(repr=False)
@@ -188,7 +204,7 @@ class Plan:
     generator: int
     estimate: Estimate | None = field(default=None, repr=False)
     field_off: bool = False
-    pauses: bool = False
+    state: State = State.DRIVING
     delay_ns: int = 0
     leg: int = 0
     facing: float | None = None
@@ -201,6 +217,16 @@ class Plan:
         path = np.repeat(seen.array()[None], len(self.path), axis=0)
         path[:, left] = self.path
         return replace(self, path=path)
+
+    @property
+    def pauses(self) -> bool:
+        """Whether all robots are stopped, in place of a direction."""
+        return self.state.stands
+
+    @property
+    def doing(self) -> str:
+        """Words for what the robots do."""
+        return "field off" if self.field_off else self.state.value
 
     @property
     def direction(self) -> float | None:

@@ -19,8 +19,8 @@ CONTROLLERS = Registry(
     "tetractl.controllers",
     "controller",
     {
-        "mpc": "tetractl.control.mpc_kinds:RecommendedMpc",
-        "pso-mpc": "tetractl.control.mpc_kinds:PsoMpc",
+        "mpc": "tetractl.control.mpc_section:RecommendedMpc",
+        "pso-mpc": "tetractl.control.algorithm2:PsoMpc",
         "sequence": "tetractl.control.sequence:SequenceSection",
         "ensemble": "tetractl.control.ensemble:EnsembleSection",
         "rrt": "tetractl.control.rrt:RrtSection",

@@ -106,21 +106,11 @@ class ControllerSection(Model):
     with 0, no trial ends early for this reason."""
     first_plan: FirstPlan = NoWait(type="stand")
     """What the robots do while the first plan is computed."""
-    deadline: Positive | None = None
-    """Time after which the searches of a control step end and the best sequence so far is used [s];
-    a plan for standing robots has no deadline. The default is 80 % of the control period for an
-    optimiser with a tolerance, otherwise none. In virtual time the searches' work is counted, so
-    that a simulation depends only on its seed."""
 
     switches_field: ClassVar[bool] = False
     """Whether the controller ever switches the field off, which not every plant supports."""
     tours: ClassVar[bool] = False
     """Whether the controller supports way-points and a hold at the targets."""
-
-    @property
-    def deadline_s(self) -> float | None:
-        """Time after which the searches of a control step end [s], None for no deadline."""
-        return self.deadline
 
     @property
     def iterations_max(self) -> int:

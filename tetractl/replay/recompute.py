@@ -83,8 +83,9 @@ class Rerun:
         return self._until is not None and self._cpu() > self._until
 
     def begin(self, searches: Sequence[Search]) -> None:
-        """Continue with the logged searches of a step."""
-        self._left, self.wrong = list(enumerate(searches)), []
+        """Continue with the logged searches of a step; given signals need no search."""
+        found = [(i, one) for i, one in enumerate(searches) if one.stopped != StopReason.FIXED]
+        self._left, self.wrong = found, []
 
     def timer(self) -> int:
         """Return the time [ns] for the controller's deadline: 0 while logged searches are left,

@@ -67,7 +67,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
     `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
     For each control step, `steps` contains time, direction u (NaN while robots pause or turn, which
-    `undirected` states), cost J, number of signals, solve time and the robots' distances to their
+    `doing` states), cost J, number of signals, solve time and the robots' distances to their
     targets (K, N). With `plans`, `plan` contains the predicted positions and `history` the
     iterations and J of the chosen search; step k has the entries `at[k]` to `at[k + 1]`. Points of
     both that are close to a straight line between other points are left out. `dish` contains a
@@ -108,7 +108,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
         "steps": {
             "t": floats(sent),
             "u": floats([np.nan if u is None else u for u in directions]),
-            "undirected": [step.command.undirected for step in steps],
+            "doing": [step.plan.doing for step in steps],
             "cost": floats([step.plan.cost for step in steps]),
             "signals": [len(step.plan.signals) for step in steps],
             "solve_ms": floats([step.solve_ns / 1e6 for step in steps]),

@@ -68,7 +68,7 @@ class CheckContext:
         return cls(
             experiment=experiment,
             setup=experiment.setup,
-            signal_s=getattr(control, "hold", 1) * control.period,
+            signal_s=getattr(control, "signal_periods", 1) * control.period,
             signals_max=getattr(control, "horizon_max", None),
             motion=getattr(control, "motion", ""),
             radius=collision.radius if collision else 0.0,

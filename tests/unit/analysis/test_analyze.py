@@ -20,10 +20,11 @@ from tetractl.view.figures.analysis import analysis_figure
 
 SETUP = experiment().setup
 CONTROLLER = {
-    "motion": "exact",
+    "type": "mpc",
+    "period": 0.2,
     "horizon_max": 60,
-    "initial_lengths": "geometric",
-    "optimizer": {"type": "multistart"},
+    "estimate": False,
+    "collision": {"walls": False, "adaptive": False, "stop_before_collision": False},
 }
 NOISE = {"type": "sim", "a_error": 0.05, "heading_noise": 0.05}
 
@@ -127,7 +128,7 @@ def test_any_controller_is_analysed_by_multistart():
 def test_robots_that_start_within_a_margin_are_steered_out_of_it(adaptive):
     """As the controller does: 4 mm from the edge, with a margin of 50."""
     robot = THREE_M3PI["robots"][1] | {"start": [604, 1200]}
-    collision = {"test": "swept", "walls": True, "margin": 50, "adaptive": adaptive}
+    collision = {"margin": 50, "adaptive": adaptive}
     found = of(a=(6,), robots=[robot], controller=CONTROLLER | {"collision": collision})
     assert found.steering is not None
 

@@ -69,8 +69,8 @@ def test_the_prediction_of_a_swarm_is_that_of_its_particles():
 
 
 def test_a_problem_is_taken_from_the_experiment():
-    control = {"collision": {"test": "swept", "margin": 10}, "obstacle_weight": 5}
-    spec = experiment(controller=control)
+    control = {"collision": {"margin": 10, "walls": False}, "obstacle_weight": 5, "period": 0.2}
+    spec = experiment(controller={"type": "mpc"} | control)
     poses = Poses.of(np.zeros((3, 3)))
     problem = spec.controller.problem(spec.setup, poses)
     assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]

@@ -86,7 +86,7 @@ def test_robots_keep_the_separation_they_have():
 
 
 def test_the_separation_grows_by_what_both_robots_may_be_off():
-    spec = experiment(controller={"collision": {"separation": 50, "adaptive": True}})
+    spec = experiment(controller={"type": "mpc", "collision": {"separation": 50}})
     problem, section = spec.controller.problem(spec.setup), spec.controller
     found = section.build(spec.setup, 3)._with_margins(problem, None)
     assert found.separation == pytest.approx(
@@ -108,11 +108,12 @@ def test_a_robot_inside_the_margin_does_not_freeze_the_plan():
     """The first predicted position is inside whatever the signal is: every plan costs the same."""
     box = {"type": "rectangle", "left": 1200, "bottom": 1100, "width": 200, "height": 200}
     control = {
-        "type": "pso-mpc",
-        "motion": "exact",
+        "type": "mpc",
+        "period": 0.2,
+        "estimate": False,
         "horizon_max": 30,
         "obstacle_weight": 1e6,
-        "collision": {"test": "swept", "margin": 60, "adaptive": False},
+        "collision": {"margin": 60, "walls": False, "stop_before_collision": False},
         "optimizer": {"type": "multistart"},
     }
     robot = {"name": "one", "start": [1180, 1150], "heading": 2, "target": [1100, 1500]}

@@ -207,7 +207,7 @@ robots
   must be PATH=VALUE
 =5
   must be PATH=VALUE
-controller.evaluations_max=1e22
+controller.horizon_max=1e22
   1e22: must be a whole number
 a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a.a=1
   the path has more than 32 steps
@@ -316,7 +316,7 @@ def test_the_reference_experiment_is_that_of_section_v(name):
     (box,) = experiment.obstacles
     assert (box.left, box.bottom, box.width, box.height) == (1200, 1100, 200, 200)
     assert (experiment.arena.width, experiment.arena.height) == (1600, 1800)
-    assert experiment.controller.hold * experiment.controller.period == pytest.approx(0.2)
+    assert experiment.controller.problem(experiment.setup).period == pytest.approx(0.2)
     reference = experiment.reference
     assert (reference.n, reference.mean, reference.std) == (20, 648.6, 225.1)
 
@@ -326,7 +326,6 @@ def test_the_letter_of_the_paper_and_what_we_recommend_differ_in_controller_and_
     ours = load_spec(EXPERIMENTS / "three_m3pi.yaml").experiment
     assert paper.controller.optimizer.stop.type == "paper"
     assert paper.controller.motion == "euler"
-    assert paper.controller.collision.test == "samples"
     same = {"name": paper.name, "controller": paper.controller, "wheels": paper.wheels}
     assert ours.wheels.model_copy(update={"watchdog": None}) == paper.wheels
     assert ours.model_copy(update=same) == paper

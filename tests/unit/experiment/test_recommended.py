@@ -24,7 +24,7 @@ OF_THE_LAB = {
 }
 """What depends on bodies, delays, distances and their unit, and on the number of robots."""
 ALSO = {  # whose printed numbers are from before these were the defaults
-    "tetrahymena_bench.yaml": {"initial_lengths", "collision.adaptive"},
+    "tetrahymena_bench.yaml": {"collision.adaptive"},
 } | {name: {"collision.adaptive"} for name in OURS if name.startswith("benchmark/")}
 ALSO["benchmark/anywhere.yaml"] = {"collision.silence"}
 
@@ -60,12 +60,12 @@ LAB = WRITTEN["init: lab"]
 
 def test_defaults_follow_the_period_the_robots_and_their_bodies():
     control = parse_spec(LAB, "lab.yaml").experiment.controller
-    assert (control.period, control.hold, control.steps_max) == (0.05, 4, 3200)
+    assert (control.period, control.signal_periods, control.steps_max) == (0.05, 4, 3200)
     assert control.accept_error == 8.6  # of 380 mm/s
     assert (control.collision.separation, control.arrival_tolerance) == (94, 0)
     assert (control.collision.silence, control.collision.stop_before_collision) == (1, True)
     slow = parse_spec(LAB, "lab.yaml", ["controller.period=0.2"]).experiment.controller
-    assert (slow.hold, slow.steps_max, slow.accept_error) == (1, 800, 34)
+    assert (slow.signal_periods, slow.steps_max, slow.accept_error) == (1, 800, 34)
     cells = SPECS["init: cells"].controller
     assert (cells.collision.silence, cells.collision.stop_before_collision) == (0, False)
 

@@ -28,7 +28,7 @@ SHORT = ("controller.steps_max=3", "controller.horizon_max=5")
 SMALL = (  # 5 Hz, few steps and a small swarm
     "controller.steps_max=4",
     "controller.period=0.2",
-    "controller.hold=1",
+    "controller.signal_periods=1",
     "controller.deadline=0.15",
     "controller.optimizer={type: pso, particles: 6, iterations: 14}",
 )

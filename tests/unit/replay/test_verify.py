@@ -43,39 +43,33 @@ plant: {type: sim, camera_rate: 30, measurement_noise: {position: 1}, heading_no
 trials: {count: 3, seed: 7}
 """
 
+MPC = "controller={{type: mpc, period: 0.2, horizon_max: {}, optimizer: {}}}"
 SETTINGS = {
     "the paper's": [],
     "multistart": ["controller.optimizer={type: multistart}"],
     "dead time, estimated": [
+        MPC.format(6, "{type: pso, particles: 6, iterations: 14}"),
         "controller.dead_time=0.15",
         "plant.dead_time=0.15",
-        "controller.estimate=true",
-        "controller.motion=exact",
     ],
     "whole": [
         "plant.dead_time=0.15",
         "plant.lost_commands=0.1",
-        "controller.estimate=true",
-        "controller.motion=exact",
-        "controller.optimizer={type: multistart}",
-        "controller.initial_lengths=geometric",
+        MPC.format(20, "{type: multistart}"),
         "controller.accept_error=10",
-        "controller.stop_between=true",
-        "controller.horizon_max=20",
         "controller.steps_max=40",
-        "controller.collision={test: swept, radius: 10, separation: 20, adaptive: true}",
+        "controller.collision.radius=10",
     ],
     "deadlines": [
-        "controller.optimizer={type: multistart, tolerance: 1.0e-9}",
+        MPC.format(20, "{type: multistart, tolerance: 1.0e-9}"),
         "controller.deadline=0.001",
-        "controller.horizon_max=20",
     ],
-    "held": ["controller.hold=2"],
-    "swept, with walls": [
-        "controller.collision={test: swept, margin: 5, walls: true}",
+    "held": [MPC.format(6, "{type: multistart}"), "controller.signal_periods=2"],
+    "arcs, with margins": [
+        MPC.format(6, "{type: multistart}"),
+        "controller.collision.margin=5",
         "controller.motion=arc",
     ],
-    "a budget": ["controller.evaluations_max=200"],
     "arrives": ["controller.arrival_tolerance=60", "controller.steps_max=30"],
     "a square first": ["controller.first_plan={type: square, side: 1.5}"],
     "commands lost": ["plant.lost_commands=0.3"],
@@ -122,12 +116,14 @@ class Late:
         return self.time
 
 
-@pytest.mark.parametrize("swarm", ["{iterations: 60, stop: {type: budget}}", "{type: multistart}"])
+@pytest.mark.parametrize(
+    "swarm",
+    ["{type: pso, iterations: 60, stop: {type: budget}}", "{type: multistart, tolerance: 1.0e-9}"],
+)
 @pytest.mark.parametrize("looks", [1, 2, 4, 9, 20])
 def test_what_a_deadline_cut_short_comes_out_too(tmp_path, monkeypatch, swarm, looks):
     monkeypatch.setattr("tetractl.control.build.WorkClock", lambda: Late(looks))
-    sets = [f"controller.optimizer={swarm}", "controller.deadline=0.5", "controller.horizon_max=12"]
-    sets += ["controller.optimizer.tolerance=1e-9"] if "multistart" in swarm else []
+    sets = [MPC.format(12, swarm), "controller.deadline=0.5", "controller.estimate=false"]
     path = run(tmp_path, sets)
     stopped = [s.stopped for step in read_trial(path).steps for s in step.plan.searches]
     assert "deadline" in stopped or looks > 4 or len(read_trial(path).steps[1].plan.searches) < 3

@@ -21,8 +21,8 @@ REST = """
 name: three
 units: {length: um}
 arena: {left: 0, bottom: 0, width: 3000, height: 3000}
-controller: {type: pso-mpc, horizon_max: 30, steps_max: 40, accept_error: 60, estimate: true,
-  motion: exact, optimizer: {type: multistart, tolerance: 1}}
+controller: {type: mpc, period: 0.2, horizon_max: 30, steps_max: 40, accept_error: 60,
+  optimizer: {type: multistart, tolerance: 1}}
 plant: {camera_rate: 30, disturbances: [{type: tracking-loss, every: 2.5, duration: 0.6}]}
 """
 LISTED = """robots:

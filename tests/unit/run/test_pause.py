@@ -19,7 +19,7 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 from tetractl.view.terminal.replay_screen import step_line
 
-SLOW = ("controller.period=0.2", "controller.hold=1")  # 5 Hz
+SLOW = ("controller.period=0.2", "controller.signal_periods=1")  # 5 Hz
 SILENT = (
     *SLOW,
     "trials.seed=7000",
@@ -60,15 +60,15 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     assert found.checked == len(log.steps)
 
 
-POOR = (*SLOW, "controller.optimizer={type: pso, particles: 2, iterations: 1}")
+FACING = (*SLOW, "robots.green.start=[652, 800]", "robots.green.heading=3.14159")  # a wall
 
 
 def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
     tmp_path, monkeypatch
 ):
     """Regression: the trial ended on searches that no log held, and `verify` failed it."""
-    monkeypatch.setattr("tetractl.control.detour.turn_away", lambda *_: None)
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
+    monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     result = run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
     assert result.outcome is Outcome.NOTHING_BETTER
@@ -78,7 +78,7 @@ def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
 
 
 def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(tmp_path):
-    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", POOR)
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
     turns = [k for k, step in enumerate(log.steps) if step.plan.facing is not None]
@@ -90,9 +90,9 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         off = [wrap(log.steps[k].plan.facing - poses.heading) for poses in (before, after)]
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
     recording = Recording(log)
-    for k, text in ((turns[0], "direction       turn"), (turns[-1] + 1, "pause"), (0, " deg")):
+    for k, text in ((turns[0], "direction    turning"), (turns[-1] + 1, " deg"), (0, " deg")):
         assert text in step_line(recording, k)
-    assert trial_data(log, "t.mcap")["steps"]["undirected"][turns[0]] == "turn"
+    assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning"
     starts = [k for k in turns if k - 1 not in turns]
     told = "all robots turn on the spot: they have no safe way ahead"
     assert [note.text for note in log.notes].count(told) == len(starts)

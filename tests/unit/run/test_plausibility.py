@@ -28,7 +28,7 @@ NAMED = {
 
 def found(path, *sets):
     """Warnings by field; three_m3pi.yaml is controlled at 5 Hz unless `sets` say otherwise."""
-    slow = ("controller.period=0.2", "controller.hold=1") if path == THREE else ()
+    slow = ("controller.period=0.2", "controller.signal_periods=1") if path == THREE else ()
     return {w.field: w for w in find_warnings(load_spec(path, (*slow, *sets)), sets)}
 
 
@@ -66,7 +66,7 @@ controller.period <- controller.period=0.4; controller.motion=euler; ON
   a T = 2.4 for green, .* T = 0.4 s, is above 2: by equation \(6\) its heading | less than 0.333 s
 controller.period <- controller.period=0.6; ON
   a T = 3.6 for green, .* 2 robots make 90.9 % | less than 0.333 s
-controller.period <- LAB; controller.hold=14
+controller.period <- LAB; controller.signal_periods=14
   a T = 4.2 for green, with signals held for T = 0.7 s, .* 3 robots make 87.8 % | 0.333 s
 plant.dead_time <- plant.dead_time=0.3; controller.estimate=false
   is 0.3 s, but the controller assumes 0 s: .* 1.5 control periods | controller.dead_time to 0.3
@@ -188,7 +188,7 @@ robots:
   - {{name: b, start: [0, 0], target: [0, -{big}], a: {big}, speed: 0, heading: 1.0e+300}}
   - {{name: c, start: [0, 0], target: [0, -{big}], a: 1.0e-300, speed: 1.0e-300}}
 obstacles: [{{type: rectangle, left: -{big}, bottom: 0, width: 1.0e-320, height: 1.0e-320}}]
-controller: {{type: pso-mpc, period: 100, collision: {{margin: {big}, walls: true}}}}
+controller: {{type: mpc, period: 100, collision: {{margin: {big}}}}}
 """
     with np.errstate(all="ignore"):
         loaded = parse_spec(text, "big")

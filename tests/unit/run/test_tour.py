@@ -19,8 +19,8 @@ from tetractl.results.outcomes import TIME_INSIDE
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
-MPC = """{type: pso-mpc, horizon_max: 30, steps_max: 200, accept_error: 20, motion: exact,
-  optimizer: {type: multistart, tolerance: 1}}"""
+MPC = """{type: mpc, period: 0.2, horizon_max: 30, steps_max: 200, accept_error: 20,
+  estimate: false, optimizer: {type: multistart, tolerance: 1}}"""
 ONE = f"""
 name: one
 arena: {{left: 0, bottom: 0, width: 3000, height: 3000}}

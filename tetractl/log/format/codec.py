@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.core.commands import Command, Sample
 from tetractl.core.errors import printable
-from tetractl.core.plan import Estimate, Plan, Search, StopReason
+from tetractl.core.plan import Estimate, Plan, Search, State, StopReason
 from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
@@ -168,7 +168,7 @@ def encode_step(step: Step) -> pb.ControllerStep:
         path_y=y,
         path_heading=heading,
         **_named(plan, "signals", "cost", "target_cost", "obstacle_cost"),
-        **_named(plan, "chosen", "generator", "leg", "delay_ns"),
+        **_named(plan, "chosen", "generator", "leg", "delay_ns", "state"),
     )
 
 
@@ -198,7 +198,7 @@ def decode_step(
         generator=message.generator,
         estimate=_decode_estimate(estimate, robots) if estimate else None,
         field_off=command.field_off,
-        pauses=command.stops,
+        state=State(message.state),
         facing=command.facing,
         leg=message.leg,
         delay_ns=message.delay_ns,

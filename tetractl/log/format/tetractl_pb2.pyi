@@ -82,7 +82,7 @@ class Search(_message.Message):
     def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
 class ControllerStep(_message.Message):
-    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading", "leg", "delay_ns")
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading", "leg", "delay_ns", "state")
     K_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     COMMAND_FIELD_NUMBER: _ClassVar[int]
@@ -98,6 +98,7 @@ class ControllerStep(_message.Message):
     PATH_HEADING_FIELD_NUMBER: _ClassVar[int]
     LEG_FIELD_NUMBER: _ClassVar[int]
     DELAY_NS_FIELD_NUMBER: _ClassVar[int]
+    STATE_FIELD_NUMBER: _ClassVar[int]
     k: int
     observation: MocapSample
     command: WheelCommand
@@ -113,7 +114,8 @@ class ControllerStep(_message.Message):
     path_heading: _containers.RepeatedScalarFieldContainer[float]
     leg: int
     delay_ns: int
-    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ...) -> None: ...
+    state: str
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ...) -> None: ...
 
 class CellCrops(_message.Message):
     __slots__ = ("frame", "side", "low", "high", "least_px2", "most_px2", "robot", "merged", "sure", "column", "row", "x", "y", "axis", "long", "wide", "strength", "crc")

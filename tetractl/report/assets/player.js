@@ -213,7 +213,7 @@ class Player {
     set("cost", k < 0 ? "–" : digits(trial.steps.cost[k]));
     set("signals", k < 0 ? "–" : String(trial.steps.signals[k]));
     const u = k < 0 ? undefined : trial.steps.u[k];
-    set("direction", u === undefined ? "–" : Number.isNaN(u) ? trial.steps.undirected[k] : `${((u * 180) / Math.PI).toFixed(0)}°`);
+    set("direction", u === undefined ? "–" : Number.isNaN(u) ? trial.steps.doing[k] : `${((u * 180) / Math.PI).toFixed(0)}°`);
     set("solve", k < 0 ? "–" : `${digits(trial.steps.solve_ms[k])} ms`);
     set("stopped", k < 0 ? "–" : trial.steps.stopped[k]);
     const poses = posesAt(trial, time), distances = distancesAt(trial, time);

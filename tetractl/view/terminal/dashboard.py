@@ -140,7 +140,7 @@ class Dashboard:
         lines.append(row("horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
         u = step.command.direction
         if u is None:
-            return [*lines, row("direction", "u", step.command.undirected)]
+            return [*lines, row("state", "s", step.plan.doing)]
         degrees = math.degrees(math.remainder(u, math.tau))
         sign = f"{arrow(glyphs, u)} {degrees:+.0f}{glyphs.degree}"
         return [*lines, row("direction", "u", sign)]

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from tetractl.core.clock import Clock
 from tetractl.core.colors import robot_colors
+from tetractl.core.plan import State
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Playback, Player, PlayerClock, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer
@@ -180,13 +181,14 @@ def step_line(recording: Recording, index: int) -> str:
     """Return one control step as a line of text."""
     step = recording.log.steps[index]
     unit = recording.log.start.setup.unit
-    plan, direction = step.plan, step.command.undirected
+    plan, direction, state = step.plan, step.plan.doing, ""
     if (u := step.command.direction) is not None:
         direction = f"{math.degrees(math.remainder(u, math.tau)):+.1f} deg"
+        state = "" if plan.state is State.DRIVING else f"  {plan.state}"
     time_s = recording.elapsed_s(int(recording.step_ns[index]))
     return (
         f"{time_s:6.2f} s  k {step.k:<3}  horizon {len(plan.signals):<3}  "
         f"J {plan.cost:7.1f} {unit}  total error {recording.totals[index]:7.1f} {unit}  "
         f"direction {direction:>10}  evaluations {plan.evaluations:<6}  "
-        f"stopped {plan.search.stopped}"
+        f"stopped {plan.search.stopped}{state}"
     )

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
+from tetractl.control.corners import TURN_S, away, turn_away, way_out
 from tetractl.control.cost import predict
 from tetractl.control.delay import driven
-from tetractl.control.detour import LATE_GROWTH, TURN_S, away, late, turn_away, way_out
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -20,7 +20,7 @@ CIRCLE = float((SETUP.speed / SETUP.a).max())  # the widest that a robot drives 
 
 def standing(poses):
     margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets)
-    section = experiment(controller={"motion": "exact"}).controller
+    section = experiment(controller={"type": "mpc"}).controller
     return replace(section.problem(SETUP), poses=Poses.of(np.array(poses))), margins
 
 
@@ -111,8 +111,3 @@ def test_it_never_leads_further_into_anything(seed):
         room = margins.room(path[..., 0], path[..., 1], 0.0)
         assert room.min() >= min(0.0, room[0])
     assert signals is not None or margins.room(x, y, 0.0) < 2 * CIRCLE
-
-
-def test_the_accepted_error_grows_only_in_the_second_half_of_the_steps():
-    assert [late(part) for part in (0.0, 0.3, 0.5)] == [1.0, 1.0, 1.0]
-    assert 1 < late(0.6) < late(0.9) < late(1.0) == LATE_GROWTH

@@ -1,34 +1,17 @@
-"""Chooses between a detour and a stop if the plan no longer ends at the targets.
-
-Algorithm 2 shortens its sequence from step to step. The few signals left near its end cannot
-correct the 2N coordinates of N robots. If no sequence of length H - 1, H or H + 1, with H the
-length of the present plan, ends within the accepted total error, longer sequences are searched from
-scratch; these lead the robots away from their targets and back. The trial ends if stopping at the
-best moment of the coming control period is as good as any plan. If every plan for standing robots
-touches an obstacle, they drive along a way out of the corner; if none keeps clear, they first turn
-on the spot. If that gives none either and a robot is about to enter an obstacle, the trial ends.
+"""Ways out of a corner, for standing robots of which no plan keeps clear of everything: they drive
+along a way with more room, or turn on the spot first if that gives such a way.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from tetractl.control.cost import predict
-from tetractl.control.delay import driven
-from tetractl.control.lengths import GROWTH
 from tetractl.control.margins import Margins
-from tetractl.core.clock import SECOND
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.model.motion.exact import step as exact
 
-ENOUGH = 0.1  # the search for a detour ends at a cost of this fraction of the accepted error
-ACCEPT_GROWTH = 0.1  # fraction by which the accepted error grows with each detour
-# after a fraction LATE_FROM of the steps the accepted error grows, up to LATE_GROWTH times
-LATE_FROM, LATE_GROWTH = 0.5, 4.0
-LAST_S = 0.7  # time per robot before a plan's end in which a detour raises the accepted error [s]
-LAST_LEAST_S = 2.0  # least value of that time, for all robots together [s]
 OUT_SIGNALS = 8  # number of signals of a way out of a corner
 OUT_ROOM_S, OUT_SHARE = 0.1, 0.8  # clearance kept on a way out, see `way_out`
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
@@ -36,51 +19,6 @@ OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried
 TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
 TURN_S = 1.5  # time of turning after which robots must have a way out [s]
 FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
-MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
-
-
-@dataclass(frozen=True, slots=True)
-class StopForecast:
-    """A stop `delay_ns` from now, and the predicted sum of distances to the targets after it."""
-
-    delay_ns: int
-    error: float
-
-
-def longer(count: int, most: int) -> Iterator[int]:
-    """Yield growing lengths [signals] from `count` + 2 to `most`; `count` is the plan's length."""
-    length = count + 2
-    while length <= most:
-        yield length
-        length = max(length + 1, round(GROWTH * length))
-
-
-def growth(problem: Problem, count: int) -> float:
-    """Return the factor by which a detour raises the accepted error: 1 unless few signals are left
-    (`count`) of the plan that the detour replaces."""
-    nearly_done = count * problem.period <= max(LAST_LEAST_S, LAST_S * len(problem.a))
-    return 1 + ACCEPT_GROWTH if nearly_done else 1.0
-
-
-def late(part: float) -> float:
-    """Return the factor by which the accepted error is multiplied after a fraction `part` of the
-    steps. The factor grows, so that a trial ends with a good stop before its last step.
-    """
-    return LATE_GROWTH ** (max(part - LATE_FROM, 0) / (1 - LATE_FROM))
-
-
-def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
-    """Return the stop within the coming control period that leaves the least sum of distances.
-
-    The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
-    follow `direction` (N,) [rad], NaN for a robot that stands still.
-    """
-    delays = np.arange(MOMENTS, dtype=np.float64) * (period_s / MOMENTS)
-    x, y, _ = driven(problem, problem.poses, direction, delays[:, None])
-    targets = problem.targets
-    errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
-    best = int(np.argmin(errors))
-    return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
 
 
 def way_out(

@@ -1,0 +1,142 @@
+"""Algorithm 2 as published, line by line."""
+
+import numpy as np
+from support.trials import experiment
+
+from tetractl.control.rng import mix
+from tetractl.core.plan import Outcome, Plan, Search, StopReason
+from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.controller import same
+
+STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
+TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
+
+
+def spec(**controller):
+    fields = {"horizon_max": 6, "optimizer": {"particles": 5, "iterations": 3}}
+    return experiment(controller=fields | controller)
+
+
+def seen(poses=STARTS, now=0):
+    count = len(poses)
+    return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
+
+
+def mpc(experiment, key, optimizer=None):
+    wrap = same if optimizer is None else lambda _: optimizer
+    return experiment.controller.build(experiment.setup, key, wrap)
+
+
+class Scripted:
+    """An optimiser that writes down what it was asked and answers with costs by length."""
+
+    def __init__(self, costs=None, evaluations=10):
+        self.costs = costs or {}
+        self.evaluations = evaluations
+        self.asked = []
+
+    def search(self, problem, length, warm, key, limits):
+        start = None if warm is None else warm.tolist()
+        self.asked.append((length, start, key, limits.evaluations))
+        cost = self.costs.get(length, 100.0 + length)
+        signals = np.arange(1, length + 1) / 10 + len(self.asked) / 1000
+        return Search(
+            length, signals, cost, np.array([cost]), self.evaluations, StopReason.ITERATIONS
+        )
+
+    def forget(self):
+        asked, self.asked = self.asked, []
+        return asked
+
+
+def test_step_0_tries_every_horizon_from_nothing_and_takes_the_best():
+    search = Scripted({4: 7.0})
+    plan = mpc(spec(), 99, search).plan(seen())
+    assert isinstance(plan, Plan)
+    assert [(length, warm) for length, warm, *_ in search.asked] == [(n, None) for n in range(1, 7)]
+    assert (plan.chosen, plan.search.length, plan.cost) == (3, 4, 7.0)
+    assert plan.signals is plan.searches[3].signals
+    assert len(plan.searches) == 6
+    assert plan.evaluations == 60
+
+
+def test_of_equal_costs_the_first_is_taken():
+    search = Scripted({3: 7.0, 5: 7.0})
+    plan = mpc(spec(), 99, search).plan(seen())
+    assert isinstance(plan, Plan)
+    assert plan.search.length == 3
+
+
+def test_later_steps_try_one_less_as_many_and_one_more_from_the_warm_start():
+    """Algorithm 2, lines 10-21; u_(warm) is u_(opt) without its first signal."""
+    search = Scripted({4: 7.0})
+    controller = mpc(spec(), 99, search)
+    first = controller.plan(seen())
+    assert isinstance(first, Plan)
+    warm = first.signals[1:].tolist()
+    search.forget()
+    search.costs = {2: 3.0}
+    second = controller.plan(seen(now=200_000_000))
+    assert isinstance(second, Plan)
+    assert [(length, start) for length, start, *_ in search.forget()] == [
+        (2, warm[1:]),  # H - 1 = 2: without its first signal
+        (3, warm),
+        (4, [*warm, 0.0]),
+    ]
+    controller.plan(seen(now=400_000_000))  # H = 1: a sequence of no signals cannot be searched
+    warm = second.signals[1:].tolist()
+    assert [(length, start) for length, start, *_ in search.forget()] == [
+        (1, warm),
+        (2, [*warm, 0.0]),
+    ]
+
+
+def test_horizons_may_outgrow_horizon_max():
+    search = Scripted({n: 100.0 - n for n in range(20)})
+    controller = mpc(spec(), 99, search)
+    lengths = [controller.plan(seen(now=k)).search.length for k in range(5)]
+    assert lengths == [6, 6, 6, 6, 6]  # H + 1 = 5 + 1
+    assert [length for length, *_ in search.asked[-3:]] == [4, 5, 6]
+
+
+def test_draws_come_from_the_key_the_step_and_the_length():
+    search = Scripted({n: 100.0 - n for n in range(20)})
+    controller = mpc(spec(), 99, search)
+    keys = set()
+    for k in range(3):
+        plan = controller.plan(seen())
+        assert isinstance(plan, Plan)
+        assert plan.generator == mix(99, k)
+        for length, _, key, _ in search.forget():
+            assert key == mix(mix(99, k), length)
+            keys.add(key)
+    assert len(keys) == 6 + 3 + 3
+
+
+def test_a_used_up_sequence_is_the_outcome():
+    search = Scripted({1: 0.0})
+    controller = mpc(spec(), 99, search)
+    assert isinstance(controller.plan(seen()), Plan)
+    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED
+
+
+def test_arrival_means_every_robot_within_the_tolerance():
+    near = TARGETS.copy()
+    near[:, 0] += [20, -20, 0]
+    near[2, 1] += 20.001
+    controller = mpc(spec(arrival_tolerance=20), 99, Scripted())
+    assert isinstance(controller.plan(seen(near)), Plan)
+    near[2, 1] = 2020
+    assert controller.plan(seen(near)) is Outcome.ARRIVED
+
+
+def test_a_tolerance_of_0_never_ends_a_trial():
+    plan = mpc(spec(arrival_tolerance=0), 99, Scripted()).plan(seen(TARGETS))
+    assert isinstance(plan, Plan)
+
+
+def test_arrival_comes_before_the_other_ends():
+    controller = mpc(spec(arrival_tolerance=20, steps_max=1), 99, Scripted({1: 0.0}))
+    assert isinstance(controller.plan(seen()), Plan)
+    assert controller.plan(seen(TARGETS)) is Outcome.ARRIVED
+    assert controller.plan(seen()) is Outcome.SEQUENCE_COMPLETED

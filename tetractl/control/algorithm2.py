@@ -1,0 +1,89 @@
+"""Algorithm 2 of the paper as published; the numbers of its lines stand beside the code.
+
+The first step searches every length up to `horizon_max`, each later step the lengths H - 1, H and
+H + 1 from what is left of the sequence in use; the best is exerted. Nothing is added here:
+`tetractl.control.mpc` is the controller that we recommend.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+
+from tetractl.control.estimator import StateEstimator
+from tetractl.control.evaluate import compiled_foresee
+from tetractl.control.fixed_sequence import make_plan
+from tetractl.control.mpc_section import SearchFields
+from tetractl.control.rng import mix
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Limits, Outcome, Plan
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.protocols import Optimizer
+from tetractl.core.setup import Setup
+from tetractl.experiment.controller import OptimizerSection, same
+
+
+class PsoMpc(SearchFields):
+    """Algorithm 2 as published: the Euler model, particle swarms, obstacles tested at the predicted
+    samples, 5 Hz, and no extensions. Every default is the paper's."""
+
+    type: Literal["pso-mpc"] = "pso-mpc"
+
+    def build(
+        self,
+        setup: Setup,
+        key: int,
+        wrap: Callable[[OptimizerSection], Optimizer] = same,
+        timer: Callable[[], int] = time.perf_counter_ns,
+    ) -> "Algorithm2":
+        """Return the controller of one trial."""
+        return Algorithm2(self, setup, key, wrap(self.optimizer))
+
+
+class Algorithm2:
+    """The controller of one trial; `key` seeds all its random numbers."""
+
+    def __init__(self, section: PsoMpc, setup: Setup, key: int, optimizer: Optimizer) -> None:
+        self.section, self.key, self.optimizer = section, key, optimizer
+        self.estimator = StateEstimator(
+            section.problem(setup), section.period, section.known(setup), loss=setup.loss
+        )
+        self.warm: Floats | None = None  # u_(warm), None before the first step
+        self.k = 0
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Decide u_(opt) of one control step, or end the trial."""
+        problem = self.estimator.seen(observation, last_command, earlier)  # 12: feedback
+        if self.section.arrived(problem.poses.distances(problem.targets)):  # 13-15
+            return Outcome.ARRIVED
+        if self.k > self.section.steps_max:  # 9: for k = 1 ... k_max
+            return Outcome.STEPS_MAX
+        if self.warm is not None and not len(self.warm):
+            return Outcome.SEQUENCE_COMPLETED
+        key = mix(self.key, self.k)
+        searches = [
+            self.optimizer.search(problem, h, start, mix(key, h), Limits())  # 3, 21: u_(h) = pso()
+            for h, start in self._candidates()
+        ]
+        best = int(np.argmin([search.cost for search in searches]))  # 5, 23: the u_(h) of least J
+        plan = make_plan(problem, searches, best, key, compiled_foresee)
+        self.warm, self.k = plan.signals[1:], self.k + 1  # 6, 24
+        return plan.of_all(self.estimator.left, observation.poses)  # 7, 25: exert u_(opt)(1)
+
+    def _candidates(self) -> Iterator[tuple[int, Floats | None]]:
+        """Yield each length to search, counted in signals, with its u_gb^0."""
+        if self.warm is None:
+            for h in range(1, self.section.horizon_max + 1):  # 2: for h = 1 ... h_max
+                yield h, None  # 3
+            return
+        count = len(self.warm)  # 10: H
+        if count > 1:
+            yield count - 1, self.warm[1:]  # 18-20: its last H - 1 signals
+        yield count, self.warm
+        yield count + 1, np.append(self.warm, 0.0)  # 16-17: and a 0

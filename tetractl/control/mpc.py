@@ -212,9 +212,11 @@ class Mpc:
         goes_on = np.inf
         if len(warm):
             goes_on = value.plan(evaluate(problem, warm[None]).total[0], len(warm), False)
-        if len(warm) + 2 <= self._signals_left:
+        rest = np.inf
+        if (least := least_length(problem)) <= self._signals_left:  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
-        rest = self._rest(problem, value) if self.stands and last else np.inf
+            wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
+            rest = value.rest(least, wait_s) if self.stands and last else np.inf
         if stop.error <= min(goes_on, rest):
             if holds or (self.stands and last):
                 return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
@@ -230,12 +232,6 @@ class Mpc:
             if not (touches and self._enters(problem, observation, plan.signals)):
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
-
-    def _rest(self, problem: Problem, value: Value) -> float:
-        """Return the value of a stop after which a new plan is searched."""
-        least = least_length(problem)
-        wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
-        return value.rest(least, wait_s) if least <= self._signals_left else np.inf
 
     def _search_on(
         self, searcher: Searcher, value: Value, warm: Floats

@@ -61,7 +61,7 @@ def plain_cost(problem: Problem) -> Cost:
     assert problem.motion == "euler" and not problem.swept
     t, a, v, weight = problem.period, problem.a, problem.speed, problem.obstacle_weight
     (box,) = problem.obstacles.shapes
-    left, bottom, right, top = box.row()
+    left, bottom, right, top = box.box
     poses, targets = problem.poses, problem.targets
 
     def cost(signals: Floats) -> Floats:
@@ -85,7 +85,7 @@ def tuned_cost(problem: Problem) -> Cost:
     assert problem.motion == "euler" and not problem.swept
     turn, step = problem.a[:, None] * problem.period, problem.speed[:, None] * problem.period
     (box,) = problem.obstacles.shapes
-    left, bottom, right, top = box.row()
+    left, bottom, right, top = box.box
     start, target, weight = problem.poses, problem.targets[:, :, None], problem.obstacle_weight
 
     def cost(signals: Floats) -> Floats:

@@ -181,23 +181,17 @@ class Scene:
         field = np.array([-np.inf, -np.inf, np.inf, np.inf])
         discs: list[Floats] = []
         boxes: list[Floats] = []
-        shapes: Sequence[Any] = problem.obstacles.shapes
-        for shape in shapes:
-            if shape.type == "circle":
-                discs.append(np.array(shape.grown(grown).row()) / unit)
-                continue
-            if shape.type == "half-plane":  # beyond a wall of the arena
-                *normal, offset = shape.grown(TOUCH * unit).row()
-                axis = int(abs(normal[1]) > abs(normal[0]))
-                edge = offset / normal[axis] / unit
-                if normal[axis] > 0:
-                    field[axis] = max(field[axis], edge)
-                else:
-                    field[axis + 2] = min(field[axis + 2], edge)
+        region: Any = problem.obstacles
+        if region.inside is not None:  # the walls of the arena
+            outside = np.array([-1.0, -1.0, 1.0, 1.0]) * TOUCH * unit
+            field = (region.walls - outside) / unit
+        for shape in region.shapes:
+            if len(shape.corners) == 1:
+                discs.append(np.array([*shape.corners[0], shape.grown(grown).radius]) / unit)
                 continue
             bare, box = (
-                _bounds(shape.grown(TOUCH * unit)) / unit,
-                _bounds(shape.grown(grown)) / unit,
+                np.array(shape.grown(TOUCH * unit).box) / unit,
+                np.array(shape.grown(grown).box) / unit,
             )
             if (box[:2] > high).any() or (box[2:] < low).any():
                 continue
@@ -226,14 +220,6 @@ def _side(box: Floats, xy: Floats, low: Floats, high: Floats) -> int | None:
             if box[axis] > xy[:, axis].max():
                 return axis + 2
     return None
-
-
-def _bounds(shape: Any) -> Floats:
-    """Return the sides of a shape's bounding box, its margin included."""
-    if shape.type == "rectangle":
-        return np.array(shape.row())
-    corners = shape.outline()
-    return np.concatenate([corners.min(axis=0) - shape.margin, corners.max(axis=0) + shape.margin])
 
 
 class Shooter:

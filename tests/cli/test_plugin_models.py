@@ -45,7 +45,7 @@ print(json.dumps({
     "polish": float(np.abs(history[: z + 1] - slow.history).max()),
     "straight": float(evaluate(problem, start[None]).obstacle[0]),
     "found": float(evaluate(problem, search.signals[None]).obstacle[0]),
-    "clear": float(spec.obstacles[0].distance(x, y).min()),
+    "clear": float(spec.obstacles[0].shape().distance(x, y).min()),
     "cost": search.cost,
 }))
 """
@@ -144,11 +144,11 @@ def test_checks_plant_log_and_pictures_honour_them(installed):
     assert drawn["filled"] > 20
 
 
-def test_an_edited_shape_is_compiled_again(installed):
+def test_an_edited_motion_is_compiled_again(installed):
     folder, run = installed
     kept = "from tetractl.control.kernels.cache import folder; print(folder())"
     before = run("-c", kept).stdout.strip()
-    module = folder / "site" / "diamond.py"
+    module = folder / "site" / "pivot.py"
     module.write_text(module.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
     assert run("-c", kept).stdout.strip() not in ("", before)
 

@@ -37,6 +37,7 @@ from tetractl.control.kernels.levenberg import DEPTH_WEIGHT, LARGEST_STEP, PROGR
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
+from tetractl.core.shape import Shape
 
 NUDGE = 0.02  # rad, for derivatives
 CENTRAL = {1: 45 / 60, 2: -9 / 60, 3: 1 / 60}
@@ -105,7 +106,7 @@ def polish(
 def _rows_max(problem: Problem) -> int:
     count = len(problem.a)
     pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
-    return count * (2 + len(problem.obstacles.shapes)) + pairs
+    return count * (2 + problem.obstacles.count) + pairs
 
 
 def _step(u: Floats, residual: Floats, jacobian: Floats, damped: Floats) -> Floats | None:
@@ -219,14 +220,29 @@ def _step_derivatives(
 def _depths(problem: Problem, path: Floats) -> tuple[Floats, Floats]:
     """Return how deep positions (L, N, 2) are in each obstacle and the way out, a unit vector.
 
-    Shapes (O, L, N) and (O, L, N, 2); a depth is at most 0 outside. They are the shapes' own
-    functions of scalars, uncompiled, in the order in which the kernels keep obstacles.
+    Shapes (O, L, N) and (O, L, N, 2); a depth is at most 0 outside. The walls come last.
     """
-    count, shape = len(problem.obstacles.shapes), path.shape[:-1]
-    depths, outwards = np.empty((count, *shape)), np.empty((count, *shape, 2))
-    found = [(pack, row) for pack in problem.obstacles.packed() for row in pack.rows]
-    for o, (pack, row) in enumerate(found):
-        for at in np.ndindex(shape):
-            x, y = path[at].tolist()
-            depths[o][at], outwards[o][at] = pack.depth(x, y, row), pack.outward(x, y, row)
-    return depths, outwards
+    x, y = path[..., 0], path[..., 1]
+    outwards = np.empty((problem.obstacles.count, *path.shape))
+    shapes = getattr(problem.obstacles, "shapes")  # noqa: B009
+    for o, shape in enumerate(shapes):
+        for at in np.ndindex(path.shape[:-1]):
+            outwards[o][at] = outward(shape, *path[at].tolist())
+    for out, way in zip(outwards[len(shapes) :], ((1, 0), (0, 1), (-1, 0), (0, -1)), strict=False):
+        out[:] = way
+    return -problem.obstacles.distances(x, y), outwards
+
+
+def outward(shape: Shape, x: float, y: float) -> Floats:
+    """Return the unit vector along which the distance to a shape grows."""
+    ends, at = shape.corners, np.array([x, y])
+    edges = ends - np.roll(ends, 1, axis=0)
+    along = ((at - ends) * edges).sum(axis=1) / np.maximum((edges**2).sum(axis=1), 1e-300)
+    away = at - (ends + np.clip(along, -1.0, 0.0)[:, None] * edges)
+    nearest = int(np.hypot(*away.T).argmin())
+    size = float(np.hypot(*away[nearest]))
+    if size > 1e-9 * (abs(x) + abs(y)):
+        inside = shape.distance(np.array(x), np.array(y)) < -shape.radius
+        return away[nearest] / (-size if inside else size)
+    ex, ey = edges[nearest]
+    return np.array([ey, -ex]) / np.hypot(ex, ey) if ex or ey else np.array([1.0, 0.0])

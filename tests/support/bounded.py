@@ -60,7 +60,7 @@ def shapes(obstacles: Sequence[dict[str, object]]) -> tuple[Any, ...]:
     arena = {"left": -1e4, "bottom": -1e4, "width": 2e4, "height": 2e4}
     robot = {"name": "r", "start": [-9e3, -9e3], "target": [-9e3, -9e3], "a": 1, "speed": 1}
     text = {"name": "shapes", "arena": arena, "robots": [robot], "obstacles": list(obstacles)}
-    return parse_spec(json.dumps(text), "shapes").experiment.obstacles
+    return tuple(parse_spec(json.dumps(text), "shapes").experiment.setup.obstacles)
 
 
 def seconds_of(experiment: Experiment) -> float:

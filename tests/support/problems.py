@@ -65,7 +65,7 @@ def problem(world: World, separation: float = 0.0, drifts: bool = False) -> Prob
         motion=world.model,
         period=world.period,
         first_period=world.period,
-        obstacles=Obstacles.of(world.obstacles),
+        obstacles=Obstacles.of([thing.shape() for thing in world.obstacles]),
         obstacle_weight=world.weight,
         swept=world.swept,
         separation=separation,

@@ -4,7 +4,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import count
-from typing import ClassVar, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -20,10 +20,12 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import Health
 from tetractl.core.registries import CONTROLLERS as CONTROLLER_KINDS
 from tetractl.core.registries import DISTURBANCES, MOTIONS
+from tetractl.core.shape import Shape
 from tetractl.experiment.base import Positive
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.load import parse_spec
+from tetractl.experiment.shape_section import ShapeSection
 from tetractl.kind_checks import (
     check_actuator,
     check_camera,
@@ -34,7 +36,7 @@ from tetractl.kind_checks import (
     check_optimizer,
     check_shape,
 )
-from tetractl.model.shapes.circle import Circle, PackedCircles
+from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.polygon import Polygon
 from tetractl.model.shapes.rectangle import Rectangle
 
@@ -122,59 +124,30 @@ def test_what_is_wrong_with_a_motion_is_found(motion, what):
         assert what in wrong(check_kind("mine:MOTION", {}, SETUP))
 
 
-class Careless(Circle):
-    """Not grown by its margin in NumPy."""
+class Sketch(ShapeSection):
+    """A shape that is given by its corners."""
 
-    def contain(self, x, y):
-        return (x - self.center[0]) ** 2 + (y - self.center[1]) ** 2 <= self.radius**2
+    type: Literal["sketch"] = "sketch"
+    corners: tuple[tuple[float, float], ...]
+    radius: float = 0.0
 
-
-class Clockwise(Circle):
-    """Its outline runs the wrong way."""
-
-    def outline(self):
-        return super().outline()[::-1]
-
-
-class Smaller(PackedCircles):
-    """A compiled gap of another circle."""
-
-    @staticmethod
-    def gap(x, y, p):
-        return PackedCircles.gap(x, y, (p[0], p[1], 0.9 * p[2]))
-
-
-class Inward(PackedCircles):
-    """A direction that is no unit vector."""
-
-    @staticmethod
-    def outward(x, y, p):
-        return (2.0, 0.0)
-
-
-class Unlike(Circle):
-    """NumPy and compiled code differ."""
-
-    packed: ClassVar = Smaller
-
-
-class Crooked(Circle):
-    """Its outward direction is wrong."""
-
-    packed: ClassVar = Inward
+    def shape(self):
+        return Shape(np.array(self.corners), self.radius)
 
 
 @pytest.mark.parametrize(
-    ("kind", "what"),
+    ("corners", "radius", "what"),
     [
-        (Careless, "grown: contain: true where distance <= 0"),
-        (Clockwise, "outline: anticlockwise"),
-        (Unlike, "packed.gap: at most 0 inside"),
-        (Crooked, "packed.outward: a unit vector"),
+        (((0, 0), (0, 2), (2, 2)), 0, "outline: anticlockwise"),
+        (((0, 0), (2, 0), (0, 2), (2, 2)), 0, "corners: edges do not cross"),
+        (((0, 0), (4, 0), (4, 4), (3, 1)), 1, "corners: convex if there is a radius"),
+        (((0, 0), (4, 0), (4, 4)), -1, "radius: finite, at least 0"),
+        ((), 1, "corners: an array (K, 2)"),
     ],
 )
-def test_what_is_wrong_with_a_shape_is_found(kind, what):
-    assert what in wrong(check_shape(kind(**CIRCLE.model_dump()), SETUP))
+def test_what_is_wrong_with_a_shape_is_found(corners, radius, what):
+    found = wrong(check_shape(Sketch(corners=corners, radius=radius), SETUP))
+    assert any(one.startswith(what) for one in found)
 
 
 class Other(Mppi):

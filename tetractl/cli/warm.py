@@ -29,7 +29,7 @@ def warm(
     once.
 
     Compiled code is kept on this machine, for each kind of processor and each combination of
-    controller, optimiser, motion and shapes. Run this command again after a change of one of these.
+    controller, optimiser and motion. Run this command again after a change of one of these.
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """

@@ -9,8 +9,6 @@ from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
-AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
-
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
     """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
@@ -24,22 +22,20 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     """Compile the functions that the controller runs, or load them from the cache.
 
-    If anything is compiled, `announce` is called with a message before, every AGAIN_S seconds, and
-    at the end.
-    Compiled code is cached on disk, for all specs with the same kinds of controller, optimiser,
-    motion and obstacles. Python's garbage collection is off meanwhile: the compiler makes so many
-    objects that searching them takes a fifth of its time.
+    If anything is compiled, `announce` is called with a message before and at the end. Compiled
+    code is cached on disk, for all specs with the same kinds of controller, optimiser and motion.
+    Python's garbage collection is off meanwhile: the compiler makes so many objects that searching
+    them takes a fifth of its time.
     """
     collects = gc.isenabled()
-    began_s, said_s = time.monotonic(), list[float]()
+    began_s, said = time.monotonic(), list[str]()
 
     def say() -> None:
-        now_s = time.monotonic()
-        if said_s and now_s - said_s[-1] < AGAIN_S:
-            return
-        left = f"{now_s - began_s:.0f} s so far" if said_s else "10 to 40 s, cached for later runs"
-        announce(f"compiling for {compiled_for(experiment)}: {left} ...")
-        said_s.append(now_s)
+        if not said:
+            said.append(
+                f"compiling for {compiled_for(experiment)}: 5 to 30 s, cached for later runs"
+            )
+            announce(f"{said[0]} ...")
 
     compiling.append(say)
     gc.disable()
@@ -49,14 +45,13 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         compiling.remove(say)
         if collects:
             gc.enable()
-    if said_s:
+    if said:
         announce(f"compiled in {time.monotonic() - began_s:.0f} s")
 
 
 def compiled_for(experiment: Experiment) -> str:
-    """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact, circle"."""
+    """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact"."""
     control = experiment.controller
     optimizer = getattr(getattr(control, "optimizer", None), "type", None)
-    shapes = sorted({obstacle.type for obstacle in experiment.obstacles})
-    kinds = (control.type, optimizer, getattr(control, "motion", None), *shapes)
+    kinds = (control.type, optimizer, getattr(control, "motion", None))
     return ", ".join(kind for kind in kinds if kind)

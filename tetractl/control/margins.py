@@ -29,13 +29,13 @@ from tetractl.control.evaluate import compiled_path
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.setup import Bounds, Shape
+from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 
 LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
 SIGMAS = 2.0
 ROOM = 0.98  # fraction of the available distance that a margin takes
-BISECTIONS = 12
 SAMPLE_S = 0.15  # time step of paths under a held direction [s]
 
 
@@ -62,7 +62,7 @@ class Margins:
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
         xy = targets[:, 0], targets[:, 1]
-        self._least_margins = [_room(one, *xy, radius) for one in self._bare.shapes]
+        self._least_margins = self._room(*xy, radius)
         # indices of the robots of each pair
         self._one, self._other = np.triu_indices(len(targets), 1)
         self._apart = self._least(*xy)
@@ -93,12 +93,16 @@ class Margins:
         robot unless its body touches them."""
         x = np.concatenate([poses.x, self._targets[:, 0]])
         y = np.concatenate([poses.y, self._targets[:, 1]])
-        kept = zip(self._bare.shapes, self._least_margins, strict=True)
-        return Obstacles(
-            tuple(
-                one.grown(max(_room(one, x, y, margin), min(margin, least))) for one, least in kept
-            )
+        return self._bare.grown(
+            np.maximum(self._room(x, y, margin), np.minimum(margin, self._least_margins))
         )
+
+    def _room(self, x: Floats, y: Floats, margin: float) -> Floats:
+        """Return for each obstacle the margin, or less so that none grown by it contains a point
+        (x, y).
+        """
+        nearest = self._bare.distances(x, y).min(axis=1)
+        return np.where(nearest > margin, margin, ROOM * np.maximum(nearest, 0.0))
 
     def entered(self, x: Floats, y: Floats) -> bool:
         """Return whether a body would touch an obstacle, margins ignored, on the way along x, y
@@ -172,17 +176,3 @@ class Margins:
         """Return the least distance between two of N points, inf for a single point."""
         one, other = self._one, self._other
         return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))
-
-
-def _room(shape: Shape, x: Floats, y: Floats, margin: float) -> float:
-    """Return the margin, or less so that the shape grown by it contains no point (x, y)."""
-    if not shape.grown(margin).contain(x, y).any():
-        return margin
-    free, taken = 0.0, margin
-    for _ in range(BISECTIONS):
-        middle = (free + taken) / 2
-        if shape.grown(middle).contain(x, y).any():
-            taken = middle
-        else:
-            free = middle
-    return ROOM * free

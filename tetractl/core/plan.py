@@ -2,15 +2,15 @@
 searches it was chosen from, or the end of the trial.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from typing import Any, Protocol
+from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.core.setup import Shape
 
 
 class Outcome(StrEnum):
@@ -256,12 +256,18 @@ class Region(Protocol):
         ...
 
     @property
-    def shapes(self) -> Sequence[Shape]:
-        """Return the shapes that make up the region as their union."""
+    def count(self) -> int:
+        """Return the number of obstacles whose union the region is; each wall counts."""
         ...
 
-    def packed(self) -> tuple[Any, ...]:
-        """Return the shapes in arrays for compiled code, one `PackedShapes` for each kind."""
+    @cached_property
+    def rows(self) -> Floats:
+        """Return the shapes in an array for compiled code; see `tetractl.model.obstacles`."""
+        ...
+
+    @cached_property
+    def walls(self) -> Floats:
+        """Return left, bottom, right and top of the region between walls (4,), or (0,)."""
         ...
 
 

@@ -1,13 +1,13 @@
-"""The constants of an experiment as arrays, and the protocol of an obstacle's shape."""
+"""The constants of an experiment as arrays."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.shape import Shape
 from tetractl.core.tour import HoldTask, LossRule
 
 METRES = {"um": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -44,42 +44,6 @@ class Bounds:
         """
         across = np.minimum(x - self.left, self.right - x)
         return np.minimum(across, np.minimum(y - self.bottom, self.top - y))
-
-
-class Shape(Protocol):
-    """The shape of an obstacle in the plane, including its edge; lengths are in the spec's unit."""
-
-    packed: ClassVar[Any]
-    """The `PackedShapes` class that holds these shapes for compiled code."""
-
-    def contain(self, x: Floats, y: Floats) -> Bools:
-        """Return whether each point lies in the shape, p(s) of the paper's equation (13)."""
-        ...
-
-    def cross(self, x0: Floats, y0: Floats, x1: Floats, y1: Floats) -> Bools:
-        """Return whether each straight segment from (x0, y0) to (x1, y1) touches the shape."""
-        ...
-
-    def distance(self, x: Floats, y: Floats) -> Floats:
-        """Return the signed distance of each point to the edge, negative inside."""
-        ...
-
-    def grown(self, margin: float) -> "Shape":
-        """Return the shape grown by a margin >= 0 on every side [length unit].
-
-        A grown shape contains every point whose distance to the shape is at most the margin.
-        """
-        ...
-
-    def outline(self) -> Floats:
-        """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape,
-        without its margin.
-        """
-        ...
-
-    def row(self) -> tuple[float, ...]:
-        """Return the shape's parameters as a row for `packed`."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -118,7 +118,7 @@ def _extent(arena: Arena) -> str:
 def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
     """Return whether each point (n, 2) lies in an obstacle or on its edge, (n,)."""
     with np.errstate(over="ignore", invalid="ignore"):
-        return obstacle.distance(points[:, 0], points[:, 1]) <= 0
+        return obstacle.shape().contain(points[:, 0], points[:, 1])
 
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
@@ -127,6 +127,6 @@ def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
     x = np.array([arena.left, right, right, arena.left])
     y = np.array([arena.bottom, arena.bottom, top, top])
     with np.errstate(over="ignore", invalid="ignore"):
-        if obstacle.cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
+        if obstacle.shape().cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
             return True
-    return any(arena.contains(*corner) for corner in obstacle.outline().tolist())
+    return any(arena.contains(*corner) for corner in obstacle.shape().outline().tolist())

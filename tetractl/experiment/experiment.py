@@ -274,7 +274,7 @@ class Experiment(Model):
             arena=Bounds(
                 arena.left, arena.bottom, arena.left + arena.width, arena.bottom + arena.height
             ),
-            obstacles=self.obstacles,
+            obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,
             steps_max=control.steps_max,
             iterations_max=control.iterations_max,

@@ -43,9 +43,10 @@ class PathCheck:
         self._last = (x[-1], y[-1])
         x, y = (np.ascontiguousarray(column.T) for column in (x, y))  # (N, M): reduced 10x faster
         before, after = (x[:, :-1], y[:, :-1]), (x[:, 1:], y[:, 1:])
-        self.entered |= self.obstacles.contain(x, y).any(axis=1)
+        gaps = self.obstacles.distance(x, y)
+        self.entered |= (gaps <= 0).any(axis=1)
         self.entered |= self.obstacles.cross(*before, *after).any(axis=1)
-        self.clearance = np.fmin(self.clearance, _least(self.obstacles.distance(x, y)))
+        self.clearance = np.fmin(self.clearance, _least(gaps))
         self.edge = np.fmin(self.edge, _least(self.arena.inside(x, y)))
         self.apart = np.minimum(self.apart, separations(x, y))
 

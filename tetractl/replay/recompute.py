@@ -164,7 +164,7 @@ def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: i
     """Raise _TooLongError if one round of a search is larger than the limit for searches of
     logs.
     """
-    robots, obstacles = problem.a.size, len(problem.obstacles.shapes)
+    robots, obstacles = problem.a.size, problem.obstacles.count
     if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
         raise _TooLongError
 

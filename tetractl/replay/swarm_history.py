@@ -102,7 +102,7 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     if asked.length < 2:
         raise LogError(f"{log.path}: the plan has one signal, but the figure needs two")
     rounds = section.particles * asked.length * asked.problem.a.size
-    if rounds * (1 + len(asked.problem.obstacles.shapes)) > limits.swarm_limit():
+    if rounds * (1 + asked.problem.obstacles.count) > limits.swarm_limit():
         raise LogError(f"{log.path}: a swarm this large takes too long to run again")
     return _run(log, asked, section, logged, shown, rerun)
 

@@ -76,7 +76,7 @@ def test_a_problem_is_taken_from_the_experiment():
     assert problem.targets.tolist() == [[1700, 500], [1700, 1500], [1700, 2000]]
     assert problem.a.tolist() == [6, 4, 3]
     assert problem.speed.tolist() == [180, 200, 150]
-    assert [shape.row() for shape in problem.obstacles.shapes] == [(1190, 1090, 1410, 1310)]
+    assert [shape.box for shape in problem.obstacles.shapes] == [(1190, 1090, 1410, 1310)]
     assert (problem.swept, problem.obstacle_weight, problem.period) == (True, 5, 0.2)
 
 

@@ -40,7 +40,7 @@ def test_a_path_ends_at_the_target_and_touches_nothing(key):
 
 def test_there_may_be_no_path():
     setup = experiment().setup
-    wall = Circle(type="circle", center=(1700, 1200), radius=150)
+    wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
     region = Obstacles.of([wall])
     rows = uniform(1, 0, SHARES * 500).reshape(-1, SHARES)
     assert grow(region, setup.arena, START, TARGET, 120.0, 0.1, rows) is None

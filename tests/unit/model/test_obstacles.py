@@ -17,8 +17,10 @@ from tetractl.model.shapes.circle import Circle
 from tetractl.model.shapes.rectangle import Rectangle
 
 ARENA = Bounds(0, 0, 3000, 3000)
-BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200)
-DISC = Circle(type="circle", center=(750, 900), radius=120)
+FIELD = Bounds(-2, 1, 5, 5)
+COORDINATES = st.integers(-6, 9)  # a grid: the edges themselves occur
+BOX = Rectangle(type="rectangle", left=1200, bottom=1100, width=200, height=200).shape()
+DISC = Circle(type="circle", center=(750, 900), radius=120).shape()
 THINGS = st.lists(rectangles() | circles(), min_size=1, max_size=3)
 
 
@@ -28,7 +30,7 @@ def at(*numbers):
 
 @given(THINGS, st.floats(-8, 8), st.floats(-8, 8))
 def test_distance_and_containment_follow_from_geometry(things, x, y):
-    world = Obstacles.of(things)
+    world = Obstacles.of([thing.shape() for thing in things])
     nearest = min(gap(thing, x, y) for thing in things)
     assert world.distance(*at(x, y))[0] == pytest.approx(nearest, abs=1e-12)
     assume(abs(nearest) > 1e-9)
@@ -38,7 +40,8 @@ def test_distance_and_containment_follow_from_geometry(things, x, y):
 @given(THINGS, st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8), st.floats(-8, 8))
 def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x1, y1):
     def crosses(margin):
-        return Obstacles.of(things, margin).cross(*at(x0, y0, x1, y1))[0]
+        shapes = [thing.shape() for thing in things]
+        return Obstacles.of(shapes, margin).cross(*at(x0, y0, x1, y1))[0]
 
     clipped = any(meets(thing, x0, y0, x1, y1) for thing in things)
     assert clipped <= crosses(1e-9)
@@ -47,7 +50,25 @@ def test_any_segment_crosses_as_clipping_says_but_for_rounding(things, x0, y0, x
 
 def test_a_margin_grows_every_side_and_radius():
     grown = Obstacles.of([BOX, DISC], margin=10)
-    assert [shape.row() for shape in grown.shapes] == [(1190, 1090, 1410, 1310), (750, 900, 130)]
+    assert [shape.box for shape in grown.shapes] == [
+        (1190, 1090, 1410, 1310),
+        (620, 770, 880, 1030),
+    ]
+    assert [shape.radius for shape in grown.shapes] == [10, 130]
+
+
+@given(COORDINATES, COORDINATES, st.integers(0, 2))
+def test_what_is_not_well_inside_the_arena_is_in_a_wall(x, y, margin):
+    walls = Obstacles.of([], float(margin), FIELD)
+    inside = min(x - FIELD.left, FIELD.right - x, y - FIELD.bottom, FIELD.top - y) > margin
+    assert walls.contain(*at(x, y))[0] == (not inside)
+
+
+@given(COORDINATES, COORDINATES, COORDINATES, COORDINATES)
+def test_a_way_crosses_a_wall_where_one_of_its_ends_does(x0, y0, x1, y1):
+    walls = Obstacles.of([], 0.0, FIELD)
+    ends = walls.contain(*at(x0, y0)) | walls.contain(*at(x1, y1))
+    assert walls.cross(*at(x0, y0, x1, y1)) == ends
 
 
 def test_nothing_is_in_no_obstacle():

@@ -7,9 +7,9 @@ scalars. A search allocates no memory and does not hold the interpreter's lock. 
 per control step (`filter`) is a plain loop over robots and times, to avoid NumPy's overhead on
 small arrays.
 
-A kernel is compiled once for each class of constants of a motion (`tetractl.model.motion`) and for
-each set of kinds of obstacles (`tetractl.model.shapes`).
+A kernel is compiled once for each class of constants of a motion (`tetractl.model.motion`).
+Obstacles are numbers: every shape runs the same code.
 
-A kernel depends on all files of this folder, of motions and of shapes. Each version of these files
-has a separate cache (`cache`), so that no outdated code runs after an edit or an upgrade.
+A kernel depends on all files of this folder and of motions. Each version of these files has a
+separate cache (`cache`), so that no outdated code runs after an edit or an upgrade.
 """

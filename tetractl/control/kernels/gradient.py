@@ -81,34 +81,28 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
     east_u, north_u, keep = gradients[EAST_U], gradients[NORTH_U], gradients[KEEP]
     for i in range(count):
         a_i, v_i, cb, sb = a[i], v[i], drift[0, i], drift[1, i]
-        for j in range(across):
-            (
-                x[i, j],
-                y[i, j],
-                _,
-                east_h[i, j],
-                north_h[i, j],
-                east_u[i, j],
-                north_u[i, j],
-                keep[i, j],
-            ) = derivatives(
-                rest,
-                cos[i, j],
-                sin[i, j],
-                cu[j] * cb - su[j] * sb,
-                su[j] * cb + cu[j] * sb,
-                a_i,
-                v_i,
-                period,
-            )
-    for i in range(count):
-        if first_period != period:
-            c = cu[0] * drift[0, i] - su[0] * drift[1, i]
-            s = su[0] * drift[0, i] + cu[0] * drift[1, i]
-            step = derivatives(first, cos[i, 0], sin[i, 0], c, s, a[i], v[i], first_period)
-            x[i, 0], y[i, 0] = step[0], step[1]
-            for k in range(5):
-                gradients[k, i, 0] = step[3 + k]
+        for again in range(1 if first_period == period else 2):  # then the first signal's period
+            t = period if again == 0 else first_period
+            for j in range(across if again == 0 else 1):
+                (
+                    x[i, j],
+                    y[i, j],
+                    _,
+                    east_h[i, j],
+                    north_h[i, j],
+                    east_u[i, j],
+                    north_u[i, j],
+                    keep[i, j],
+                ) = derivatives(
+                    rest,
+                    cos[i, j],
+                    sin[i, j],
+                    cu[j] * cb - su[j] * sb,
+                    su[j] * cb + cu[j] * sb,
+                    a_i,
+                    v_i,
+                    t,
+                )
         fx, fy = drift[2, i], drift[3, i]
         x[i, 0] = start[i, 0] + x[i, 0] + fx * first_period
         y[i, 0] = start[i, 1] + y[i, 0] + fy * first_period
@@ -118,16 +112,15 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
 
 
 @compiled(**INLINE_FAST)
-def backward(gradients, i, last, east, north, row):
-    """Write to row (L,) the derivative by u of east * x + north * y of robot i after signal
-    `last`.
+def backward(gradients, pull, rows):
+    """Add to a row of rows (R, L) the derivative by u of east * x + north * y of robot i after
+    signal `at`; pull is the row's number, i, at, east, north.
     """
+    row, i, at, east, north = rows[int(pull[0])], int(pull[1]), int(pull[2]), pull[3], pull[4]
     by_heading = 0.0
-    for j in range(row.size - 1, last, -1):
-        row[j] = 0.0
-    for j in range(last, -1, -1):
+    for j in range(at, -1, -1):
         keep = gradients[KEEP, i, j]
         by_u = east * gradients[EAST_U, i, j] + north * gradients[NORTH_U, i, j]
-        row[j] = by_u + by_heading * (1 - keep)
+        row[j] += by_u + by_heading * (1 - keep)
         by_h = east * gradients[EAST_H, i, j] + north * gradients[NORTH_H, i, j]
         by_heading = by_h + by_heading * keep

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.gradient import Trace, backward, trace, workspace
+from tetractl.control.kernels.gradient import Trace, backward, trace, width, workspace
 from tetractl.control.kernels.motion import constants
-from tetractl.control.kernels.obstacles import count_deepest, outward
+from tetractl.control.kernels.obstacles import find_deepest, outward
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
@@ -44,14 +44,16 @@ class Polish(NamedTuple):
     period: float
     first: Any  # `Lanes`, constants of the motion for the first signal
     rest: Any  # `Lanes`, the same for the other signals
-    obstacles: tuple[Any, ...]  # `PackedShapes`
+    shapes: Floats  # `Obstacles.rows`
+    walls: Floats  # `Obstacles.walls`
     traced: Trace
+    near: Floats  # (M,) scratch
     depths: Floats  # (N, O) depth of each robot's deepest position in each obstacle
     where: Integers  # (N, O) index of that position
     separation: float  # least distance of two robots, 0 for robots that may meet
     meetings: Floats  # (M,) separation minus the least distance of each pair of robots
     nearest: Integers  # (M,) index of the positions with that least distance
-    other: Floats  # (L,) row of the Jacobian for the second robot of a pair
+    pulls: Floats  # (R + M, 5) residual, robot, index of a position, and derivatives by its x and y
     rows: Floats  # (R, L) the Jacobian
     residual: Floats  # (R,)
     gram: Floats  # (R, R)
@@ -62,8 +64,7 @@ class Polish(NamedTuple):
 
 def lay_out_polish(problem: Problem, length: int) -> Polish:
     """Return the workspace for sequences of `length` signals."""
-    count, packs = problem.a.size, problem.obstacles.packed()
-    obstacles = sum(len(pack.rows) for pack in packs)
+    count, obstacles = problem.a.size, problem.obstacles.count
     pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
     rows = 2 * count + count * obstacles + pairs
     first, rest = constants(problem)
@@ -77,14 +78,16 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         period=problem.period,
         first=first,
         rest=rest,
-        obstacles=packs,
+        shapes=problem.obstacles.rows,
+        walls=problem.obstacles.walls,
         traced=workspace(problem.poses.heading, length),
+        near=np.empty(width(length)),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),
         separation=float(problem.separation),
         meetings=np.empty(pairs),
         nearest=np.empty(pairs, dtype=np.int64),
-        other=np.empty(length),
+        pulls=np.empty((rows + pairs, 5)),
         rows=np.empty((rows, length)),
         residual=np.empty(rows),
         gram=np.empty((rows, rows)),
@@ -102,12 +105,13 @@ def _trace(work, u):
 
 
 @compiled(**INLINE_FAST)
-def _merit(work):
+def _merit(work, slack):
     """Return the bound of f(u) plus DEPTH_WEIGHT times the sum of all depths in obstacles and
-    meetings.
+    meetings; find the depths of positions that are within `slack` of an obstacle.
     """
     path, length = work.traced.path, work.rows.shape[1]
-    count_deepest(work.obstacles, path, length, work.depths, work.where)
+    shapes, walls, depths = work.shapes, work.walls, work.depths
+    find_deepest(shapes, walls, path, length, -slack, work.near, depths, work.where)
     merit = 0.0
     last = length - 1
     for i in range(work.a.size):
@@ -144,50 +148,42 @@ def _find_meetings(work):
 
 
 @compiled(**INLINE_FAST)
+def _pull(pulls, e, r, i, at, east, north):
+    """Write one pull: residual r has the derivatives (east, north) by position `at` of robot i."""
+    pulls[e, 0], pulls[e, 1], pulls[e, 2], pulls[e, 3], pulls[e, 4] = r, i, at, east, north
+
+
+@compiled(**INLINE_FAST)
 def _linearise(work, floor, slack):
     """Fill residuals and Jacobian for the path of the last `_merit`; return the number of rows.
 
-    Obstacles are grown by `slack`, so that a path pushed to their edge ends outside.
+    Obstacles are grown by `slack`, so that a path pushed to their edge ends outside. Each residual
+    is linear in one position or, for two robots that meet, in two: the pulls.
     """
-    rows, residual, path, gradients = (
-        work.rows,
-        work.residual,
-        work.traced.path,
-        work.traced.gradients,
-    )
-    last, r = rows.shape[1] - 1, 0
-    squares = 0.0
+    rows, residual, path, pulls = work.rows, work.residual, work.traced.path, work.pulls
+    last, r, squares = rows.shape[1] - 1, 0, 0.0
     for i in range(work.a.size):
         dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
         squares += dx * dx + dy * dy
     scale = 1 / math.sqrt(max(math.sqrt(squares / work.a.size), floor))
     for i in range(work.a.size):
-        dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
-        residual[r], residual[r + 1] = scale * dx, scale * dy
-        backward(gradients, i, last, scale, 0.0, rows[r])
-        backward(gradients, i, last, 0.0, scale, rows[r + 1])
+        residual[r] = scale * (path[0, i, last] - work.target[i, 0])
+        residual[r + 1] = scale * (path[1, i, last] - work.target[i, 1])
+        _pull(pulls, r, r, i, last, scale, 0.0)
+        _pull(pulls, r + 1, r + 1, i, last, 0.0, scale)
         r += 2
     for i in range(work.a.size):
         for o in range(work.depths.shape[1]):
-            deepest, at = work.depths[i, o], work.where[i, o]
-            if deepest > -slack:
-                east, north = outward(work.obstacles, o, path[0, i, at], path[1, i, at])
-                scale = DEPTH_WEIGHT / math.sqrt(max(deepest + slack, floor))
-                residual[r] = scale * (deepest + slack)
-                backward(gradients, i, at, -scale * east, -scale * north, rows[r])
+            deepest, at = work.depths[i, o] + slack, work.where[i, o]
+            if deepest > 0:
+                x, y = path[0, i, at], path[1, i, at]
+                east, north = outward(work.shapes, work.walls, o, x, y)
+                scale = DEPTH_WEIGHT / math.sqrt(max(deepest, floor))
+                residual[r] = scale * deepest
+                _pull(pulls, r, r, i, at, -scale * east, -scale * north)
                 r += 1
-    if work.meetings.size:
-        r = _linearise_meetings(work, floor, slack, r)
-    return r
-
-
-@compiled(**INLINE_FAST)
-def _linearise_meetings(work, floor, slack, r):
-    """Add a residual and a Jacobian row for each pair nearer than the separation; return the number
-    of rows.
-    """
-    path, gradients, m = work.traced.path, work.traced.gradients, 0
-    for i in range(work.a.size):
+    e, m = r, 0
+    for i in range(work.a.size if work.meetings.size else 0):
         for k in range(i):
             depth, at = work.meetings[m] + slack, work.nearest[m]
             m += 1
@@ -196,12 +192,15 @@ def _linearise_meetings(work, floor, slack, r):
                 apart = math.sqrt(dx * dx + dy * dy)
                 scale = DEPTH_WEIGHT / math.sqrt(max(depth, floor))
                 share = scale / apart if apart > 0 else 0.0
-                work.residual[r] = scale * depth
-                backward(gradients, i, at, -share * dx, -share * dy, work.rows[r])
-                backward(gradients, k, at, share * dx, share * dy, work.other)
-                for j in range(work.other.size):
-                    work.rows[r, j] += work.other[j]
-                r += 1
+                residual[r] = scale * depth
+                _pull(pulls, e, r, i, at, -share * dx, -share * dy)
+                _pull(pulls, e + 1, r, k, at, share * dx, share * dy)
+                e, r = e + 2, r + 1
+    for p in range(r):
+        for j in range(last + 1):
+            rows[p, j] = 0.0
+    for p in range(e):
+        backward(work.traced.gradients, pulls[p], rows)
     return r
 
 
@@ -273,40 +272,46 @@ def polish(
     evaluations are exceeded. history[z] is the merit after z iterations, (iterations + 1,). A
     Jacobian counts as one evaluation for each of its rows.
     """
-    _trace(work, u)
-    merit = _merit(work)
-    history[z] = merit
     evaluations, damping = (1, 1e-2) if z == 0 else (0, work.damping[0])
     work.damping[0] = math.inf
     most = work.residual.size + 1  # largest number of evaluations in one iteration
-    while z < iterations and evaluations + most <= budget and not merit <= tolerance:
-        if z >= pause:
-            work.damping[0] = damping
-            break
-        r = _linearise(work, max(tolerance, 1e-9), slack)
-        _gram(work, r)
-        evaluations += r
-        size = 0.0
-        for p in range(r):
-            size += work.gram[p, p] / r
-        better = False
-        while z < iterations and damping < 1e4 and evaluations < budget:
+    merit, begins, r, size = math.inf, True, 0, 0.0
+    for j in range(u.size):
+        work.trial[j] = u[j]
+    while True:
+        _trace(work, work.trial)
+        new = _merit(work, slack)
+        if begins or new < merit:
+            merit = history[z] = new
+            for j in range(u.size):
+                u[j] = work.trial[j]
+            if not begins:
+                damping = max(0.2 * damping, 1e-10)
+                if z >= patience and merit > PROGRESS * history[z - patience]:
+                    break
+            begins = False
+            if z >= iterations or evaluations + most > budget or merit <= tolerance:
+                break
+            if z >= pause:
+                work.damping[0] = damping
+                break
+            r = _linearise(work, max(tolerance, 1e-9), slack)
+            _gram(work, r)
+            evaluations += r
+            size = 0.0
+            for p in range(r):
+                size += work.gram[p, p] / r
+        else:
+            damping *= 5
+        solved = False
+        while not solved and z < iterations and damping < 1e4 and evaluations < budget:
             z += 1
             history[z] = merit
-            if _solve(work.gram, work.residual, work.step, r, damping * size, factor):
-                _propose(work, u, r)
-                _trace(work, work.trial)
-                evaluations += 1
-                new = _merit(work)
-                if new < merit:
-                    better = True
-                    for j in range(u.size):
-                        u[j] = work.trial[j]
-                    merit = new
-                    history[z] = merit
-                    damping = max(0.2 * damping, 1e-10)
-                    break
-            damping *= 5
-        if not better or (z >= patience and merit > PROGRESS * history[z - patience]):
+            solved = _solve(work.gram, work.residual, work.step, r, damping * size, factor)
+            if not solved:
+                damping *= 5
+        if not solved:
             break
+        _propose(work, u, r)
+        evaluations += 1
     return merit, z, evaluations

@@ -5,13 +5,13 @@ rotation. Then cos and sin of the direction u (P,), the same for every robot. `l
 constants of a motion; code is compiled for each class of them.
 """
 
-import math
 from functools import lru_cache
 from typing import Any
 
 from numba.extending import overload
 
 from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
+from tetractl.core.cache import compiling
 from tetractl.core.plan import Problem
 from tetractl.core.registries import MOTIONS
 
@@ -29,17 +29,24 @@ def constants(problem: Problem) -> tuple[Any, Any]:
     return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
 
 
+def _kind(lanes: Any) -> Any:
+    """Return the class of constants for which a kernel is being compiled, and say so."""
+    for call in tuple(compiling):
+        call()
+    return lanes.instance_class
+
+
 def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:
     """Advance robot i of every particle by one signal."""
 
 
 @overload(advance, jit_options=INLINE_FAST)
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
-    kind = lanes.instance_class
-    step, columns = inlined(kind.advance), tuple(range(kind.size))
+    kind = _kind(lanes)
+    step, constants_of = inlined(kind.advance), entries(kind.size)
 
     def advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
-        k = entries(lanes.rows, i, columns)
+        k = constants_of(lanes.rows[i])
         for _ in range(lanes.pieces):
             for n in range(cos_u.size):
                 x[i, n], y[i, n], cos[i, n], sin[i, n] = step(
@@ -55,11 +62,11 @@ def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int) -> Any:
 
 @overload(turned, jit_options=INLINE_FAST)
 def _turned(lanes, c, s, cu, su, i):
-    kind = lanes.instance_class
-    step, columns = inlined(kind.advance), tuple(range(kind.size))
+    kind = _kind(lanes)
+    step, constants_of = inlined(kind.advance), entries(kind.size)
 
     def turned(lanes, c, s, cu, su, i):
-        k, x, y = entries(lanes.rows, i, columns), 0.0, 0.0
+        k, x, y = constants_of(lanes.rows[i]), 0.0, 0.0
         for _ in range(lanes.pieces):
             x, y, c, s = step(x, y, c, s, cu, su, k)
         return c, s
@@ -73,27 +80,5 @@ def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, a: Any, v: Any, t:
 
 @overload(derivatives, jit_options=INLINE_FAST)
 def _derivatives(lanes, c, s, cu, su, a, v, t):
-    step = inlined(lanes.instance_class.differentiate)
+    step = inlined(_kind(lanes).differentiate)
     return lambda lanes, c, s, cu, su, a, v, t: step(c, s, cu, su, a, v, t)
-
-
-def turn(lanes: Any, heading: Any, u: Any, a: Any, t: Any) -> Any:
-    """Return the heading of one robot after a time t under direction u, by the motion of `lanes`.
-
-    For a motion without a `turn` for scalars, its `differentiate` is used.
-    """
-
-
-@overload(turn, jit_options=INLINE_FAST)
-def _turn(lanes, heading, u, a, t):
-    kind = lanes.instance_class
-    if hasattr(kind, "turn"):
-        alone = inlined(kind.turn)
-        return lambda lanes, heading, u, a, t: alone(heading, u, a, t)
-    step = inlined(kind.differentiate)
-
-    def turn(lanes, heading, u, a, t):
-        c, s, cu, su = math.cos(heading), math.sin(heading), math.cos(u), math.sin(u)
-        return heading + step(c, s, cu, su, a, 1.0, t)[2]
-
-    return turn

@@ -6,9 +6,6 @@ from types import FunctionType
 from typing import Any
 
 from numba import njit
-from numba.extending import overload
-
-from tetractl.control.kernels.part import PartCompiler
 
 FAST = {"contract", "reassoc", "arcp", "nsz"}  # NaN and inf are kept, to check costs for them
 _PART: Any = {
@@ -17,7 +14,6 @@ _PART: Any = {
     "forceinline": True,
     "no_cpython_wrapper": True,
     "no_cfunc_wrapper": True,
-    "pipeline_class": PartCompiler,
 }
 _ENTRY: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 INLINE_FAST: Any = _PART | {"fastmath": FAST}
@@ -37,8 +33,8 @@ INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "al
 def inlined(function: FunctionType) -> Callable[..., Any]:
     """Return a plain function of scalars, compiled together with the plain functions it calls.
 
-    Motions and shapes are plain Python without compiler decorators, so that checking a spec does
-    not import the compiler.
+    Motions are plain Python without compiler decorators, so that checking a spec does not import
+    the compiler.
     """
     code, scope = function.__code__, function.__globals__
     called = {name: scope.get(name) for name in code.co_names}
@@ -46,23 +42,8 @@ def inlined(function: FunctionType) -> Callable[..., Any]:
     return njit(**INLINE)(FunctionType(code, {**scope, **compiled}, function.__name__))
 
 
-def entries(rows: Any, i: int, columns: Any) -> Any:
-    """Return the tuple of rows[i, c] for each c in a tuple of columns."""
-
-
-@overload(entries, jit_options=INLINE_FAST)
-def _entries(rows, i, columns):
-    def several(rows, i, columns):
-        a, b, c = columns[:3]
-        first = rows[i, a], rows[i, b], rows[i, c]
-        return first + entries(rows, i, columns[3:])
-
-    match len(columns):
-        case 0:
-            return lambda rows, i, columns: ()
-        case 1:
-            return lambda rows, i, columns: (rows[i, columns[0]],)
-        case 2:
-            return lambda rows, i, columns: (rows[i, columns[0]], rows[i, columns[1]])
-        case _:
-            return several
+@cache
+def entries(size: int) -> Callable[..., Any]:
+    """Return a compiled function that returns the first `size` entries of a row as a tuple."""
+    items = "".join(f"row[{k}], " for k in range(size))
+    return njit(**INLINE)(eval(f"lambda row: ({items})"))  # numba knows no shorter way

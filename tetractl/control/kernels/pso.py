@@ -7,7 +7,7 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
-from tetractl.control.kernels.rollout import add_up, begin, follow, views
+from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import move
 from tetractl.core.poses import Floats
 
@@ -105,7 +105,6 @@ def iterate(rollout, swarm, rules, z, pause):
     u, v, best, better, u_gb = swarm.u, swarm.v, swarm.best, swarm.better, swarm.u_gb
     length, particles = u.shape
     key, w, c1, c2 = rules.key, rules.inertia, rules.cognitive, rules.social
-    lanes, scratch = views(rollout)
     while True:
         if z >= rules.iterations:
             return ITERATIONS, z
@@ -113,12 +112,10 @@ def iterate(rollout, swarm, rules, z, pause):
             return EVALUATIONS, z
         if z >= pause:
             return PAUSED, z
-        begin(rollout, lanes, scratch)
         for j in range(length):
             draw = (z * length + j) * particles
             move(u, v, best, better, j, u_gb[j], key, draw, w, c1, c2)
-            follow(rollout, lanes, scratch, u, j)
-        if not add_up(rollout, lanes, swarm.cost):
+        if not costs(rollout, u, swarm.cost):
             return NOT_FINITE, z
         z += 1
         update_bests(swarm, z)

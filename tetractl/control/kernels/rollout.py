@@ -1,24 +1,23 @@
 """The cost (7)-(9) of a whole swarm: `tetractl.control.cost.evaluate`, compiled.
 
-All particles are simulated together, signal by signal: `begin`, `follow` for each signal, `add_up`.
-A swarm's signals can then be updated one row at a time, while the row is in the processor's cache.
+All particles are simulated together, signal by signal.
 """
 
 import math
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba.extending import overload
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import advance, constants
-from tetractl.control.kernels.obstacles import SingleShape, count_hits, row
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, entries, inlined
+from tetractl.control.kernels.obstacles import count_hits
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 
 LINE = 64  # bytes in a cache line
+_sincos = inlined(sincos)
 
 
 class Rollout(NamedTuple):
@@ -28,7 +27,8 @@ class Rollout(NamedTuple):
     target: Floats  # (2, N)
     first: Any  # `Lanes`, constants of the motion for the first signal
     rest: Any  # `Lanes`, the same for the other signals
-    obstacles: Any  # `SingleShape`, or a tuple of `PackedShapes`
+    rows: Floats  # `Obstacles.rows`
+    walls: Floats  # `Obstacles.walls`
     weight: float
     swept: bool
     separation: float
@@ -36,8 +36,8 @@ class Rollout(NamedTuple):
     # period, then in each other one; (6, 0) without bias and flow
     drift: Floats
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
-    # (7, P): cos and sin of the signal; x, y before the step; gap; cos and sin of the direction
-    # that one robot turns towards, the signal plus its bias
+    # (8, P): cos and sin of the signal; x, y before the step; two for `count_hits`; cos and sin of
+    # the direction that one robot turns towards, the signal plus its bias
     scratch: Floats
 
 
@@ -51,25 +51,21 @@ def aligned(shape: tuple[int, ...]) -> Floats:
 
 def lay_out(problem: Problem, particles: int) -> Rollout:
     """Prepare a problem for rollouts of a number of particles at once."""
-    p, packs = problem.poses, problem.obstacles.packed()
-    first, rest = constants(problem)
-    filled = [pack for pack in packs if len(pack.rows)]
-    sole = len(filled) == len(filled[0].rows) == 1 if filled else False
+    p, (first, rest) = problem.poses, constants(problem)
     drifts = problem.bias is not None or problem.flow is not None
-    if sole and not (problem.swept or problem.separation or drifts):
-        packs = SingleShape(filled[0])
     return Rollout(
         start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
         target=np.ascontiguousarray(problem.targets.T),
         first=first,
         rest=rest,
-        obstacles=packs,
+        rows=problem.obstacles.rows,
+        walls=problem.obstacles.walls,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,
         separation=float(problem.separation),
         drift=_drift(problem) if drifts else np.empty((6, 0)),
         lanes=aligned((5, problem.a.size, particles)),
-        scratch=aligned((7, particles)),
+        scratch=aligned((8, particles)),
     )
 
 
@@ -79,116 +75,41 @@ def _drift(problem: Problem) -> Floats:
     return np.concatenate([drift[:2], *ways])
 
 
-@compiled(**ENTRY_FAST)
+@compiled(**ENTRY_FAST, forceinline=True)
 def costs(rollout, signals, total):
     """Write J of each column of signals (L, P) to total (P,); return whether all are finite."""
-    lanes, scratch = views(rollout)
-    begin(rollout, lanes, scratch)
-    for j in range(signals.shape[0]):
-        follow(rollout, lanes, scratch, signals, j)
-    return add_up(rollout, lanes, total)
-
-
-@compiled(**INLINE_FAST)
-def views(rollout):
-    """Return (x, y, cos, sin, hits) and (cos_u, sin_u, x0, y0, gap, own_cos_u, own_sin_u).
-
-    Call it outside of loops: each view costs a reference count in compiled code.
-    """
-    a, b = rollout.lanes, rollout.scratch
-    return (a[0], a[1], a[2], a[3], a[4]), (b[0], b[1], b[2], b[3], b[4], b[5], b[6])
-
-
-@compiled(**INLINE_FAST)
-def begin(rollout, lanes, scratch):
-    """Set the robots of every particle to their starts."""
-    x, y, cos, sin, hits = lanes
-    gap, start = scratch[4], rollout.start
-    for n in range(gap.size):
-        gap[n] = 1.0
+    lanes, scratch, drift = rollout.lanes, rollout.scratch, rollout.drift
+    x, y, cos, sin, hits = lanes[0], lanes[1], lanes[2], lanes[3], lanes[4]
+    cos_u, sin_u, x0, y0 = scratch[0], scratch[1], scratch[2], scratch[3]
+    gap, near, own_cos, own_sin = scratch[4], scratch[5], scratch[6], scratch[7]
+    start, drifts = rollout.start, drift.shape[1] > 0
+    towards = (own_cos, own_sin) if drifts else (cos_u, sin_u)
     for i in range(x.shape[0]):
-        for n in range(gap.size):
+        for n in range(total.size):
             x[i, n], y[i, n], hits[i, n] = start[0, i], start[1, i], 0.0
             cos[i, n], sin[i, n] = start[2, i], start[3, i]
-
-
-def follow(rollout: Any, lanes: Any, scratch: Any, signals: Any, j: int) -> None:
-    """Move every robot by signal j of every particle, and count the robots in an obstacle."""
-
-
-@overload(follow, jit_options=INLINE_FAST)
-def _follow(rollout, lanes, scratch, signals, j):
-    fields = dict(zip(rollout.fields, rollout.types, strict=True))
-    if getattr(fields["obstacles"], "instance_class", None) is SingleShape:
-        return _follow_past_one(fields["rest"], fields["obstacles"])
-    sincos_of = inlined(sincos)
-
-    def follow(rollout, lanes, scratch, signals, j):
-        x, y, cos, sin, hits = lanes
-        cos_u, sin_u, x0, y0, gap, own_cos, own_sin = scratch
-        constants, drift = rollout.first if j == 0 else rollout.rest, rollout.drift
-        east = 2 if j == 0 else 4
-        for n in range(gap.size):
-            sin_u[n], cos_u[n] = sincos_of(signals[j, n])
+    for j in range(signals.shape[0]):
+        constants, east = (rollout.first, 2) if j == 0 else (rollout.rest, 4)
+        for n in range(total.size):
+            sin_u[n], cos_u[n] = _sincos(signals[j, n])
         for i in range(x.shape[0]):
             if rollout.swept:
-                for n in range(gap.size):
+                for n in range(total.size):
                     x0[n], y0[n] = x[i, n], y[i, n]
-            if drift.shape[1] == 0:
-                advance(constants, x, y, cos, sin, cos_u, sin_u, i)
-            else:
+            if drifts:
                 c, s = drift[0, i], drift[1, i]
-                for n in range(gap.size):
+                for n in range(total.size):
                     own_cos[n] = cos_u[n] * c - sin_u[n] * s
                     own_sin[n] = sin_u[n] * c + cos_u[n] * s
-                advance(constants, x, y, cos, sin, own_cos, own_sin, i)
-                for n in range(gap.size):
+            advance(constants, x, y, cos, sin, towards[0], towards[1], i)
+            if drifts:
+                for n in range(total.size):
                     x[i, n], y[i, n] = x[i, n] + drift[east, i], y[i, n] + drift[east + 1, i]
-            count_hits(rollout.obstacles, x0, y0, x, y, i, rollout.swept, gap, hits)
+            rows, walls, swept = rollout.rows, rollout.walls, rollout.swept
+            count_hits(rows, walls, x0, y0, x, y, i, swept, gap, near, hits)
         if rollout.separation > 0:
             count_meetings(x, y, rollout.separation, hits)
-
-    return follow
-
-
-def _follow_past_one(constants, obstacles):
-    """Return the `follow` for a single obstacle tested at samples: one loop moves and tests."""
-    kind, shape = constants.instance_class, obstacles[0].instance_class
-    step, gap_of = inlined(kind.advance), inlined(shape.gap)
-    ends_early = hasattr(kind, "finish")
-    finish: Any = inlined(kind.finish) if ends_early else None
-    sincos_of, columns = inlined(sincos), tuple(range(kind.size))
-
-    def follow(rollout, lanes, scratch, signals, j):
-        x, y, cos, sin, hits = lanes
-        cos_u, sin_u = scratch[0], scratch[1]
-        constants = rollout.first if j == 0 else rollout.rest
-        p = row(rollout.obstacles.shape, 0)
-        last = ends_early and j == signals.shape[0] - 1
-        if not last:
-            for n in range(cos_u.size):
-                sin_u[n], cos_u[n] = sincos_of(signals[j, n])
-        for i in range(x.shape[0]):
-            k = entries(constants.rows, i, columns)
-            for _ in range(constants.pieces - 1):
-                for n in range(cos_u.size):
-                    x[i, n], y[i, n], cos[i, n], sin[i, n] = step(
-                        x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
-                    )
-            if last:
-                for n in range(cos_u.size):
-                    new_x, new_y = finish(x[i, n], y[i, n], cos[i, n], sin[i, n], k)
-                    x[i, n], y[i, n] = new_x, new_y
-                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
-            else:
-                for n in range(cos_u.size):
-                    new_x, new_y, c, s = step(
-                        x[i, n], y[i, n], cos[i, n], sin[i, n], cos_u[n], sin_u[n], k
-                    )
-                    x[i, n], y[i, n], cos[i, n], sin[i, n] = new_x, new_y, c, s
-                    hits[i, n] += 1.0 if gap_of(new_x, new_y, p) <= 0 else 0.0
-
-    return follow
+    return add_up(rollout, x, y, hits, total)
 
 
 @compiled(**INLINE_FAST)
@@ -203,9 +124,9 @@ def count_meetings(x, y, separation, hits):
 
 
 @compiled(**INLINE_FAST)
-def add_up(rollout, lanes, total):
+def add_up(rollout, x, y, hits, total):
     """Write (7) of each particle to total (P,); return whether all are finite."""
-    x, y, hits, target, weight = lanes[0], lanes[1], lanes[4], rollout.target, rollout.weight
+    target, weight = rollout.target, rollout.weight
     for n in range(total.size):
         total[n] = 0.0
     for i in range(x.shape[0]):

@@ -26,7 +26,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
-from tetractl.core.setup import Setup, Shape
+from tetractl.core.setup import Setup
+from tetractl.core.shape import Shape
 from tetractl.log.format.codec import Frames
 
 WORLD = "world"

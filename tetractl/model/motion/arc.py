@@ -82,8 +82,6 @@ class ArcLanes(NamedTuple):
         east_h, north_h = -chord * s - east_phi, chord * c - north_phi
         return chord * c, chord * s, 2 * h, east_h, north_h, east_phi, north_phi, 1 - 2 * h_phi
 
-    turn = staticmethod(turn)
-
 
 def lanes(a: Floats, longest: float) -> type[ArcLanes]:
     """Return the class of constants, the same for all robots."""

@@ -71,7 +71,6 @@ class EulerLanes(NamedTuple):
         return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
 
     differentiate = staticmethod(differentiate)
-    turn = staticmethod(turn)
 
 
 class EulerSmallTurnLanes(EulerLanes):
@@ -83,11 +82,6 @@ class EulerSmallTurnLanes(EulerLanes):
         step, turn = k
         sw, cw = sincos_quarter(turn * (su * c - cu * s))
         return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
-
-    @staticmethod
-    def finish(x: Any, y: Any, c: Any, s: Any, k: Any) -> Any:
-        """Return x, y after the last step of a sequence, whose signal cannot move them."""
-        return x + k[0] * c, y + k[0] * s
 
 
 def lanes(a: Floats, longest: float) -> type[EulerLanes]:

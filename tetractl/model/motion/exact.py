@@ -195,7 +195,6 @@ class ExactLanes(NamedTuple):
 
     advance = staticmethod(advance)
     differentiate = staticmethod(differentiate)
-    turn = staticmethod(turn)
 
 
 class ExactFastLanes(ExactLanes):

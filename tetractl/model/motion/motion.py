@@ -86,11 +86,6 @@ class Lanes(Protocol):
     kernel; they may use arithmetic, `math` and `tetractl.model.motion.polynomials`. `advance` runs
     in a loop over particles, `differentiate` in a loop over signals. To make these loops vector
     code, use conditional values rather than branches, and polynomials rather than calls to `math`.
-
-    If `pieces` is 1 and the last signal cannot move the last position, a class may add `finish(x,
-    y, c, s, k)`, which returns x, y after the last step. A class may also add `turn(heading, u, a,
-    t)`, a `TurnFunction` of scalars, which may use `np`; otherwise the slower `differentiate` is
-    used to identify robots.
     """
 
     size: int

@@ -1,1 +1,1 @@
-"""Shapes of obstacles; each has a file named in `core.registries`."""
+"""Kinds of obstacles, each a section of a spec; each has a file named in `core.registries`."""

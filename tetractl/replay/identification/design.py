@@ -129,8 +129,7 @@ class _Room:
         """
         x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
         least = float(self.setup.arena.inside(x, y).min())
-        for shape in self._obstacles.shapes:
-            least = min(least, float(shape.distance(x.ravel(), y.ravel()).min()))
+        least = min(least, float(self._obstacles.distance(x, y).min()))
         for i, j in itertools.combinations(range(x.shape[1]), 2):
             gap = np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j])
             least = min(least, float(gap.min()) / 2)

@@ -11,7 +11,8 @@ from rich.segment import Segment
 from rich.style import Style
 
 from tetractl.core.poses import Floats
-from tetractl.core.setup import Bounds, Shape
+from tetractl.core.setup import Bounds
+from tetractl.core.shape import Shape
 from tetractl.replay.player import Moment, first_seen
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 

@@ -73,14 +73,15 @@ def test_the_gradient_is_that_of_the_path(seed, robots, length, model, last):
     signals, toward = rng.uniform(-math.pi, math.pi, length), rng.normal(size=length)
     step, robot, at = 1e-6, int(rng.integers(robots)), int(last * (length - 1))
     east, north = rng.normal(size=2)
-    row = np.empty(length)
-    backward(traced(problem, signals).gradients, robot, at, east, north, row)
+    rows = np.zeros((1, length))
+    pull = np.array([0, robot, at, east, north])
+    backward(traced(problem, signals).gradients, pull, rows)
     ahead, behind = (
         predict(problem, signals + sign * step * toward)[at + 1, robot, :2] for sign in (1, -1)
     )
     numeric = float((ahead - behind) @ [east, north]) / (2 * step)
-    assert float(row @ toward) == pytest.approx(numeric, rel=1e-5, abs=1e-4)
-    assert not row[at + 1 :].any()
+    assert float(rows[0] @ toward) == pytest.approx(numeric, rel=1e-5, abs=1e-4)
+    assert not rows[0, at + 1 :].any()
 
 
 @pytest.mark.parametrize("heading", [0.0, 1e-9, math.pi - 1e-9, -math.pi])

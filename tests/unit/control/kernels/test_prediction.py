@@ -60,7 +60,8 @@ def test_robots_that_turn_fast_against_the_direction_go_where_they_should(motion
 def test_walls_count_as_in_the_readable_prediction(seed, swept, margin):
     """Some robots start outside, and many leave."""
     world = problems.world(seed, 3, 3, "exact", swept)
-    walls = Obstacles.of(world.obstacles, margin, Bounds(50, 50, 750, 750))
+    shapes = [thing.shape() for thing in world.obstacles]
+    walls = Obstacles.of(shapes, margin, Bounds(50, 50, 750, 750))
     problem = replace(problems.problem(world), obstacles=walls)
     signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (20, 12))
     for one in signals[:3]:

@@ -10,8 +10,8 @@ def doubled_areas(a, b, c):
 
 
 @given(SHAPES)
-def test_the_triangles_cover_the_outline_and_no_more(shape):
-    outline = shape.outline()
+def test_the_triangles_cover_the_outline_and_no_more(section):
+    outline = section.shape().outline()
     triangles = triangulate(outline)
     assert triangles.shape == (len(outline) - 2, 3)
     areas = doubled_areas(*(outline[triangles[:, i]] for i in range(3)))
@@ -22,8 +22,8 @@ def test_the_triangles_cover_the_outline_and_no_more(shape):
 
 
 @given(SHAPES)
-def test_walls_stand_on_the_outline_and_face_outwards(shape):
-    outline = shape.outline()
+def test_walls_stand_on_the_outline_and_face_outwards(section):
+    outline = section.shape().outline()
     corners, triangles = prism(outline, 3.0)
     assert corners[:, 2].tolist() == [0.0] * len(outline) + [3.0] * len(outline)
     assert np.array_equal(corners[: len(outline), :2], outline)

@@ -2,7 +2,7 @@
 searches it was chosen from, or the end of the trial.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property

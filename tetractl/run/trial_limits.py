@@ -62,7 +62,7 @@ def check_square(experiment: Experiment, square: Square) -> None:
             "controller.first_plan: a square needs all robots to start with the same heading",
             "give all robots the same heading, or use {type: stand}",
         )
-    obstacles = Obstacles.of(experiment.obstacles)
+    obstacles = Obstacles.of(experiment.setup.obstacles)
     x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))
     a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
     t = np.linspace(0, square.side, SAMPLES)[:, None]

@@ -184,9 +184,9 @@ def test_what_is_wrong_with_an_optimiser_is_found(fault, what):
     assert what in found if what else found == []
 
 
-@pytest.mark.parametrize("name", ["mpc, cem", "multistart, whole", "sequence", "ensemble", "rrt"])
+@pytest.mark.parametrize("name", ["pso-mpc, cem", "mpc, bodies", "sequence", "ensemble", "rrt"])
 def test_every_controller_passes(name):
-    fields = CONTROLLERS.get(name) or CONTROLLERS[f"mpc, {name}"]
+    fields = CONTROLLERS[name]
     section = CONTROLLER_KINDS.load(fields["type"]).model_validate(fields)
     assert wrong(check_controller(section, SETUP)) == []
 

@@ -1,4 +1,4 @@
-"""Algorithm 2 of the paper as published; the numbers of its lines stand beside the code.
+"""Algorithm 2 of the paper as published; the numbers of its lines stand next to the code.
 
 The first step searches every length up to `horizon_max`, each later step the lengths H - 1, H and
 H + 1 from what is left of the sequence in use; the best is exerted. Nothing is added here:

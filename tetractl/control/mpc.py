@@ -32,7 +32,7 @@ from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.rng import mix
-from tetractl.control.value import Value
+from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
 from tetractl.core.plan import (
@@ -141,7 +141,7 @@ class Mpc:
 
     @property
     def _state(self) -> State:
-        """What the robots were told to do in this leg; they rest before the first step."""
+        """What the robots were commanded to do in this leg; they rest before the first step."""
         return State.RESTING if self.last is None else self.last.state
 
     @property
@@ -190,7 +190,7 @@ class Mpc:
         if holds and self.setup.wheel_radius is None:
             return self._circle(problem)
         spent_s = (self.k - self.leg.k) * self.section.period
-        value = Value(self.section.accept_error, spent_s, problem.period)
+        value = Worth(self.section.accept_error, spent_s, problem.period)
         if self._warm is None:
             return self._at_rest(problem, observation, value, gaps, holds)
         if self._state is State.LEAVING:
@@ -201,7 +201,7 @@ class Mpc:
         return self._under_way(problem, observation, value, holds)
 
     def _under_way(
-        self, problem: Problem, observation: Observation, value: Value, holds: bool
+        self, problem: Problem, observation: Observation, value: Worth, holds: bool
     ) -> Plan | Outcome | End:
         """Decide while a plan is under way."""
         warm = self._warm
@@ -234,7 +234,7 @@ class Mpc:
         return self._given(problem, State.RESTING, before=searcher.found)
 
     def _search_on(
-        self, searcher: Searcher, value: Value, warm: Floats
+        self, searcher: Searcher, value: Worth, warm: Floats
     ) -> list[tuple[float, Search]]:
         """Search plans about as long as the one under way, and longer ones if these can be worth
         more; return them with their values. The next step continues after the longest searched."""
@@ -264,7 +264,7 @@ class Mpc:
             valued.append((self._worth(searcher, search, value), search))
         return valued
 
-    def _worth(self, searcher: Searcher, search: Search, value: Value) -> float:
+    def _worth(self, searcher: Searcher, search: Search, value: Worth) -> float:
         """Return the value of a plan found."""
         problem, error, touches = searcher.problem, search.cost, False
         if search.cost >= problem.obstacle_weight:
@@ -278,7 +278,7 @@ class Mpc:
         self,
         problem: Problem,
         observation: Observation,
-        value: Value,
+        value: Worth,
         gaps: Floats,
         holds: bool,
     ) -> Plan | Outcome:
@@ -309,7 +309,7 @@ class Mpc:
                 return replace(plan, state=State.STUCK)
         return plan
 
-    def _search_afresh(self, searcher: Searcher, value: Value) -> Search:
+    def _search_afresh(self, searcher: Searcher, value: Worth) -> Search:
         """Search plans of all lengths; return the one of least value."""
         good_enough = self.section.optimizer.good_enough or 0.0
         problem, most = searcher.problem, max(1, self._signals_left)

@@ -23,7 +23,7 @@ TOUCHES, UNHEARD = 2.0, 1.5  # caution, in units of `accept`
 
 
 @dataclass(frozen=True, slots=True)
-class Value:
+class Worth:
     """The values of the candidates of a control step `spent_s` after the leg began; each signal
     lasts `period_s`.
     """

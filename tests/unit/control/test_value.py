@@ -2,9 +2,9 @@
 
 import pytest
 
-from tetractl.control.value import PATIENCE_S, PRICE, TOUCHES, UNHEARD, Value
+from tetractl.control.value import PATIENCE_S, PRICE, TOUCHES, UNHEARD, Worth
 
-AT_FIRST = Value(10.0, 0.0, 0.2)
+AT_FIRST = Worth(10.0, 0.0, 0.2)
 
 
 def test_a_plan_under_way_is_worth_its_error_and_the_price_of_its_time():
@@ -12,7 +12,7 @@ def test_a_plan_under_way_is_worth_its_error_and_the_price_of_its_time():
 
 
 def test_a_new_attempt_is_worth_the_accepted_error_which_doubles():
-    late = Value(10.0, 2 * PATIENCE_S, 0.2)
+    late = Worth(10.0, 2 * PATIENCE_S, 0.2)
     time = 10 * PRICE
     assert AT_FIRST.plan(0.0, 5, new=True) == pytest.approx(10 + time)
     assert late.plan(0.0, 5, new=True) == pytest.approx(40 + time)

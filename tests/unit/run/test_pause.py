@@ -60,7 +60,7 @@ def test_robots_pause_rather_than_leave_and_go_on_to_their_targets(tmp_path):
     assert found.checked == len(log.steps)
 
 
-FACING = (*SLOW, "robots.green.start=[652, 800]", "robots.green.heading=3.14159")  # a wall
+FACING = (*SLOW, "robots.green.start=[552, 800]", "robots.green.heading=3.14159")  # a wall
 
 
 def test_where_nothing_can_move_safely_the_log_holds_the_searches_that_say_so(
@@ -90,7 +90,7 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
         off = [wrap(log.steps[k].plan.facing - poses.heading) for poses in (before, after)]
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
     recording = Recording(log)
-    for k, text in ((turns[0], "direction    turning"), (turns[-1] + 1, " deg"), (0, " deg")):
+    for k, text in ((turns[0], "direction    turning"), (turns[-1] + 1, " deg")):
         assert text in step_line(recording, k)
     assert trial_data(log, "t.mcap")["steps"]["doing"][turns[0]] == "turning"
     starts = [k for k in turns if k - 1 not in turns]

@@ -105,8 +105,10 @@ def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_
     assert len(set(first.values())) == 3
     for name, digest in first.items():
         assert content_digest(tmp_path / "two" / name) == digest
-    late = ["--set", "controller.optimizer={type: multistart, tolerance: 1.0e-9}"]
-    late += ["--set", "controller.deadline=0.001", "--trials", 2]
+    control = (
+        "{type: mpc, period: 0.2, steps_max: 6, deadline: 0.001, optimizer: {tolerance: 1e-9}}"
+    )
+    late = ["--set", f"controller={control}", "--trials", 2]
     for jobs in (1, 2):
         done = run(folder / "quick.yaml", *late, "--jobs", jobs, "--out", f"l{jobs}", cwd=tmp_path)
         assert done.returncode == 0

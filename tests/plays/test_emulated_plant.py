@@ -14,9 +14,7 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
-SMALL = flags(
-    (*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=null")
-)
+SMALL = flags((*(one for one in FEW_STEPS if not one.startswith("lab")), "controller.deadline=60"))
 
 
 def run(folder, out, *words, spec=SPEC):
@@ -90,7 +88,7 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
             "seconds: 4}",
             "controller.steps_max=8",
             "trials.seed=3",
-            "controller.deadline=null",
+            "controller.deadline=60",
         )
     )
     words = ("lab", "survey", DISH, "--plant", "emulated", "--plans", "1", "-o", "found.yaml")

@@ -9,6 +9,8 @@ from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
 from tetractl.experiment.experiment import Experiment
 
+AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
+
 
 def build_controller(experiment: Experiment, key: int) -> Controller:
     """Return the controller of one trial, seeded by `key`; in virtual time, its timer counts
@@ -22,20 +24,22 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
     """Compile the functions that the controller runs, or load them from the cache.
 
-    If anything is compiled, `announce` is called with a message before and at the end. Compiled
-    code is cached on disk, for all specs with the same kinds of controller, optimiser and motion.
-    Python's garbage collection is off meanwhile: the compiler makes so many objects that searching
-    them takes a fifth of its time.
+    If anything is compiled, `announce` is called with a message before, every AGAIN_S seconds, and
+    at the end.
+    Compiled code is cached on disk, for all specs with the same kinds of controller, optimiser and
+    motion. Python's garbage collection is off meanwhile: the compiler makes so many
+    objects that searching them takes a fifth of its time.
     """
     collects = gc.isenabled()
-    began_s, said = time.monotonic(), list[str]()
+    began_s, said_s = time.monotonic(), list[float]()
 
     def say() -> None:
-        if not said:
-            said.append(
-                f"compiling for {compiled_for(experiment)}: 5 to 30 s, cached for later runs"
-            )
-            announce(f"{said[0]} ...")
+        now_s = time.monotonic()
+        if said_s and now_s - said_s[-1] < AGAIN_S:
+            return
+        left = f"{now_s - began_s:.0f} s so far" if said_s else "10 to 40 s, cached for later runs"
+        announce(f"compiling for {compiled_for(experiment)}: {left} ...")
+        said_s.append(now_s)
 
     compiling.append(say)
     gc.disable()
@@ -45,7 +49,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
         compiling.remove(say)
         if collects:
             gc.enable()
-    if said:
+    if said_s:
         announce(f"compiled in {time.monotonic() - began_s:.0f} s")
 
 

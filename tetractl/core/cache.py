@@ -22,8 +22,7 @@ FOLDER = "TETRACTL_CACHE_DIR"
 """Environment variable that names the cache folder; worker processes inherit it."""
 
 compiling: list[Callable[[], None]] = []
-"""Functions to call when kernels begin to be compiled for a motion, because the cache does not
-contain them."""
+"""Functions to call before a kernel is compiled because the cache does not contain it."""
 
 _OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
@@ -57,18 +56,15 @@ def _wanted() -> Path | None:
         return None
 
 
-def claim(folder: Path, needed: int = 1) -> str | None:
-    """Make a folder that only this user can write to, with room for a number of bytes; return the
-    reason if that fails, or None."""
+def claim(folder: Path) -> str | None:
+    """Make a folder that only this user can write to; return the reason if that fails, or None."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         if why := exposed(folder):
             return why
         if folder.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
             folder.chmod(0o700)
-        with tempfile.TemporaryFile(dir=folder) as file:
-            if hasattr(os, "posix_fallocate"):
-                os.posix_fallocate(file.fileno(), 0, needed)  # fails on a full disk or quota
+        tempfile.TemporaryFile(dir=folder).close()
     except OSError as error:
         return f"{folder} cannot be used: {error.strerror or error}"
     return None

@@ -2,15 +2,12 @@ import subprocess
 import sys
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 from numba import njit
 from support.running import QUICK
 
 from tetractl.control import build
-from tetractl.control.kernels.motion import turned
 from tetractl.experiment.load import parse_spec
-from tetractl.model.motion.euler import EulerLanes
 
 WATCH = """
 from pathlib import Path
@@ -50,7 +47,9 @@ def test_warming_up_leaves_nothing_to_compile(name):
     assert done.stdout.splitlines()[-1:] == ["[]"], done.stdout + done.stderr
 
 
-def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes():
+@pytest.mark.parametrize("again_s", [0.0, 3600.0])
+def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes(monkeypatch, again_s):
+    monkeypatch.setattr(build, "AGAIN_S", again_s)
     spec, said = parse_spec(QUICK, "spec").experiment, []
 
     class New:
@@ -59,12 +58,13 @@ def test_only_compiling_is_announced_with_for_what_and_how_long_it_takes():
         def warm_up(self, setup):
             spec.controller.warm_up(spec.setup)  # from the cache, however long that takes
             assert said == []
-            other = type("Other", (EulerLanes,), {})
-            njit(lambda lanes: turned(lanes, 1.0, 0.0, 1.0, 0.0, 0))(other(np.ones((1, 2)), 1))
+            njit(lambda x: 2 * x)(21)  # kept in no cache
+            njit(lambda x: 3 * x)(14)
 
     build.warm_up(spec, lambda text: None)
-    build.warm_up(SimpleNamespace(controller=New(), setup=None), said.append)
+    build.warm_up(SimpleNamespace(controller=New(), obstacles=(), setup=None), said.append)
     assert said == [
-        "compiling for mpc, pso, exact: 5 to 30 s, cached for later runs ...",
+        "compiling for mpc, pso, exact: 10 to 40 s, cached for later runs ...",
+        *["compiling for mpc, pso, exact: 0 s so far ..."] * (again_s == 0),
         "compiled in 0 s",
     ]

@@ -1,15 +1,13 @@
-"""Keeps compiled kernels between runs, in numba's cache, which is checked first.
+"""Keeps compiled kernels between runs, in place of numba's own cache.
 
-Numba's cache ends the process if one of its files is empty or damaged, and unpickles any file. It
-is therefore kept in a folder to which only the user can write, with a list of the SHA-256 of each
-file. Before the first kernel is loaded, every file is deleted that is not as listed; its code is
-then compiled again.
+Numba's cache ends the process if one of its files is empty, damaged or cannot be written, and
+unpickles any file. Here each file begins with the SHA-256 of its contents; if the sum does not
+match, the code is compiled again. If a file cannot be written, a note is printed once.
 """
 
-import atexit
 import hashlib
-import json
 import os
+import pickle
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -17,14 +15,16 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba import config, njit
+import numba
+from numba import njit
+from numba.core import event
+from numba.core.compiler import CompileResult
+from numba.core.serialize import dumps
 
-from tetractl.core.cache import cache_folder, claim, compiler_settings, digest, say_once
+from tetractl.core.cache import cache_folder, claim, compiler_settings, compiling, digest, say_once
 from tetractl.core.registries import MOTIONS
 
-LIST = "sha256.json"
-NEEDED = 16_000_000
-"""Space that must be free, more than the code of one start needs [bytes]."""
+_SUM = hashlib.sha256().digest_size
 
 
 def sources() -> Iterator[Path]:
@@ -47,13 +47,13 @@ def folder() -> Path | None:
     name = f"kernels-{digest(set(sources()), compiler_settings())}"
     if given := os.environ.get("NUMBA_CACHE_DIR"):
         chosen = Path(given).absolute() / name
-        why = claim(chosen, NEEDED)
+        why = claim(chosen)
         if why is None:
             return chosen
         say_once(f"NUMBA_CACHE_DIR is not used: {why}")
     try:
         chosen = cache_folder() / name
-        why = claim(chosen, NEEDED)
+        why = claim(chosen)
         if why is None:
             return chosen
     except OSError as error:
@@ -62,35 +62,72 @@ def folder() -> Path | None:
     return None
 
 
-def found(place: Path) -> dict[str, str]:
-    """Return the SHA-256 of each of numba's files in a folder, by its path in the folder."""
-    files = sorted(file for file in place.rglob("*.nb[ic]") if file.is_file())
-    return {str(f.relative_to(place)): hashlib.sha256(f.read_bytes()).hexdigest() for f in files}
+class _Compiling(event.Listener):
+    """Calls the functions in `compiling` when numba starts to compile."""
+
+    def on_start(self, event: Any) -> None:
+        for call in tuple(compiling):
+            call()
+
+    def on_end(self, event: Any) -> None:
+        pass
 
 
-def check(place: Path) -> None:
-    """Delete the files that are not as listed, and list those that this process adds at its end."""
-    try:
-        listed = json.loads((place / LIST).read_bytes())
-    except (OSError, ValueError):
-        listed = {}
-    present = found(place)
-    for name, sha256 in present.items():
-        if listed.get(name) != sha256:
-            (place / name).unlink()
-            if name in listed:
-                say_once(f"{place}: damaged, compiled again")
-    owner = os.getpid()
+event.register("numba:compile", _Compiling())
 
-    def keep() -> None:
-        """Write the list again if there are other files than before."""
-        with suppress(OSError):  # what is not listed is compiled again
-            if os.getpid() == owner and (now := found(place)) != present:
-                with tempfile.NamedTemporaryFile(dir=place, delete=False) as file:
-                    file.write(json.dumps(now).encode())
-                Path(file.name).replace(place / LIST)
 
-    atexit.register(keep)
+class KernelCache:
+    """The compiled code of one function: a file for each signature and processor."""
+
+    def __init__(self, function: Callable[..., Any], place: Path) -> None:
+        self._function, self._place = function, place
+
+    @property
+    def cache_path(self) -> str:
+        """The folder of the cache's files."""
+        return str(self._place)
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return the compiled code for a signature, None if the cache has none or it is damaged."""
+        target_context.refresh()
+        key = self._key(sig, target_context.codegen())
+        path = self._path(key)
+        try:
+            stored = path.read_bytes()
+            if hashlib.sha256(stored[_SUM:]).digest() != stored[:_SUM]:
+                raise ValueError("its checksum does not match")
+            kept, payload = pickle.loads(stored[_SUM:])
+            return CompileResult._rebuild(target_context, *payload) if kept == key else None
+        except FileNotFoundError:
+            return None
+        except Exception as error:  # after any error the code is compiled again
+            say_once(f"{path.parent}: damaged, compiled again: {error}")
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Store the compiled code for a signature."""
+        key = self._key(sig, data.codegen)
+        try:
+            stored = dumps((key, data._reduce()))
+            with tempfile.NamedTemporaryFile(dir=self._place, delete=False) as file:
+                try:
+                    file.write(hashlib.sha256(stored).digest() + stored)
+                    file.close()
+                    Path(file.name).replace(self._path(key))
+                except OSError:
+                    with suppress(OSError):
+                        Path(file.name).unlink()
+                    raise
+        except OSError as error:
+            say_once(f"compiled code is not kept: {self._place}: {error.strerror or error}")
+
+    def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
+        return sig, codegen.magic_tuple(), numba.__version__
+
+    def _path(self, key: tuple[Any, ...]) -> Path:
+        name = f"{self._function.__module__}.{self._function.__qualname__}"
+        tag = hashlib.sha256(f"{name} {key}".encode()).hexdigest()[:16]
+        return self._place / f"{self._function.__name__}-{tag}.kernel"
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -98,27 +135,12 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     The code of a function without a wrapper for Python is kept only within that of kernels.
     """
-    place = None if options.get("no_cpython_wrapper") else prepared()
 
     def decorate(function: Callable[..., Any]) -> Any:
-        settings: Any = config  # numba reads the folder when it decorates a function
-        usual, settings.CACHE_DIR = settings.CACHE_DIR, str(place or settings.CACHE_DIR)
-        try:
-            return njit(cache=place is not None, **options)(function)
-        finally:
-            settings.CACHE_DIR = usual
+        dispatcher: Any = njit(**options)(function)
+        place = None if options.get("no_cpython_wrapper") else folder()
+        if place is not None:
+            dispatcher._cache = KernelCache(function, place)
+        return dispatcher
 
     return decorate
-
-
-@cache
-def prepared() -> Path | None:
-    """Return the folder after its check, None if no code is kept."""
-    place = folder()
-    try:
-        if place is not None:
-            check(place)
-    except OSError as error:
-        say_once(f"compiled code is not kept: {error}")
-        return None
-    return place

@@ -11,7 +11,6 @@ from typing import Any
 from numba.extending import overload
 
 from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
-from tetractl.core.cache import compiling
 from tetractl.core.plan import Problem
 from tetractl.core.registries import MOTIONS
 
@@ -29,20 +28,13 @@ def constants(problem: Problem) -> tuple[Any, Any]:
     return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
 
 
-def _kind(lanes: Any) -> Any:
-    """Return the class of constants for which a kernel is being compiled, and say so."""
-    for call in tuple(compiling):
-        call()
-    return lanes.instance_class
-
-
 def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:
     """Advance robot i of every particle by one signal."""
 
 
 @overload(advance, jit_options=INLINE_FAST)
 def _advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
-    kind = _kind(lanes)
+    kind = lanes.instance_class
     step, constants_of = inlined(kind.advance), entries(kind.size)
 
     def advance(lanes, x, y, cos, sin, cos_u, sin_u, i):
@@ -62,7 +54,7 @@ def turned(lanes: Any, c: Any, s: Any, cu: Any, su: Any, i: int) -> Any:
 
 @overload(turned, jit_options=INLINE_FAST)
 def _turned(lanes, c, s, cu, su, i):
-    kind = _kind(lanes)
+    kind = lanes.instance_class
     step, constants_of = inlined(kind.advance), entries(kind.size)
 
     def turned(lanes, c, s, cu, su, i):
@@ -80,5 +72,5 @@ def derivatives(lanes: Any, c: Any, s: Any, cu: Any, su: Any, a: Any, v: Any, t:
 
 @overload(derivatives, jit_options=INLINE_FAST)
 def _derivatives(lanes, c, s, cu, su, a, v, t):
-    step = inlined(_kind(lanes).differentiate)
+    step = inlined(lanes.instance_class.differentiate)
     return lambda lanes, c, s, cu, su, a, v, t: step(c, s, cu, su, a, v, t)

@@ -137,6 +137,16 @@ def test_a_dry_run_writes_nothing_and_prints_a_spec(batch, tmp_path):
     assert shown[1:-1] == kept[1:-1]  # but for the name and the hour
 
 
+def test_a_dry_run_sends_a_terminal_nothing_that_it_obeys(batch, tmp_path):
+    """Regression: a description turned the writing direction of the operator's terminal."""
+    text = (batch[0] / "quick.yaml").read_text("utf-8") + 'description: "three \\u202e robots"\n'
+    (tmp_path / "turned.yaml").write_text(text, encoding="utf-8")
+    done = run("turned.yaml", "--dry-run", cwd=tmp_path)
+    assert done.returncode == 0
+    assert all(line.isprintable() for line in done.stdout.splitlines())
+    assert "u202" in done.stdout.lower()
+
+
 def test_a_dry_run_refuses_what_a_run_would(work):
     square = "controller.first_plan={type: square, side: 10}"
     args = ["quick.yaml", "--set", square, "--out", "new"]

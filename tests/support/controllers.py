@@ -21,7 +21,7 @@ PUBLISHED: dict[str, dict[str, Any]] = {
 }
 RECOMMENDED: dict[str, dict[str, Any]] = {
     "": {"optimizer": MULTISTART},
-    "pso, margins": {"optimizer": PSO, "collision": {"margin": 20}},
+    "pso, margins": {"optimizer": {"type": "pso"} | PSO, "collision": {"margin": 20}},
     "dead time": {"optimizer": MULTISTART, "dead_time": 0.14, "signal_periods": 2},
     "bodies": {"optimizer": MULTISTART, "accept_error": 40, "collision": {"radius": 40}},
 }

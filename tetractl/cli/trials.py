@@ -14,7 +14,7 @@ import typer
 
 from tetractl.cli.options import announce_compiling, require_confirmation
 from tetractl.cli.serving import served_run
-from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -258,7 +258,7 @@ def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
     from tetractl.run.trial_limits import limits
 
     print(f"# {loaded.name} as it would be run; nothing is run or written")
-    print(resolved_yaml(loaded.experiment), end="")
+    print("\n".join(map(printable, resolved_yaml(loaded.experiment).split("\n"))), end="")
     print("# Limits")
     for name, value in limits(loaded.experiment).items():
         print(f"#   {name}: {value}")

@@ -15,6 +15,7 @@ As in Algorithm 2 of the paper, plans of several lengths are searched, each from
 plan under way, and only the first signal is exerted.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -22,7 +23,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tetractl.control.corners import away
-from tetractl.control.cost import evaluate
 from tetractl.control.delay import driven
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
@@ -211,7 +211,7 @@ class Mpc:
         stop = best_stop(problem, held, self.section.period if last else 0.0)
         goes_on = np.inf
         if len(warm):
-            goes_on = value.plan(evaluate(problem, warm[None]).total[0], len(warm), False)
+            goes_on = self._worth(problem, warm, value)
         rest = np.inf
         if (least := least_length(problem)) <= self._signals_left:  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
@@ -248,7 +248,7 @@ class Mpc:
             search = searcher.search(length, start)
             if search is None:
                 return valued
-            valued.append((self._worth(searcher, search, value), search))
+            valued.append(self._valued(searcher, search, value))
             if search.cost <= good_enough and valued[-1][0] <= value.plan(
                 good_enough, length, False
             ):
@@ -261,18 +261,24 @@ class Mpc:
             search = searcher.search(length)
             if search is None:
                 break
-            valued.append((self._worth(searcher, search, value), search))
+            valued.append(self._valued(searcher, search, value))
         return valued
 
-    def _worth(self, searcher: Searcher, search: Search, value: Worth) -> float:
-        """Return the value of a plan found."""
-        problem, error, touches = searcher.problem, search.cost, False
-        if search.cost >= problem.obstacle_weight:
-            ahead = compiled_foresee(problem, search.signals)
+    def _worth(
+        self, problem: Problem, signals: Floats, value: Worth, cost: float = math.inf
+    ) -> float:
+        """Return the value of a plan of given signals (L,), whose cost may be known."""
+        error, touches = cost, False
+        if cost >= problem.obstacle_weight:
+            ahead = compiled_foresee(problem, signals)
             error, touches = ahead.target, ahead.obstacle > 0
-        new = self._warm is None or search.length > len(self._warm) + 1
-        unheard = not self._safe(problem, search.signals)
-        return value.plan(error, search.length, new, touches, unheard)
+        new = self._warm is None or len(signals) > len(self._warm) + 1
+        unheard = not self._safe(problem, signals)
+        return value.plan(error, len(signals), new, touches, unheard)
+
+    def _valued(self, searcher: Searcher, search: Search, value: Worth) -> tuple[float, Search]:
+        """Return a plan found, after its value."""
+        return self._worth(searcher.problem, search.signals, value, search.cost), search
 
     def _at_rest(
         self,
@@ -322,7 +328,7 @@ class Mpc:
             if min(search.cost for search in searcher.found) > accepted:
                 later = self._with_margins(problem, None)  # the motion will be identified by then
                 searcher.thoroughly(later, most, good_enough)
-        return min(searcher.found, key=lambda one: self._worth(searcher, one, value))
+        return min(searcher.found, key=lambda one: self._valued(searcher, one, value)[0])
 
     def _planned(self, searcher: Searcher, search: Search) -> Plan:
         """Return the plan of a search."""

@@ -72,7 +72,7 @@ def nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
     """Yield "start" or "target", a robot's index, the nearest earlier robot, and its distance."""
     for field, points in (("start", setup.starts.xy), ("target", setup.targets)):
         for i in range(1, len(points)):
-            gaps = np.linalg.norm(points[:i] - points[i], axis=1)
+            gaps = np.hypot(*(points[:i] - points[i]).T)
             yield field, i, setup.names[int(gaps.argmin())], float(gaps.min())
 
 

@@ -85,7 +85,7 @@ def test_where_no_plan_reaches_there_are_no_millimetres():
     found = of(controller=CONTROLLER | {"horizon_max": 12})
     assert found.steering is None
     shown = [list(table.rows) for table in tables(found)]
-    assert ("plans that reach", "0 of 2, to 0.001 mm") in shown[0]
+    assert ("plans that reach", "0 of 2, to 48 mm") in shown[0]
     assert ("fewest signals that reach", NO_PLAN) in shown[0]
     assert [row[1] for row in shown[-1]] == [NO_PLAN] * 3
     assert advice(found).startswith(f"advice: {NO_PLAN}")

@@ -188,6 +188,7 @@ def test_the_way_round_a_polygon_does_not_matter():
         ([(0, 0), (4, 0), (2, 0), (2, 2)], "turns back on itself at [4, 0]"),
         ([(0, 0), (4, 0), (4, 4), (2, 0), (0, 4)], "crosses or touches itself"),
         ([(0, 0), (1e-200, 0), (0, 1e-200)], "too small to compute"),
+        ([(0, 0), (1e200, 0), (0, 1e200)], "too large or too small to compute"),
         ([(0, 0), (0, 0), (1, 1), (1, 0)], "the corner [0, 0] twice in a row"),
     ],
 )

@@ -64,7 +64,10 @@ SETTINGS = {
         MPC.format(20, "{type: multistart, tolerance: 1.0e-9}"),
         "controller.deadline=0.001",
     ],
-    "held": [MPC.format(6, "{type: multistart}"), "controller.signal_periods=2"],
+    "held": [
+        MPC.format(6, "{type: pso, particles: 6, iterations: 14}"),
+        "controller.signal_periods=2",
+    ],
     "arcs, with margins": [
         MPC.format(6, "{type: multistart}"),
         "controller.collision.margin=5",

@@ -46,7 +46,7 @@ class Polygon(ShapeSection):
                     "polygon"
                 )
                 raise inconsistent("vertices", message)
-        if _doubled_area(np.array(self.vertices)) == 0:
+        if not 0 < abs(_doubled_area(np.array(self.vertices))) < np.inf:
             raise inconsistent(
                 "vertices", "has an area too large or too small to compute; use another length unit"
             )
@@ -61,7 +61,8 @@ class Polygon(ShapeSection):
 def _doubled_area(vertices: Floats) -> float:
     """Return twice the signed area of a polygon (M, 2), positive if it is anticlockwise."""
     x, y = (vertices - vertices[0]).T
-    return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
+    with np.errstate(over="ignore", invalid="ignore"):  # the caller refuses what is not finite
+        return float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
 def _text(point: Point) -> str:

@@ -201,6 +201,7 @@ def spoilt_step(**changes):
     command = WheelCommand(direction=0.5, delivered=[True])
     path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2, "path_heading": [1.0] * 2}
     whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
+    whole["state"] = "driving"
     return ControllerStep(**{**whole, **changes})
 
 

@@ -286,16 +286,22 @@ class FilterBank:
             which += group[max(0, min(likely[0], top - 1)) : max(likely[-1], top + 1) + 1].tolist()
         if len(which) < len(tau):
             part, score, tau, pitch = _part(part, 0, which), score[which], tau[which], pitch[which]
-        if len(tau) > 3 or self._when.size == 0 or (pitch != pitch[0]).any():
+        grid = np.unique(tau)
+        if len(grid) > 3 or self._when.size == 0:
             return part
-        best = int(np.argmax(score))
-        if self._steps[i] > FINEST_S and len(tau) == 3:
+        best = int(np.searchsorted(grid, tau[np.argmax(score)]))
+        if self._steps[i] > FINEST_S and len(grid) == 3:
             self._steps[i] /= 2
-        elif 0 < best < len(tau) - 1 or (best == 0 and tau[0] == 0 and len(tau) > 1):
+        elif 0 < best < len(grid) - 1 or (best == 0 and grid[0] == 0 and len(grid) > 1):
             return part
-        new = np.unique(np.maximum(tau[best] + self._steps[i] * np.arange(-1, 2), 0.0))
-        made = _part(part, 0, [int(np.argmin(np.abs(tau - one))) for one in new])
-        made.score[:, 0], made.tau[:, 0] = np.interp(new, tau, part.score[:, 0]), new
+        new = np.unique(np.maximum(grid[best] + self._steps[i] * np.arange(-1, 2), 0.0))
+        which, scores = [], []
+        for one in np.unique(pitch):  # frequencies that the poses do not tell apart stay
+            group = np.flatnonzero(pitch == one)
+            which += [group[np.argmin(np.abs(tau[group] - time))] for time in new]
+            scores.append(np.interp(new, tau[group], part.score[group, 0]))
+        made = _part(part, 0, which)
+        made.score[:, 0], made.tau[:, 0] = np.concatenate(scores), np.tile(new, len(scores))
         return made
 
     def dead_times(self) -> tuple[Floats, Floats]:

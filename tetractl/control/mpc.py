@@ -29,24 +29,14 @@ from tetractl.control.evaluate import compiled_foresee, compiled_path
 from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
 from tetractl.control.holding import signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
-from tetractl.control.margins import Margins
+from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.rng import mix
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import (
-    PAUSE_S,
-    End,
-    Estimate,
-    Limits,
-    Outcome,
-    Plan,
-    Problem,
-    Search,
-    State,
-    never,
-)
+from tetractl.core.plan import PAUSE_S, End, Estimate, Limits, Outcome, Plan, Problem, Search, State
+from tetractl.core.plan import never as no_deadline
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
@@ -55,6 +45,7 @@ from tetractl.experiment.controller import Square
 NEXT = 2  # number of next signals of the present plan that must be safe
 UNSURE = 2  # number of last signals of a plan that need not be safe
 KEPT = 0.2  # clearance while robots receive no command, as a fraction of their radius
+RESTED_S = 2.0  # least time that a plan is driven before a rest for a better one [s]
 LATE = 2.0  # a stop acts after at most this many dead times: it may be lost once
 TESTED = np.linspace(0, 1, 5)  # parts of the time until a stop acts, at which paths are tested
 PASSED = (Outcome.ARRIVED, Outcome.SEQUENCE_COMPLETED, Outcome.NOTHING_BETTER)
@@ -115,7 +106,7 @@ class Mpc:
         last_command: Command | None = None,
         earlier: Sequence[Observation] = (),
     ) -> Plan | Outcome | End:
-        """Decide what the robots do in one control step, or end the trial."""
+        """Decide what the robots do in one step, or end the trial."""
         known = self.estimator.seen(observation, last_command, earlier)
         if (self.estimator.left != self.left).any():
             self._begin(replace(self.leg, moving=self._moving))
@@ -216,7 +207,9 @@ class Mpc:
         if (least := least_length(problem)) <= self._signals_left:  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
             wait_s = PAUSE_S + self.section.period + self.estimator.dead_time_s
-            rest = value.rest(least, wait_s) if self.stands and last else np.inf
+            driven_s = (self.k - self.began) * self.section.period
+            if self.stands and last and driven_s > RESTED_S:
+                rest = value.rest(least, wait_s)
         if stop.error <= min(goes_on, rest):
             if holds or (self.stands and last):
                 return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
@@ -300,12 +293,12 @@ class Mpc:
             self.optimizer,
             problem,
             mix(self.key, self.k),
-            self._expired() if self._moving else never,
+            self._expired() if self._moving else no_deadline,
         )
         plan = self._planned(searcher, self._search_afresh(searcher, value))
-        enters = self.stands and plan.obstacle_cost > 0
-        enters = enters and self._enters(problem, observation, plan.signals)
-        if self.stands and plan.obstacle_cost > 0:
+        touches = self.stands and plan.obstacle_cost > 0
+        enters = touches and self._enters(problem, observation, plan.signals)
+        if enters or (touches and self._cornered(problem)):
             out, facing = away(problem, self.margins, self.section.collision.separation, True)
             if out is not None:
                 return self._given(problem, State.LEAVING, out, searcher.found)
@@ -362,8 +355,15 @@ class Mpc:
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `known` of the motion, which is
         None for a certain motion."""
-        periods = self.section.period, self.estimator.dead_time_s
-        return self.margins.around(problem, self.section.collision, *periods, known)
+        times = self.section.period, self.estimator.dead_time_s
+        return self.margins.around(problem, self.section.collision, *times, known)
+
+    def _cornered(self, problem: Problem) -> bool:
+        """Return whether a robot stands within the margin of anything."""
+        collision, times = self.section.collision, (self.section.period, self.estimator.dead_time_s)
+        off = off_course(problem.speed, *times, self.estimator.known) if collision.adaptive else 0.0
+        room = self.margins.room(problem.poses.x, problem.poses.y, collision.separation)
+        return bool(room < collision.margin + off)
 
     def _enters(self, problem: Problem, observation: Observation, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""

@@ -233,7 +233,7 @@ def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     assert end is Outcome.NOTHING_BETTER
 
 
-@pytest.mark.parametrize(("gap", "radius"), [(30, 0), (-30, 0), (70, 47), (30, 47)])
+@pytest.mark.parametrize(("gap", "radius"), [(5, 0), (-30, 0), (52, 47), (30, 47)])
 def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     controller, poses = beside_a_wall(gap, radius=radius)
     assert step(controller, poses).state is State.RESTING

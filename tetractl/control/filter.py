@@ -296,7 +296,7 @@ class FilterBank:
             return part
         new = np.unique(np.maximum(grid[best] + self._steps[i] * np.arange(-1, 2), 0.0))
         which, scores = [], []
-        for one in np.unique(pitch):  # frequencies that the poses do not tell apart stay
+        for one in np.unique(pitch):  # frequencies that the poses do not distinguish stay
             group = np.flatnonzero(pitch == one)
             which += [group[np.argmin(np.abs(tau[group] - time))] for time in new]
             scores.append(np.interp(new, tau[group], part.score[group, 0]))

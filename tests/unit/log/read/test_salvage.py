@@ -113,7 +113,10 @@ def test_a_lost_result_is_computed_from_the_last_true_poses(tmp_path, log, whole
     box = whole.experiment.obstacles[0]
     circle = whole.experiment.obstacles[1]
     inside = [
-        any((box.shape().contain(x, y) | circle.shape().contain(x, y)).any() for x, y, _ in found.truth[:, i])
+        any(
+            (box.shape().contain(x, y) | circle.shape().contain(x, y)).any()
+            for x, y, _ in found.truth[:, i]
+        )
         for i in range(3)
     ]
     assert result.result.verdict.entered == tuple(inside)

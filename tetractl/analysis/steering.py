@@ -17,7 +17,6 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
 from tetractl.run.task import trial_seeds
 
-LONG_S = 60.0
 POINTS = Collision(walls=False, adaptive=False, stop_before_collision=False, silence=0.0)
 """How robots are steered whose controller has no margins: as points that may leave the arena."""
 
@@ -42,21 +41,19 @@ def planner(experiment: Experiment) -> RecommendedMpc:
 
     This is the spec's `controller` if its type is mpc, otherwise mpc with the spec's period, number
     of steps and, if it has them, motion and longest sequence. The optimiser is multistart, which
-    has a tolerance, and the time of a step is hardly limited.
+    has a tolerance; the first plan, for standing robots, has no deadline.
     """
     control = experiment.controller
     if isinstance(control, RecommendedMpc):
         optimizer = control.optimizer
         found = {
             "optimizer": optimizer if isinstance(optimizer, Multistart) else Multistart(),
-            "deadline": LONG_S,
             "arrival_tolerance": 0.0,
         }
         return control.model_copy(update=found)
     shared = {"period": control.period, "steps_max": control.steps_max, "signal_periods": 1}
     if isinstance(control, SearchFields):
-        names = ("motion", "horizon_max", "obstacle_weight")
-        shared |= {name: getattr(control, name) for name in names}
+        shared |= control.model_dump(include={"motion", "horizon_max", "obstacle_weight"})
     setup = experiment.setup
     section = RecommendedMpc(estimate=False, collision=POINTS, **shared)
     return section.fitted(setup.wheel_radius is not None, float(setup.speed.sum()))

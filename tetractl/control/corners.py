@@ -35,13 +35,11 @@ def way_out(
     return signals if least > -np.inf else None
 
 
-def away(
-    problem: Problem, margins: Margins, apart: float, may_turn: bool
-) -> tuple[Floats | None, float | None]:
-    """Return a way out for standing robots or, if none keeps clear and robots `may_turn`, the
-    direction [rad] to which they turn first; otherwise the best way out that enters nothing."""
+def away(problem: Problem, margins: Margins, apart: float) -> tuple[Floats | None, float | None]:
+    """Return a way out for standing robots or, if none keeps clear, the direction [rad] to which
+    they turn first; if no turn helps, the best way out that enters nothing."""
     out = way_out(problem, margins, apart)
-    facing = turn_away(problem, margins, apart) if out is None and may_turn else None
+    facing = turn_away(problem, margins, apart) if out is None else None
     if out is None and facing is None:
         out = way_out(problem, margins, apart, 0.0)
     return out, facing

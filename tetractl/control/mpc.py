@@ -35,8 +35,18 @@ from tetractl.control.rng import mix
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command
-from tetractl.core.plan import PAUSE_S, End, Estimate, Limits, Outcome, Plan, Problem, Search, State
-from tetractl.core.plan import never as no_deadline
+from tetractl.core.plan import (
+    PAUSE_S,
+    End,
+    Estimate,
+    Limits,
+    Outcome,
+    Plan,
+    Problem,
+    Search,
+    State,
+    never,
+)
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
@@ -70,7 +80,7 @@ class Mpc:
 
     Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
     which that plan's first signal was first sent, and the `leg`. `timer()`, the time [ns], is read
-    only if the section sets a deadline.
+    only while the robots move: a plan for standing robots has no deadline.
     """
 
     def __init__(
@@ -289,17 +299,13 @@ class Mpc:
             return self._given(problem, State.RESTING)
         if self.k > 0 and not self._moving and error <= again:
             return self._given(problem, State.RESTING) if holds else Outcome.NOTHING_BETTER
-        searcher = Searcher(
-            self.optimizer,
-            problem,
-            mix(self.key, self.k),
-            self._expired() if self._moving else no_deadline,
-        )
+        expired = self._expired() if self._moving else never
+        searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
         plan = self._planned(searcher, self._search_afresh(searcher, value))
         touches = self.stands and plan.obstacle_cost > 0
         enters = touches and self._enters(problem, observation, plan.signals)
         if enters or (touches and self._cornered(problem)):
-            out, facing = away(problem, self.margins, self.section.collision.separation, True)
+            out, facing = away(problem, self.margins, self.section.collision.separation)
             if out is not None:
                 return self._given(problem, State.LEAVING, out, searcher.found)
             if facing is not None:

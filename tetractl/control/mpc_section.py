@@ -16,7 +16,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
-from tetractl.experiment.base import Model, NonNegative, Positive
+from tetractl.experiment.base import Model, NonNegative, Positive, defaults
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
@@ -171,6 +171,11 @@ class SearchFields(ControllerSection):
         warm_up(self.known(setup), setup.starts)
 
 
+@defaults(
+    period=0.05,
+    steps_max=lambda given: max(1, round(LONGEST_S / given.get("period", SIGNAL_S))),
+    motion="exact",
+)
 class RecommendedMpc(SearchFields):
     """The recommended controller: Algorithm 2 with the exact motion under a held direction, many
     polished starts in place of a particle swarm, identification while robots drive, paths that keep
@@ -178,14 +183,6 @@ class RecommendedMpc(SearchFields):
     is what we recommend for robots on wheels."""
 
     type: Literal["mpc"] = "mpc"
-    period: float = Field(default=0.05, ge=1e-3, allow_inf_nan=False)
-    """Control period T [s]."""
-    steps_max: int = Field(
-        default_factory=lambda given: max(1, round(LONGEST_S / given.get("period", SIGNAL_S))),
-        ge=1,
-        le=1_000_000,
-    )
-    """Largest number of control steps k_max."""
     signal_periods: PositiveInt = Field(
         default_factory=lambda given: max(1, round(SIGNAL_S / given.get("period", SIGNAL_S)))
     )
@@ -197,9 +194,6 @@ class RecommendedMpc(SearchFields):
     """Time after which the searches of a control step end and the best sequence so far is used [s];
     a plan for standing robots has no deadline. The default is 80 % of the control period. In
     virtual time the searches' work is counted, so that a simulation depends only on its seed."""
-    motion: Annotated[str, KindName(MOTIONS)] = "exact"
-    """Predicted motion, by equations of the paper: `euler` is (4)-(6); `arc` holds the wheel speeds
-    of (24)-(25) over a period; `exact` is the closed form of (1)-(3) under a held direction."""
     estimate: bool = True
     """Whether turning rate a, speed and heading bias of each robot, and their common dead time, are
     identified while they drive, starting from the spec's values.

@@ -131,7 +131,7 @@ class Search:
     stopped: StopReason | str
 
 
-TESTED = "way along the course", "way across the course", "heading"
+INNOVATIONS = "way along the course", "way across the course", "heading"
 """What the columns of `Estimate.misfit` are about."""
 
 
@@ -144,8 +144,8 @@ class Estimate:
     `heading_bias` (N,) [rad] is the heading that a robot turns to minus the direction sent.
     `dead_time` [s] is the time from the sending of a direction to the moment when it acts, for all
     robots. `heading_bias` and `dead_time` are None if they are not estimated. `misfit` (N, 3) is
-    how far from independent the errors of the predictions are, in the order of TESTED: above 1, the
-    model does not fit at the level 0.001. None if it is not tested.
+    how far from independent the errors of the predictions are, in the order of INNOVATIONS: above
+    1, the model does not fit at the level 0.001. None if it is not tested.
     """
 
     a: Floats
@@ -163,7 +163,7 @@ class Estimate:
         if self.misfit is None:
             return set()
         which = zip(*(each.tolist() for each in np.nonzero(self.misfit > 1)), strict=True)
-        return {f"{TESTED[j]} of {names[i]}" for i, j in which}
+        return {f"{INNOVATIONS[j]} of {names[i]}" for i, j in which}
 
     def only(self, some: Bools) -> "Estimate":
         """Return the estimates of the robots for which `some` (N,) is true."""

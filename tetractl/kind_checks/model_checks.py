@@ -1,5 +1,5 @@
 """Checks of a motion: its step, hold, compiled step and derivatives agree; and of a shape: its
-geometry in NumPy agrees with its outline and its compiled functions.
+corners can be drawn, and do not cross.
 """
 
 import math

@@ -54,17 +54,18 @@ def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
     assert way_out(replace(problem, poses=turned), margins, 95.0) is not None
 
 
-def test_robots_turn_on_the_spot_rather_than_pass_close_to_a_wall():
+def test_robots_turn_on_the_spot_rather_than_pass_close_to_a_wall(monkeypatch):
     """Regression: a way out kept 1 mm by prediction, and led 3 mm out of the arena."""
     problem, margins = standing(facing_the_wall(1.1 * CIRCLE))
     close = way_out(problem, margins, 95.0, keep_s=0.0)
     assert close is not None
     room = margins.room(*np.moveaxis(predict(problem, close)[..., :2], -1, 0), 95.0)
     assert 0 < room.min() < 0.1 * CIRCLE
-    out, facing = away(problem, margins, 95.0, may_turn=True)
+    out, facing = away(problem, margins, 95.0)
     assert out is None
     assert facing is not None
-    out, facing = away(problem, margins, 95.0, may_turn=False)
+    monkeypatch.setattr("tetractl.control.corners.turn_away", lambda *_: None)
+    out, facing = away(problem, margins, 95.0)
     assert facing is None
     np.testing.assert_array_equal(out, close)
 
@@ -74,7 +75,7 @@ def test_a_way_out_keeps_bodies_clear(gap):
     """Regression: from 123.7 mm a way out led a body of 47 mm 24 mm beyond the edge."""
     problem, _ = standing(facing_the_wall(gap))
     margins = Margins(SETUP.obstacles, SETUP.arena, SETUP.targets, 47.0)
-    out, facing = away(problem, margins, 95.0, may_turn=True)
+    out, facing = away(problem, margins, 95.0)
     assert (facing is None) == (gap > 100)
     if out is not None:
         edge = SETUP.arena.inside(*np.moveaxis(predict(problem, out)[..., :2], -1, 0))

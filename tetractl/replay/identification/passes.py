@@ -24,7 +24,6 @@ UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera
 POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
 UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
 GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
-STATES = slice(5, 8)  # ln a, ln of the speed and heading bias among the filter's states
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +131,7 @@ def run(
     from tetractl.control.kernels import filter as kernel
 
     model, bank = _bank(kernel, belief, tau)
+    states = _states(kernel)
     each, middle = np.arange(len(rows)), len(tau) // 2
     likelihood, lost = np.zeros((len(tau), len(rows))), np.zeros(len(rows))
     residuals = []
@@ -160,8 +160,8 @@ def run(
         best = bank.weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
-    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., STATES]
-    mean, std = bank.state[:, :, 0, STATES], np.sqrt(np.maximum(variance, 0.0))
+    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., states]
+    mean, std = bank.state[:, :, 0, states], np.sqrt(np.maximum(variance, 0.0))
     return Passed(likelihood, mean, std, np.array(residuals), lost)
 
 
@@ -187,6 +187,11 @@ def marginal(
     return tau + best * tau_std, std, (middle + best * rise).reshape(shape), deviation, found
 
 
+def _states(kernel) -> list[int]:
+    """Return the indices of ln a, ln of the speed and heading bias among the filter's states."""
+    return [kernel.LN_A, kernel.LN_V, kernel.BIAS]
+
+
 def _bank(kernel, belief: Belief, tau: Floats):
     """Return the compiled filter's model and its bank at the start."""
     count, size, slots = len(belief.mean), kernel.SIZE, kernel.SLOTS
@@ -194,9 +199,10 @@ def _bank(kernel, belief: Belief, tau: Floats):
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
     one = np.ones(count)
     state = np.zeros((len(tau), count, slots, kernel.STATE))
-    state[..., STATES] = belief.mean[:, None]
+    states = _states(kernel)
+    state[..., states] = belief.mean[:, None]
     cov = np.zeros((len(tau), count, slots, size, size))
-    cov[..., range(5, 8), range(5, 8)] = belief.std[:, None] ** 2
+    cov[..., states, states] = belief.std[:, None] ** 2
     per_row = (len(tau), count)
     bank = kernel.Bank(
         state,

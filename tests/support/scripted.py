@@ -1,0 +1,42 @@
+"""An optimiser that answers by script, and what a controller under test sees."""
+
+import numpy as np
+
+from tetractl.core.plan import Search, StopReason
+from tetractl.core.poses import Observation, Poses
+from tetractl.experiment.controller import same
+
+STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
+TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
+
+
+def seen(poses=STARTS, now=0):
+    count = len(poses)
+    return Observation(0, now, now, Poses.of(np.array(poses)), np.ones(count, np.bool_))
+
+
+def mpc(experiment, key, optimizer=None):
+    wrap = same if optimizer is None else lambda _: optimizer
+    return experiment.controller.build(experiment.setup, key, wrap)
+
+
+class Scripted:
+    """An optimiser that writes down what it was asked and answers with costs by length."""
+
+    def __init__(self, costs=None, evaluations=10):
+        self.costs = costs or {}
+        self.evaluations = evaluations
+        self.asked = []
+
+    def search(self, problem, length, warm, key, limits):
+        start = None if warm is None else warm.tolist()
+        self.asked.append((length, start, key, limits.evaluations))
+        cost = self.costs.get(length, 100.0 + length)
+        signals = np.arange(1, length + 1) / 10 + len(self.asked) / 1000
+        return Search(
+            length, signals, cost, np.array([cost]), self.evaluations, StopReason.ITERATIONS
+        )
+
+    def forget(self):
+        asked, self.asked = self.asked, []
+        return asked

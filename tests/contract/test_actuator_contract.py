@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.devices import ACTUATORS
 
+from tetractl.core.commands import Steer, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 
@@ -22,7 +23,7 @@ def starts(rig):
 
 def steer(rig, direction=0.5, moving=None):
     moving = moving or (True,) * len(rig.setup.names)
-    return rig.actuator.steer(direction, starts(rig), moving, rig.clock.now())
+    return rig.actuator.send(Steer(direction), starts(rig), moving, rig.clock.now())
 
 
 def test_a_transmission_says_what_was_sent(rig):
@@ -66,13 +67,13 @@ def test_robots_move_when_steered_and_halt_when_stopped_if_they_can(rig):
 def test_robots_that_halt_turn_on_the_spot_and_others_cannot(rig):
     with rig.actuator:
         moving = (True,) * len(rig.setup.names)
-        args = 1.5, starts(rig), moving, rig.clock.now()
+        args = Turn(1.5), starts(rig), moving, rig.clock.now()
         if not rig.actuator.halts:
             with pytest.raises(AbortError, match="on the spot"):
-                rig.actuator.turn(*args)
+                rig.actuator.send(*args)
             return
-        sent = rig.actuator.turn(*args)
-        assert (sent.direction, sent.facing, sent.moving) == (None, 1.5, moving)
+        sent = rig.actuator.send(*args)
+        assert (sent.action, sent.moving) == (Turn(1.5), moving)
         assert np.abs(sent.speed).max() < 0.1 * rig.setup.speed.min()
         wished = rig.setup.a * np.sin(1.5 - rig.setup.starts.heading)
         np.testing.assert_allclose(sent.turning, wished, atol=0.2 * rig.setup.a.max())
@@ -95,7 +96,7 @@ def test_robots_that_are_not_tracked_can_be_steered_past(rig):
         moving = (False, *(True,) * (len(poses) - 1))
         if not rig.actuator.individual:
             moving = (True,) * len(poses)
-        sent = rig.actuator.steer(0.5, poses, moving, rig.clock.now())
+        sent = rig.actuator.send(Steer(0.5), poses, moving, rig.clock.now())
         assert np.isfinite(sent.speed).all()
         assert np.isfinite(sent.turning).all()
 

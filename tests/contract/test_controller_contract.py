@@ -73,7 +73,7 @@ def drive(fields, steps, key=7):
         found.append((observation, decision))
         if isinstance(decision, Outcome):
             break
-        plant.steer(decision.direction)
+        plant.send(decision.action)
         plant.clock.sleep_until((k + 1) * SECOND // 5)
     return found
 

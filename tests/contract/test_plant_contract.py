@@ -9,6 +9,7 @@ from support.geometry import gap
 from support.plants import RIGS
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import wrap
 
@@ -39,7 +40,7 @@ def drive(rig, directions, period=PERIOD):
     began = rig.clock.now()
     for k, direction in enumerate(directions, start=1):
         seen.append(rig.plant.observe())
-        commands.append(rig.plant.steer(direction))
+        commands.append(rig.plant.send(Steer(direction)))
         samples += rig.plant.samples()
         rig.clock.sleep_until(began + k * period)
     commands.append(rig.plant.stop())
@@ -88,7 +89,7 @@ def test_an_observation_is_never_of_the_future_and_never_goes_back(make):
 def test_observing_twice_at_one_instant_gives_the_same(make):
     rig = make(1)
     with opened(rig):
-        rig.plant.steer(1.0)
+        rig.plant.send(Steer(1.0))
         rig.clock.sleep_until(rig.clock.now() + PERIOD)
         one, two = rig.plant.observe(), rig.plant.observe()
         assert one.frame == two.frame
@@ -150,14 +151,14 @@ def test_robots_move_when_steered(make):
 def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make):
     rig = make(1)
     with opened(rig):
-        rig.plant.steer(1.0)
+        rig.plant.send(Steer(1.0))
         if rig.kind == "lab":
             with pytest.raises(AbortError):
-                rig.plant.steer(None)
+                rig.plant.send(FieldOff())
             return
         rig.clock.sleep_until(rig.clock.now() + PERIOD)
-        sent = rig.plant.steer(None)
-        assert (sent.direction, sent.field_off, sent.stops) == (None, True, False)
+        sent = rig.plant.send(FieldOff())
+        assert (sent.action, sent.stops) == (FieldOff(), False)
         if rig.spec.wheels and "drive" not in rig.spec.plant.model_fields_set:
             assert sent.left.tolist() == sent.right.tolist() == rig.spec.setup.speed.tolist()
         rig.clock.sleep_until(rig.clock.now() + PERIOD)  # any dead time has passed
@@ -176,7 +177,7 @@ def test_robots_go_straight_on_with_the_field_off_where_it_can_be_switched(make)
 def test_stop_is_idempotent(make):
     rig = make(1)
     rig.plant.open()
-    rig.plant.steer(1.0)
+    rig.plant.send(Steer(1.0))
     rig.clock.sleep_until(rig.clock.now() + PERIOD)
     first = rig.plant.stop()
     rig.clock.sleep_until(rig.clock.now() + PERIOD)
@@ -194,10 +195,10 @@ def test_robots_stand_in_a_pause_and_drive_on_with_the_next_direction(make):
     with opened(rig):
         for direction in (0.7, None, 0.7):
             if direction is None:
-                assert rig.plant.pause().stops
+                assert rig.plant.send(Stop()).stops
                 rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
             for _ in range(0 if direction is None else 6):
-                assert not rig.plant.steer(direction).stops
+                assert not rig.plant.send(Steer(direction)).stops
                 rig.clock.sleep_until(rig.clock.now() + PERIOD)
             before = rig.plant.observe()
             rig.clock.sleep_until(rig.clock.now() + PERIOD)
@@ -214,18 +215,18 @@ def test_robots_on_wheels_turn_on_the_spot_in_a_pause(make):
     if rig.plant.setup.wheel_radius is None:
         pytest.skip("these robots cannot turn on the spot")
     with opened(rig):
-        rig.plant.steer(0.7)
+        rig.plant.send(Steer(0.7))
         rig.clock.sleep_until(rig.clock.now() + PERIOD)
-        rig.plant.pause()
+        rig.plant.send(Stop())
         rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
         before = rig.plant.observe().poses
         facing = float(before.heading[0]) + 1.0
         for _ in range(4):
-            turned = rig.plant.turn(facing)
+            turned = rig.plant.send(Turn(facing))
             assert turned.stops
-            assert (turned.direction, turned.facing) == (None, facing)
+            assert turned.action == Turn(facing)
             rig.clock.sleep_until(rig.clock.now() + PERIOD)
-        rig.plant.pause()
+        rig.plant.send(Stop())
         rig.clock.sleep_until(rig.clock.now() + SECOND // 2)
         after = rig.plant.observe().poses
         assert before.distances(after.xy).max() < 25 + 2 * rig.true_to  # a flow carries some
@@ -244,9 +245,9 @@ def test_stop_and_close_need_no_open(make):
 def test_robots_stand_after_settle(make):
     rig = make(1)
     rig.plant.open()
-    rig.plant.steer(0.7)
+    rig.plant.send(Steer(0.7))
     rig.clock.sleep_until(rig.clock.now() + PERIOD)
-    rig.plant.steer(-1.5)  # with a dead time, still under way when the stop is sent
+    rig.plant.send(Steer(-1.5))  # with a dead time, still under way when the stop is sent
     rig.plant.stop()
     verdict = rig.plant.settle()
     rig.plant.samples()
@@ -295,7 +296,7 @@ def test_how_often_a_plant_is_looked_at_does_not_change_it(make):
         began = rig.clock.now()
         for k, look in itertools.product(range(4), range(looks)):
             if look == 0:
-                rig.plant.steer(DIRECTIONS[k])
+                rig.plant.send(Steer(DIRECTIONS[k]))
             rig.clock.sleep_until(began + k * PERIOD + (look + 1) * PERIOD // looks)
             rig.plant.observe()
             rig.plant.samples()

@@ -6,7 +6,7 @@ from support.devices import running
 from support.emulated_lab import FIELD_SPEC
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Steer
 from tetractl.core.protocols import LabSupervision
 from tetractl.emulate import firmware
 
@@ -24,7 +24,7 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
             direction = 0.0
             for _ in range(10):
                 plant.observe()
-                command = plant.steer(direction)
+                command = plant.send(Steer(direction))
                 assert (command.left, command.delivered) == (None, (True, True))
                 clock.sleep_until(clock.now() + SECOND // 10)
             headings = plant.observe().poses.heading

@@ -7,7 +7,7 @@ import numpy as np
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
+from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.trial import EPOCH_NS, Start
@@ -53,10 +53,10 @@ class FakePlant:
         self.happenings.note("observe")
         return self._frame(self.clock.now() * 10 // SECOND)
 
-    def steer(self, direction):
-        self.happenings.note("steer")
-        self.steered.append((self.clock.now(), direction))
-        return Command(direction, self.clock.now(), (True,) * 3)
+    def send(self, action):
+        self.happenings.note("send")
+        self.steered.append((self.clock.now(), action.direction))
+        return Command(action, self.clock.now(), (True,) * 3)
 
     def samples(self):
         first, self.frames = self.frames, self.clock.now() * 10 // SECOND + 1
@@ -67,7 +67,7 @@ class FakePlant:
 
     def stop(self):
         self.happenings.note("stop")
-        return Command(None, self.clock.now(), (True,) * 3)
+        return Command(Stop(), self.clock.now(), (True,) * 3)
 
     def settle(self):
         self.happenings.note("settle")

@@ -6,7 +6,7 @@ import numpy as np
 from support.needs_opencv import cv2
 
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Command, PlantInfo, Sample
+from tetractl.core.commands import Command, PlantInfo, Sample, Stop
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import TourMeasure
@@ -69,7 +69,7 @@ def write_film(made, path, robots: int = 2):
     facts = {"opencv": cv2.__version__, "resolution": f"{look.width}x{look.height}", "halts": "no"}
     info = PlantInfo("lab", False, float(made.script.rate), facts)
     start = start_of(loaded, 0, info, 1_790_000_000_123_456_789)
-    stop = Command(None, samples[-1].observation.received_ns, (True,) * robots)
+    stop = Command(Stop(), samples[-1].observation.received_ns, (True,) * robots)
     recorder = Recorder()
     with LogWriter(path) as writer:
         for observer in (writer, recorder):

@@ -1,12 +1,12 @@
 """A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.protocols import LabSupervision
@@ -137,34 +137,22 @@ class FakeActuator:
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         return [RobotStatus(True if self.individual else None)] * len(self.world.moving)
 
-    def steer(
+    def send(
         self,
-        direction: float,
+        action: Steer | Turn,
         poses: Sequence[Pose | None],
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        return self._send(direction, tuple(moving))
-
-    def turn(
-        self,
-        facing: float,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        if not self.halts:
+        if isinstance(action, Turn) and not self.halts:
             raise AbortError("cells cannot turn on the spot")
-        sent = self._send(facing, tuple(moving), ahead=0.0)
-        return replace(sent, direction=None, facing=facing)
+        return self._send(action, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
         self.emergencies += emergency
-        return self._send(None, (not self.halts,) * len(self.world.moving))
+        return self._send(Stop(), (not self.halts,) * len(self.world.moving))
 
-    def _send(
-        self, direction: float | None, moving: tuple[bool, ...], ahead: float = 1.0
-    ) -> Transmission:
+    def _send(self, action: Action, moving: tuple[bool, ...]) -> Transmission:
         if self.failure is not None:
             raise AbortError(self.failure)
         world, setup = self.world, self.world.setup
@@ -173,8 +161,10 @@ class FakeActuator:
             was if i in world.deaf else now
             for i, (was, now) in enumerate(zip(world.moving, moving, strict=True))
         )
-        world.direction = world.direction if direction is None else direction
-        world.ahead = ahead
+        match action:
+            case Steer(u) | Turn(u):
+                world.direction = u
+        world.ahead = ahead = float(not isinstance(action, Turn))
         let = np.array(moving, dtype=float)
         speed = setup.speed * let * ahead
         heading = world.poses[:, 2]
@@ -185,7 +175,7 @@ class FakeActuator:
             left, right = wheels
             wheels = left - turning * setup.wheel_radius, right + turning * setup.wheel_radius
         now = world.clock.now()
-        made = Transmission(now, direction, moving, speed, turning, *wheels)
+        made = Transmission(action, now, moving, speed, turning, *wheels)
         self.sent.append(made)
         return made
 

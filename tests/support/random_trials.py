@@ -7,7 +7,7 @@ from unittest import mock
 
 import numpy as np
 
-from tetractl.core.commands import Command, PlantInfo, Sample, Verdict
+from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
 from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Observer
@@ -123,7 +123,7 @@ def trial(
         ),
         EPOCH_NS if simulated else 1_790_000_000_123_456_789,
     )
-    stop = Command(None, steps * period, tuple((rng.random(robots) < 0.5).tolist()))
+    stop = Command(Stop(), steps * period, tuple((rng.random(robots) < 0.5).tolist()))
     return Made(spec, start, rounds, stop, result)
 
 
@@ -176,7 +176,7 @@ def _step(
         estimate=_estimate(rng, k, robots),
     )
     command = Command(
-        direction=float(plan.signals[0]),
+        action=plan.action,
         sent_ns=seen.received_ns + int(rng.integers(10**6)),
         delivered=tuple((rng.random(robots) < 0.9).tolist()),
         left=rng.normal(0, 200, robots) if k % 2 else None,

@@ -23,7 +23,7 @@ from tetractl.control.cost import costs_along, predict
 from tetractl.control.fixed_sequence import plain_problem, search_of
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, FieldOff
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import Optimizer
@@ -139,7 +139,7 @@ class Ensemble:
             searches=(search_of(signals, cost),),
             chosen=0,
             generator=mix(self._key, self._k),
-            field_off=self._phase is None,
+            instead=FieldOff() if self._phase is None else None,
         )
 
     def _when_acting(self, observation: Observation) -> Poses:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from tetractl.control.filter import FilterBank
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, FieldOff
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Bools, Floats, Observation
@@ -84,7 +84,7 @@ class StateEstimator:
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""
-        if not command.field_off:
+        if not isinstance(command.action, FieldOff):
             self._last_sent = None if command.direction is None else command.sent_ns
         if self.estimate is None:
             command = replace(command, sent_ns=self._newest_ns)

@@ -46,7 +46,7 @@ import numpy as np
 
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
@@ -164,10 +164,10 @@ class FilterBank:
 
     def sent(self, command: Command) -> None:
         """Add a direction or a stop with the time at which it was sent."""
-        if command.field_off:
+        if isinstance(command.action, FieldOff):
             return
-        if not command.stops or command.facing is not None:
-            self._turning = command.facing is not None
+        if not isinstance(command.action, Stop):
+            self._turning = isinstance(command.action, Turn)
         when = command.sent_ns / SECOND
         if self._from_ns is None:
             settled = self.prior.dead_time + REACH * self.prior.dead_time_std

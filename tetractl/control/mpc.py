@@ -34,7 +34,7 @@ from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.rng import mix
 from tetractl.control.value import Worth
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Stop, Turn
 from tetractl.core.plan import (
     PAUSE_S,
     End,
@@ -309,9 +309,8 @@ class Mpc:
             if out is not None:
                 return self._given(problem, State.LEAVING, out, searcher.found)
             if facing is not None:
-                return replace(plan, state=State.TURNING, facing=facing)
-            if enters:
-                return replace(plan, state=State.STUCK)
+                return replace(plan, state=State.TURNING, instead=Turn(facing))
+            return replace(plan, state=State.STUCK, instead=Stop()) if enters else plan
         return plan
 
     def _search_afresh(self, searcher: Searcher, value: Worth) -> Search:
@@ -345,9 +344,10 @@ class Mpc:
     ) -> Plan:
         """Return a plan of given signals (L,), none of which is sent while the robots stand; the
         searches `before` have found no better one."""
-        searches = [*before, given_search(problem, np.zeros(1) if signals is None else signals)]
-        plan = make_plan(problem, searches, len(before), mix(self.key, self.k))
-        return replace(plan, state=state, delay_ns=delay_ns)
+        found = given_search(problem, np.zeros(1) if signals is None else signals)
+        plan = make_plan(problem, [*before, found], len(before), mix(self.key, self.k))
+        instead = Stop() if state is State.RESTING else None
+        return replace(plan, state=state, instead=instead, delay_ns=delay_ns)
 
     def _circle(self, problem: Problem) -> Plan:
         """Return a plan that keeps robots near their targets if they cannot stand still."""

@@ -42,10 +42,12 @@ class BudgetStop(Model):
     type: Literal["budget"]
 
 
-Stop = Annotated[PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discriminator="type")]
+StopCriterion = Annotated[
+    PaperStop | RelativeStop | TargetStop | BudgetStop, Field(discriminator="type")
+]
 
 
-def stopped(history: Floats, stop: Stop) -> StopReason | None:
+def stopped(history: Floats, stop: StopCriterion) -> StopReason | None:
     """Return why to stop after iteration z = len(history) - 1, or None to go on.
 
     history[m] is J(u_gb) after iteration m. Up to z = 10, only the criterion `target` may stop a

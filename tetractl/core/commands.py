@@ -1,4 +1,6 @@
-"""The records that a plant and the devices of a lab return: samples, commands, verdict, health."""
+"""What robots are commanded to do, and the records that a plant and the devices of a lab return:
+samples, commands, verdict, health.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -7,6 +9,52 @@ from tetractl.core.cell_film import CellFilm
 from tetractl.core.poses import Floats, Observation, Poses
 
 HALTS = "halts"
+
+
+@dataclass(frozen=True, slots=True)
+class Steer:
+    """All robots drive and turn towards the common direction u [rad]."""
+
+    direction: float
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """All robots stand and turn on the spot towards a direction [rad], by (3) at speed 0."""
+
+    facing: float
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """All robots stand."""
+
+
+@dataclass(frozen=True, slots=True)
+class FieldOff:
+    """The field is off: no robot is turned, and all go straight on."""
+
+
+Action = Steer | Turn | Stop | FieldOff
+"""What one command makes all robots do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Sent:
+    """An action, and when it was sent [ns] on the clock of the trial or run."""
+
+    action: Action
+    sent_ns: int
+
+    @property
+    def direction(self) -> float | None:
+        """The common direction u [rad], None if the action gives none."""
+        return self.action.direction if isinstance(self.action, Steer) else None
+
+    @property
+    def stops(self) -> bool:
+        """Whether no robot drives; robots may turn on the spot."""
+        return isinstance(self.action, Stop | Turn)
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,29 +70,17 @@ class Sample:
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class Command(Sent):
     """One command as it was sent to N robots.
 
-    `direction` is the common direction u [rad], None for a stop. It is also None if the field is
-    switched off (`field_off`), when robots go straight on. `sent_ns` is the time of sending on the
-    trial's clock. `delivered` (N,) is False for a robot that did not receive it, as far as is
-    known. `left`, `right` (N,) are the wheel speeds of the paper's equations (24)-(25) [length
-    unit/s], None for robots without wheels. If `facing` is given, the robots stand and turn on the
-    spot towards this direction [rad]; `direction` is then None.
+    `delivered` (N,) is False for a robot
+    that did not receive it, as far as is known. `left`, `right` (N,) are the wheel speeds of the
+    paper's equations (24)-(25) [length unit/s], None for robots without wheels.
     """
 
-    direction: float | None
-    sent_ns: int
     delivered: tuple[bool, ...]
     left: Floats | None = None
     right: Floats | None = None
-    field_off: bool = False
-    facing: float | None = None
-
-    @property
-    def stops(self) -> bool:
-        """Whether the command lets no robot drive; robots may turn on the spot."""
-        return self.direction is None and not self.field_off
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,26 +161,22 @@ class PlantInfo:
 
 
 @dataclass(frozen=True, slots=True)
-class Transmission:
+class Transmission(Sent):
     """One transmission of an actuator to N robots.
 
-    `sent_ns` is the time of sending on the run's clock; `direction` the common direction u [rad],
-    None for a stop; `moving` (N,) is False for robots that are held still. `speed` (N,) [length
-    unit/s] and `turning` (N,) [rad/s] are the motion commanded to each robot. `left`, `right`
-    (N,) are the wheel speeds [length unit/s] of robots with wheels. `outputs` are further numbers
-    of the actuator by a name that includes the unit, such as `current_x_a`. `facing` is the
-    direction towards which robots turn on the spot [rad]; `direction` is then None.
+    `moving` (N,) is False for robots that are
+    held still. `speed` (N,) [length unit/s] and `turning` (N,) [rad/s] are the motion commanded to
+    each robot. `left`, `right` (N,) are the wheel speeds [length unit/s] of robots with wheels.
+    `outputs` are further numbers of the actuator by a name that includes the unit, such as
+    `current_x_a`.
     """
 
-    sent_ns: int
-    direction: float | None
     moving: tuple[bool, ...]
     speed: Floats
     turning: Floats
     left: Floats | None = None
     right: Floats | None = None
     outputs: Mapping[str, float] = field(default_factory=dict)
-    facing: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
+from tetractl.core.commands import Action, FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Bools, Floats, Poses
 
 
@@ -74,11 +75,6 @@ class State(StrEnum):
     TURNING = "turning"  # they stand and turn on the spot
     HOLDING = "holding"  # they cannot stand, and stay near their targets
     STUCK = "stuck"  # they stand, and the trial ends: no candidate helps
-
-    @property
-    def stands(self) -> bool:
-        """Whether the robots stand; they may turn on the spot."""
-        return self in (State.RESTING, State.TURNING, State.STUCK)
 
 
 PAUSE_S = 0.5
@@ -187,11 +183,10 @@ class Plan:
     predicted poses (length + 1, N, 3), beginning with those at which the plan starts. `searches`
     are the searches of all horizons tried, in order; `chosen` is the index of the best. `generator`
     is the key of all random numbers of this step. `estimate` are the estimates used for the plan,
-    None if the controller estimates nothing. If `field_off`, the field is switched off in this
-    step, signals[0] is not sent, and robots go straight on. If they stand in this `state`, all
-    robots are stopped instead, `delay_ns` after the decision, for PAUSE_S; if they are turning,
-    they turn on the spot towards `facing` [rad]. `leg` is the number of way-points passed; while
-    the robots hold, it is one more than the number of way-points.
+    None if the controller estimates nothing. `instead`, if given, is sent in place of signals[0]:
+    with a stop or a turn, robots stand for PAUSE_S, from `delay_ns` after the decision on. `leg` is
+    the number of way-points passed; while the robots hold, it is one more than the number of
+    way-points.
     """
 
     signals: Floats = field(repr=False)
@@ -203,11 +198,10 @@ class Plan:
     chosen: int
     generator: int
     estimate: Estimate | None = field(default=None, repr=False)
-    field_off: bool = False
+    instead: Turn | Stop | FieldOff | None = None
     state: State = State.DRIVING
     delay_ns: int = 0
     leg: int = 0
-    facing: float | None = None
 
     def of_all(self, left: Bools, seen: Poses) -> "Plan":
         """Return the plan, made for the robots whose `left` (N,) is true, with a path of all N
@@ -219,19 +213,24 @@ class Plan:
         return replace(self, path=path)
 
     @property
+    def action(self) -> Action:
+        """What is to be sent in this step."""
+        return self.instead or Steer(float(self.signals[0]))
+
+    @property
     def pauses(self) -> bool:
-        """Whether all robots are stopped, in place of a direction."""
-        return self.state.stands
+        """Whether all robots stand, in place of driving; they may turn on the spot."""
+        return isinstance(self.instead, Stop | Turn)
 
     @property
     def doing(self) -> str:
         """Words for what the robots do."""
-        return "field off" if self.field_off else self.state.value
+        return "field off" if isinstance(self.instead, FieldOff) else self.state.value
 
     @property
     def direction(self) -> float | None:
         """The direction to be sent in this step [rad], None if none is sent."""
-        return None if self.field_off or self.pauses else float(self.signals[0])
+        return float(self.signals[0]) if self.instead is None else None
 
     @property
     def search(self) -> Search:

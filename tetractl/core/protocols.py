@@ -6,13 +6,16 @@ from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 from tetractl.core.commands import (
+    Action,
     Command,
     Health,
     Note,
     PlantInfo,
     RobotStatus,
     Sample,
+    Steer,
     Transmission,
+    Turn,
     Verdict,
 )
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search
@@ -23,7 +26,7 @@ from tetractl.core.trial import Result, Start, Step
 class Plant(Protocol):
     """N robots under one control signal, simulated or real.
 
-    Calls come in this order: open, then any of observe, steer, samples and news, then stop, settle,
+    Calls come in this order: open, then any of observe, send, samples and news, then stop, settle,
     close.
     Times are nanoseconds on the clock with which the plant was created, 0 at the trial's start.
     """
@@ -36,21 +39,11 @@ class Plant(Protocol):
         """Return the newest camera frame."""
         ...
 
-    def steer(self, direction: float | None) -> Command:
-        """Send the common direction u [rad] and return the command that was really sent.
+    def send(self, action: Action) -> Command:
+        """Make all robots do what `action` says, and return the command that was really sent.
 
-        None switches the field off: no robot is turned, and all go straight on. None is allowed
-        only for plants whose section has `switches_field`.
-        """
-        ...
-
-    def pause(self) -> Command:
-        """Stop every robot until the next `steer`; only for robots that can stand still."""
-        ...
-
-    def turn(self, facing: float) -> Command:
-        """Turn standing robots on the spot towards a direction [rad], by the paper's equation (3)
-        at speed 0; only on plants whose robots have wheels, between two calls of `pause`.
+        `FieldOff` is allowed only for plants whose section has `switches_field`, `Stop` only for
+        robots that can stand still, and `Turn` only for robots with wheels that stand.
         """
         ...
 
@@ -59,7 +52,7 @@ class Plant(Protocol):
         ...
 
     def news(self) -> list[Command | Note]:
-        """Return the commands sent outside `steer`, and the notes, since the last call, oldest
+        """Return the commands sent outside `send`, and the notes, since the last call, oldest
         first."""
         ...
 
@@ -145,32 +138,19 @@ class Actuator(Device, Protocol):
         """The reason why commands can no longer be sent, None if there is no fault."""
         ...
 
-    def steer(
+    def send(
         self,
-        direction: float,
+        action: Steer | Turn,
         poses: Sequence[Pose | None],
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send the common direction u [rad] and return the transmission that was really sent.
+        """Steer the robots or turn them on the spot, and return what was really sent.
 
         `poses` are the newest pose of each robot, exposed at `exposed_ns`, None for a robot that is
         not tracked. Robots for which `moving` is false are held still; for an actuator that is not
-        `individual`, `moving` is true for all.
-        """
-        ...
-
-    def turn(
-        self,
-        facing: float,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        """Turn robots on the spot towards a direction [rad], by the paper's equation (3) at speed
-        0; the other arguments are those of `steer`.
-
-        Raises AbortError if the robots cannot stand still, as `halts` says.
+        `individual`, `moving` is true for all. Raises AbortError for a `Turn` of robots that cannot
+        stand still, as `halts` says.
         """
         ...
 

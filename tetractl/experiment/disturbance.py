@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.core.commands import Action
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model
@@ -17,28 +18,19 @@ from tetractl.experiment.base import Model
 class DelayedCommand:
     """A command on its way to N robots: sent at `sent_ns`, it acts from `due_ns` on.
 
-    `direction` is u [rad], None for a stop or if the command switches the field off (`field_off`).
     `reached` (N,) is True for robots that receive the command; it acts on each robot `late_ns` (N,)
     after `due_ns`, None for no further delay. `headings` (N,) are the headings that the host had
     measured when it sent the command [rad]; `wheels` (2, N) are the left and right wheel speeds
-    commanded [length unit/s], None if robots are sent the direction itself. `facing` is the
-    direction towards which they turn on the spot [rad]; `direction` is then None.
+    commanded [length unit/s], None if robots are sent the direction itself.
     """
 
     sent_ns: int
     due_ns: int
-    direction: float | None
+    action: Action
     reached: Bools
     late_ns: NDArray[np.int64] | None = None
     headings: Floats | None = None
     wheels: Floats | None = None
-    field_off: bool = False
-    facing: float | None = None
-
-    @property
-    def stops(self) -> bool:
-        """Whether robots that receive the command neither drive nor turn."""
-        return self.direction is None and self.facing is None and not self.field_off
 
 
 class Disturbance:

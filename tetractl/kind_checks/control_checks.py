@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import FieldOff
 from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
@@ -91,7 +92,7 @@ class Play:
             self.decisions.append(decision)
             if not isinstance(decision, Plan) or not np.isfinite(decision.signals).all():
                 return
-            command = plant.pause() if decision.pauses else plant.steer(decision.direction)
+            command = plant.send(decision.action)
             clock.sleep_until(round((k + 1) * section.period * SECOND))
             earlier = [sample.observation for sample in plant.samples()][:-1]
 
@@ -129,8 +130,8 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     yield true("plan: signals, path and costs are finite", finite)
     chosen = [np.array_equal(one.signals, one.search.signals) for one in plans]
     yield true("plan: signals of the chosen search", chosen)
-    off = [section.switches_field or not one.field_off for one in plans]
-    yield true("plan: field_off only with switches_field", off)
+    off = [section.switches_field or not isinstance(one.instead, FieldOff) for one in plans]
+    yield true("plan: FieldOff only with switches_field", off)
     late = len(plans) == len(decisions) or len(plans) > STEPS_MAX + 1
     yield true("steps_max: ends the trial", not late)
     there = Poses.of(np.column_stack([setup.targets, np.zeros(robots)]))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock, seconds
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.protocols import Actuator, Camera
@@ -84,7 +85,10 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[An
         if k % PERIOD == 0:
             call("planning_s", now / SECOND)
             wheels = np.ones((2, every.size))
-            call("sent", DelayedCommand(now, now, 0.5, every, None, poses.heading.copy(), wheels))
+            call(
+                "sent",
+                DelayedCommand(now, now, Steer(0.5), every, None, poses.heading.copy(), wheels),
+            )
     return calls
 
 

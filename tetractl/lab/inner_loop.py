@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Transmission
+from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
@@ -50,9 +50,8 @@ class InnerLoop:
         self._on_signal = getattr(camera, "steered", None)
         self._wake, self._emergency = wake, emergency
         self._lock = threading.Lock()
-        self._direction = 0.0  # the direction held while steering [rad]
-        self._steering, self._ahead = False, True
-        self._new = False  # whether the direction is still to be sent
+        self._held: Steer | Turn | None = None  # sent again and again
+        self._new = False  # whether it is still to be sent
         # which robots were allowed to move by the last transmission
         self._let: tuple[bool, ...] = ()
         self._sent: deque[Transmission] = deque(maxlen=KEPT)
@@ -64,23 +63,22 @@ class InnerLoop:
         self._thread = threading.Thread(target=self._run, name="inner loop", daemon=True)
 
     def start(self) -> None:
-        """Start the loop's thread; nothing is sent before `steer` or `idle` gives a direction."""
+        """Start the loop's thread; nothing is sent before `hold` or `idle` gives a direction."""
         self._thread.start()
 
-    def steer(self, direction: float, ahead: bool = True) -> Transmission:
-        """Send a direction u [rad] from now on; return the first transmission that carries it. If
-        not `ahead`, the robots turn towards u on the spot.
+    def hold(self, action: Steer | Turn) -> Transmission:
+        """Send an action from now on; return the first transmission that carries it.
 
         The transmission is a stop if the guard presently lets no robot move. AbortError with the
         guard's reason if no robot may move any more.
         """
-        with self._held(STEER_S) as held:
-            if not held:
+        with self._locked(STEER_S) as locked:
+            if not locked:
                 self.guard.abort("the inner loop did not answer")
                 raise AbortError(self.guard.reason)
             self.guard.go(self._clock.now())
-            self.guard.steered(self._clock.now(), ahead)
-            self._direction, self._ahead, self._steering, self._new = direction, ahead, True, True
+            self.guard.steered(self._clock.now(), isinstance(action, Steer))
+            self._held, self._new = action, True
             self._guarded_tick()
             if self._new or self.last is None:
                 self.guard.abort("the guard lets no robot be steered")
@@ -95,17 +93,17 @@ class InnerLoop:
 
     def stop(self) -> None:
         """Send a stop to every robot ten times within 200 ms; never raises."""
-        with self._held(STOP_S) as held:
-            self._steering, self.idle = False, None
+        with self._locked(STOP_S) as locked:
+            self._held = self.idle = None
             self.guard.rest()
             self._stops_left, self._next_ns = STOPS, self._clock.now()
-        while held and self._stops_left:
-            with self._held(STOP_S) as held:
-                if held:
+        while locked and self._stops_left:
+            with self._locked(STOP_S) as locked:
+                if locked:
                     self._guarded_tick()
             if self._stops_left:
                 self._clock.sleep_until(self._next_ns)
-        if not held:  # the loop's thread hangs: send without the lock
+        if not locked:  # the loop's thread hangs: send without the lock
             for _ in range(STOPS):
                 with suppress(AbortError):
                     self._actuator.stop()
@@ -140,13 +138,13 @@ class InnerLoop:
             self._thread.join(2.0)
 
     @contextmanager
-    def _held(self, timeout_s: float) -> Iterator[bool]:
+    def _locked(self, timeout_s: float) -> Iterator[bool]:
         """Hold the lock during the `with` block; yield False if it is not free in time."""
-        held = self._lock.acquire(timeout=timeout_s)
+        locked = self._lock.acquire(timeout=timeout_s)
         try:
-            yield held
+            yield locked
         finally:
-            if held:
+            if locked:
                 self._lock.release()
 
     def _run(self) -> None:
@@ -187,8 +185,8 @@ class InnerLoop:
             self._stops_left, self._next_ns = STOPS, now
         if self._stops_left:
             self._repeat_stop(now)
-        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._steering:
-            self._steer(ruling, now)
+        elif ruling.state in (GuardState.RUN, GuardState.HOLD) and self._held is not None:
+            self._steer(self._held, ruling, now)
         elif ruling.state in (GuardState.PREFLIGHT, GuardState.READY) and self.idle is not None:
             self._turn(self.idle(now), ruling, now)
 
@@ -203,7 +201,7 @@ class InnerLoop:
             return
         every = (True,) * len(ruling.poses)
         sampled = newest.frame.sampled_ns
-        self._pass_on(self._actuator.steer(direction, ruling.poses, every, sampled))
+        self._pass_on(self._actuator.send(Steer(direction), ruling.poses, every, sampled))
 
     def _repeat_stop(self, now: int) -> None:
         if now < self._next_ns:
@@ -216,8 +214,8 @@ class InnerLoop:
             self._stops_left = 0
             self.guard.abort(str(error))
 
-    def _steer(self, ruling: Ruling, now: int) -> None:
-        """Send if the actuator's period has passed, the direction is new, or a robot must stop."""
+    def _steer(self, held: Steer | Turn, ruling: Ruling, now: int) -> None:
+        """Send if the actuator's period has passed, the action is new, or a robot must stop."""
         stops_one = any(let and not may for let, may in zip(self._let, ruling.moving, strict=False))
         if now < self._next_ns and not self._new and not stops_one:
             return
@@ -226,8 +224,7 @@ class InnerLoop:
         if self._actuator.individual or any(ruling.moving):
             newest = self.frames.newest
             exposed_ns = 0 if newest is None else newest.frame.sampled_ns
-            send = self._actuator.steer if self._ahead else self._actuator.turn
-            self._note(send(self._direction, ruling.poses, ruling.moving, exposed_ns))
+            self._note(self._actuator.send(held, ruling.poses, ruling.moving, exposed_ns))
         else:
             self._note(self._actuator.stop())
         self._let, self._new = ruling.moving, False

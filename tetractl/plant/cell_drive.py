@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
@@ -102,8 +103,8 @@ class CellDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the cells that it reaches."""
         got: Bools = command.reached
-        stops = command.direction is None and not command.field_off
-        self.cells.resting = np.where(got, stops, self.cells.resting)
-        u = command.direction
-        new = (0.0, 0.0) if u is None else (math.cos(u), math.sin(u))
+        self.cells.resting = np.where(got, isinstance(command.action, Stop), self.cells.resting)
+        new = (0.0, 0.0)
+        if isinstance(command.action, Steer):
+            new = math.cos(command.action.direction), math.sin(command.action.direction)
         self._field = np.where(got, np.array(new)[:, None], self._field)

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from tetractl.core.commands import FieldOff, Steer, Stop, Turn
 from tetractl.core.poses import Floats, Poses
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.motion import Held, Motion
@@ -10,6 +11,15 @@ NEVER = 2**62
 """A time after the end of every trial [ns]."""
 LEAST_A = 1e-12
 """Turning rate of a robot that is held still [rad/s]; not 0, as the closed form divides by it."""
+
+
+def aim(action: Steer | Turn | FieldOff, heading: Floats) -> Floats:
+    """Return the direction [rad] towards which each robot turns: without a field, its heading."""
+    match action:
+        case Steer(u) | Turn(u):
+            return np.full(heading.shape, u)
+        case FieldOff():
+            return heading
 
 
 class DirectDrive:
@@ -71,16 +81,16 @@ class DirectDrive:
         """
         got, held = command.reached, self._held
         heading = self.poses.heading
-        u = command.direction if command.facing is None else command.facing
-        held.moving = np.where(got, float(not command.stops), held.moving)
-        self._ahead = np.where(got, float(command.facing is None), self._ahead)
-        self._free = np.where(got, command.field_off, self._free)
-        if u is None:
+        action = command.action
+        held.moving = np.where(got, float(not isinstance(action, Stop)), held.moving)
+        self._ahead = np.where(got, float(not isinstance(action, Turn)), self._ahead)
+        self._free = np.where(got, isinstance(action, FieldOff), self._free)
+        if isinstance(action, Stop | FieldOff):
             self._sine = np.where(got, 0.0, self._sine)
             held.turning = self._a * self._sine
             held.course = np.where(got, heading, held.course)
             return
-        answered = heading
+        u, answered = aim(action, heading), heading
         if self._motion.name == "arc" and command.headings is not None:
             answered = command.headings
         self._sine = np.where(got, np.sin(u - answered), self._sine)

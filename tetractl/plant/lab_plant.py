@@ -10,7 +10,19 @@ import numpy as np
 
 from tetractl.core.cell_film import CellFilm
 from tetractl.core.clock import SECOND, Clock, MonotonicClock
-from tetractl.core.commands import HALTS, Command, Note, PlantInfo, Sample, Transmission, Verdict
+from tetractl.core.commands import (
+    HALTS,
+    Action,
+    Command,
+    FieldOff,
+    Note,
+    PlantInfo,
+    Sample,
+    Steer,
+    Stop,
+    Transmission,
+    Verdict,
+)
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
@@ -104,7 +116,7 @@ class LabPlant:
         self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
         self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
         self._news: deque[Command | Note] = deque(maxlen=KEPT)
-        self._returned: set[int] = set()  # send times of transmissions that `steer` has returned
+        self._returned: set[int] = set()  # send times of transmissions that `send` has returned
         self._observed_ns: int | None = None
         self._stop: Command | None = None
         self._stopped_ns = 0
@@ -135,22 +147,24 @@ class LabPlant:
         assert self._newest is not None, "there is no frame: call open() first"
         return self._newest
 
-    def steer(self, direction: float | None) -> Command:
-        """Hold the direction u [rad] from now on; return its first transmission."""
-        if direction is None:
+    def send(self, action: Action) -> Command:
+        """Hold an action from now on; return its first transmission. A stop is sent ten times."""
+        if isinstance(action, FieldOff):
             raise AbortError("this lab cannot switch its field off while robots drive")
+        if isinstance(action, Stop):
+            return self._halt()
         guard = self.rig.guard
-        if self._observed_ns is not None:
+        if self._observed_ns is not None and isinstance(action, Steer):
             period_ns = round(self.setup.period_s * SECOND)
             first = guard.state is GuardState.READY
             guard.late(not first and self.clock.now() - self._observed_ns > period_ns)
-            self._observed_ns = None
+        self._observed_ns = None
         self._raise_abort()
-        sent = self.rig.loop.steer(direction)
+        sent = self.rig.loop.hold(action)
         self._returned.add(sent.sent_ns)
-        if sent.direction is None:  # the guard holds all robots still at present
-            nobody = (False,) * len(sent.moving)
-            return Command(direction, sent.sent_ns, nobody, sent.left, sent.right)
+        if isinstance(sent.action, Stop):  # the guard holds all robots still at present
+            unheard = (False,) * len(sent.moving)
+            return Command(action, sent.sent_ns, unheard, sent.left, sent.right)
         return self._command(sent)
 
     def samples(self) -> list[Sample]:
@@ -160,7 +174,7 @@ class LabPlant:
         return fresh
 
     def news(self) -> list[Command | Note]:
-        """Return every transmission not returned by `steer`, and every warning, since the last
+        """Return every transmission not returned by `send`, and every warning, since the last
         call."""
         loop = self.rig.loop
         others = [sent for sent in loop.sent() if sent.sent_ns not in self._returned]
@@ -172,26 +186,18 @@ class LabPlant:
     def stop(self) -> Command:
         """Stop every robot, ten times over 200 ms."""
         if self._stop is None:
-            self._stop = self.pause()
+            self._stop = self._halt()
         return self._stop
 
-    def pause(self) -> Command:
-        """Stop every robot as `stop` does, until the next direction."""
+    def _halt(self) -> Command:
+        """Stop every robot until another action is sent."""
         loop, self._stopped_ns = self.rig.loop, self.clock.now()
         loop.stop()
         self._observed_ns = None
         reached = (self.rig.actuator.failure is None,) * len(self.setup.names)
-        stopped = loop.last is not None and loop.last.direction is None
+        stopped = loop.last is not None and isinstance(loop.last.action, Stop)
         wheels = (loop.last.left, loop.last.right) if loop.last and stopped else (None, None)
-        return Command(None, self.clock.now(), reached, *wheels)
-
-    def turn(self, facing: float) -> Command:
-        """Turn standing robots on the spot; return the first transmission that turns them."""
-        self._observed_ns = None
-        self._raise_abort()
-        sent = self.rig.loop.steer(facing, ahead=False)
-        self._returned.add(sent.sent_ns)
-        return self._command(sent)
+        return Command(Stop(), self.clock.now(), reached, *wheels)
 
     def settle(self) -> Verdict:
         """Wait until every robot is tracked and, if robots can stand, at rest; check the path.
@@ -291,10 +297,9 @@ class LabPlant:
 
     def _command(self, sent: Transmission) -> Command:
         delivered = sent.moving  # assumed, since broadcasts are not acknowledged
-        if sent.direction is None:
+        if isinstance(sent.action, Stop):
             delivered = (True,) * len(sent.moving)
-        wheels = sent.left, sent.right
-        return Command(sent.direction, sent.sent_ns, delivered, *wheels, facing=sent.facing)
+        return Command(sent.action, sent.sent_ns, delivered, sent.left, sent.right)
 
 
 def _time_ns(item: Command | Note) -> int:

@@ -9,7 +9,18 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from tetractl.core.clock import SECOND, Clock, VirtualClock
-from tetractl.core.commands import Command, Note, PlantInfo, Sample, Verdict
+from tetractl.core.commands import (
+    Action,
+    Command,
+    FieldOff,
+    Note,
+    PlantInfo,
+    Sample,
+    Steer,
+    Stop,
+    Turn,
+    Verdict,
+)
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Bools, Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
@@ -25,7 +36,7 @@ from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
-from tetractl.plant.direct import DirectDrive
+from tetractl.plant.direct import DirectDrive, aim
 from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
 from tetractl.plant.standing import StandingCheck
 from tetractl.plant.true_motion import Drive, TrueMotion
@@ -208,7 +219,7 @@ class SimPlant:
         )
         self._standing = StandingCheck(setup, section.dead_time)
         self._stop: Command | None = None
-        self._held: tuple[float | None, bool] = (None, True)  # direction, and whether robots drive
+        self._held: Steer | Turn | FieldOff = FieldOff()  # sent last, and repeated
         self._repeats_stops = section.drive is not None or bool(overriding(disturbances, "sent"))
 
     @property
@@ -237,9 +248,20 @@ class SimPlant:
         assert newest is not None, "there is no frame: call open() first"
         return newest
 
-    def steer(self, direction: float | None) -> Command:
-        """After the planning time, send u [rad] to every robot, or switch the field off."""
-        return self._direct(direction, ahead=True)
+    def send(self, action: Action) -> Command:
+        """After the planning time, send a command to every robot; a stop is repeated until every
+        robot has received it."""
+        seen = self.observe()
+        now = self._plan()
+        self._standing.sent(now, isinstance(action, Steer | FieldOff))
+        if isinstance(action, Stop):
+            return self._halt(now, seen)
+        self._held = action
+        if self._drive.host is not None:
+            self._drive.host.direct()
+        command = self._transmit(now, seen)
+        self._motion.advance(now)
+        return command
 
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
@@ -255,19 +277,13 @@ class SimPlant:
         return news
 
     def stop(self) -> Command:
-        """After the planning time, stop every robot.
-
-        The stop is repeated until every robot has received it.
-        """
+        """Send a stop, once."""
         if self._stop is None:
-            self._stop = self.pause()
+            self._stop = self.send(Stop())
         return self._stop
 
-    def pause(self) -> Command:
-        """Stop every robot as `stop` does, until the next direction."""
-        seen = self.observe()
-        now = self._plan()
-        self._standing.sent(now, False)
+    def _halt(self, now: int, seen: Observation) -> Command:
+        """Stop every robot."""
         count = self.a.size
         zeros = np.zeros(count)
         if self._drive.host is not None:
@@ -280,7 +296,7 @@ class SimPlant:
             command = DelayedCommand(
                 sent,
                 self._due_ns(seen, sent),
-                None,
+                Stop(),
                 np.ones(count, dtype=np.bool_),
                 headings=seen.poses.heading,
                 wheels=np.zeros((2, count)),
@@ -288,11 +304,7 @@ class SimPlant:
             heard |= self._motion.dispatch(command).reached
         still = None if self.setup.wheel_radius is None else zeros
         self._motion.advance(now)
-        return Command(None, now, tuple(heard.tolist()), still, still)
-
-    def turn(self, facing: float) -> Command:
-        """After the planning time, turn standing robots on the spot towards a direction [rad]."""
-        return self._direct(facing, ahead=False)
+        return Command(Stop(), now, tuple(heard.tolist()), still, still)
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and a frame shows them standing, and check the true path."""
@@ -354,34 +366,20 @@ class SimPlant:
         """Draw at random which robots receive a command, (N,)."""
         return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
 
-    def _direct(self, u: float | None, ahead: bool) -> Command:
-        """After the planning time, send a direction [rad]: robots drive in it if `ahead`, otherwise
-        turn on the spot towards it; None switches the field off.
-        """
-        answered = self.observe()
-        now = self._plan()
-        self._standing.sent(now, ahead)
-        self._held = u, ahead
-        if self._drive.host is not None:
-            self._drive.host.direct()
-        command = self._transmit(now, answered)
-        self._motion.advance(now)
-        return command
-
     def _transmit(self, now: int, seen: Observation | None) -> Command:
-        """Send the held direction, or the wheel speeds for it in answer to the newest frame."""
-        (u, ahead), host, setup = self._held, self._drive.host, self.setup
+        """Send the held action, or the wheel speeds for it in answer to the newest frame."""
+        held, host, setup = self._held, self._drive.host, self.setup
         seen = seen if host is None else self._camera.newest
         assert seen is not None, "there is no frame: call open() first"
-        headings, off = seen.poses.heading, u is None
+        headings = seen.poses.heading
         left = right = made = None
         if host is not None:
-            (left, right), made = host.speeds(now, seen, u, ahead)
+            (left, right), made = host.speeds(now, seen, held)
         elif setup.wheel_radius is not None:
-            towards, speed = headings if u is None else u, setup.speed * ahead
+            towards = aim(held, headings)
+            speed = setup.speed * (not isinstance(held, Turn))
             left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
         due, heard = self._due_ns(seen, now), self._heard()
-        direction, facing = (u, None) if ahead else (None, u)
-        command = DelayedCommand(now, due, direction, heard, None, headings, made, off, facing)
+        command = DelayedCommand(now, due, held, heard, None, headings, made)
         reached = tuple(self._motion.dispatch(command).reached.tolist())
-        return Command(direction, now, reached, left, right, off, facing)
+        return Command(held, now, reached, left, right)

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Stop
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
@@ -113,13 +114,14 @@ class TrueMotion:
         """Apply a command to the robots that it reaches."""
         self.drive.apply(command)
         if self._watchdog_s < math.inf:
-            until = NEVER if command.stops else command.due_ns + round(self._watchdog_s * SECOND)
+            silent_ns = command.due_ns + round(self._watchdog_s * SECOND)
+            until = NEVER if isinstance(command.action, Stop) else silent_ns
             self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
 
     def _silent(self, now: int) -> DelayedCommand:
         """Return a stop command for the robots whose watchdog expires now [ns]."""
         silent = self._stopping_ns == now
-        return DelayedCommand(now, now, None, silent, wheels=np.zeros((2, silent.size)))
+        return DelayedCommand(now, now, Stop(), silent, wheels=np.zeros((2, silent.size)))
 
     def _swerve(self) -> None:
         """Apply the random walk of the headings over one frame period."""

@@ -10,12 +10,13 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import FieldOff, Steer, Turn
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.wheels import COUNT_MAX, Drivetrains, WheeledRobots, WheelHost
-from tetractl.plant.direct import NEVER
+from tetractl.plant.direct import NEVER, aim
 
 
 class WheelDriveSection(Model):
@@ -91,14 +92,13 @@ class SimHost:
         self._wheels.sent(self._acts_ns(now), np.zeros_like(self._gains))
 
     def speeds(
-        self, now: int, seen: Observation, direction: float | None, ahead: bool
+        self, now: int, seen: Observation, held: Steer | Turn | FieldOff
     ) -> tuple[Floats, Floats]:
         """Return the wheel speeds to send `now` [ns], and the resulting true wheel speeds.
 
-        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received,
-        `direction` is u [rad], None while the field is off: both wheels then have equal speeds. If
-        not `ahead`, robots turn on the spot. Also schedules the next transmission, as the lab's
-        inner loop does.
+        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received; while
+        the field is off, both wheels have equal speeds. Also schedules the next transmission, as
+        the lab's inner loop does.
         """
         rate = self._section.rate
         if rate is not None:
@@ -107,9 +107,9 @@ class SimHost:
             self.repeats_ns = max(before + period, now + period // 2)
         if self._last is None or self._section.recompute:
             heading, acts_ns = seen.poses.heading, self._acts_ns(now)
-            u = heading if direction is None else np.array(direction)
             since_ns = acts_ns if self._section.lead is None else seen.sampled_ns
-            wished = self._wheels.wished(heading, u, since_ns, acts_ns, ahead)
+            drives, u = not isinstance(held, Turn), aim(held, heading)
+            wished = self._wheels.wished(heading, u, since_ns, acts_ns, drives)
             self._wheels.sent(acts_ns, wished)
             self._last = wished, wished * self._gains
             if self._true is not None and self._wheels.drivetrains is not None:

@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND, Clock, seconds
-from tetractl.core.commands import Command, Note, PlantInfo, Sample
+from tetractl.core.commands import Action, Command, Note, PlantInfo, Sample, Steer, Turn
 from tetractl.core.errors import TetractlError
 from tetractl.core.plan import PAUSE_S, End, Outcome, Plan
 from tetractl.core.plugin_fault import plugin_fault
@@ -108,9 +108,9 @@ class Trial:
             if decision.pauses:
                 self._sleep_until(self.clock.now() + decision.delay_ns)
                 began += decision.delay_ns
-                command = self._pause(decision.facing, again=standing and k > 0)
-            else:
-                command = self._steer(decision.direction)
+            command = self._send(decision.action)
+            if decision.pauses:
+                self._tell_pause(command, again=standing and k > 0)
             if begins:
                 self._say(command, begins)
             self._solve_ns.append(self._solving_ns)
@@ -197,7 +197,7 @@ class Trial:
         """Send a direction [rad] once per control period until `end` [ns]."""
         period = round(self.start.setup.period_s * SECOND)
         while (now := self.clock.now()) < end:
-            command = self._steer(direction)
+            command = self._send(Steer(direction))
             for observer in self.observers:
                 observer.on_command(command)
             self._sleep_until(min(now + period, end))
@@ -205,23 +205,16 @@ class Trial:
             if self.interrupt.requested:
                 raise KeyboardInterrupt
 
-    def _pause(self, facing: float | None, again: bool) -> Command:
-        """Stop the robots for a pause, with a message unless they pause already (`again`), or turn
-        them on the spot towards `facing` [rad].
-        """
-        if facing is not None:
-            command = self.plant.turn(facing)
-            if not self._turning:
-                self._say(command, "all robots turn on the spot: they have no safe way ahead")
-            self._turning = True
-            return command
-        self._turning = False
-        command = self.plant.pause()
-        if not again:
+    def _tell_pause(self, command: Command, again: bool) -> None:
+        """Say that robots turn on the spot, or pause, unless they do so already (`again`)."""
+        turns = isinstance(command.action, Turn)
+        if turns and not self._turning:
+            self._say(command, "all robots turn on the spot: they have no safe way ahead")
+        elif not turns and not again:
             self._say(
                 command, "all robots pause: the next plan starts from rest, or the trial ends"
             )
-        return command
+        self._turning = turns
 
     def _say(self, command: Command, text: str, level: str = "info") -> None:
         for observer in self.observers:
@@ -235,9 +228,9 @@ class Trial:
             self._say(command, f"the model does not fit: {', '.join(sorted(new))}", "warning")
             self._unfit |= new
 
-    def _steer(self, direction: float | None) -> Command:
-        command = self.plant.steer(direction)
-        if self._began_ns is None:
+    def _send(self, action: Action) -> Command:
+        command = self.plant.send(action)
+        if self._began_ns is None and not command.stops:
             self._began_ns = command.sent_ns
         return command
 

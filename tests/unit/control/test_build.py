@@ -32,7 +32,7 @@ for k in range(4):
     seen = Observation(24 * k, ns, ns, Poses.of(poses), np.ones(len(spec.robots), bool))
     plan = controller.plan(seen, command)
     assert isinstance(plan, Plan)
-    command = Command(plan.direction, ns, (True,) * len(spec.robots))
+    command = Command(plan.action, ns, (True,) * len(spec.robots))
     poses = plan.path[1]
 print(late)
 """

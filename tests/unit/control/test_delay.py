@@ -9,7 +9,7 @@ from support.paths import ROOT
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.prior import nothing
 from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Steer
 from tetractl.core.poses import Observation
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -27,7 +27,7 @@ def drive(settings, steps, after_step):
     for k, direction in enumerate(directions):
         clock.sleep_until(k * SECOND // 5)
         observation = plant.observe()
-        after_step(plant, observation, lambda u=float(direction): plant.steer(u))
+        after_step(plant, observation, lambda u=float(direction): plant.send(Steer(u)))
 
 
 def estimator(dead_time):
@@ -43,7 +43,7 @@ def seen(problem, at_s, **poses):
 
 
 def command(u, at_s):
-    return Command(u, round(at_s * SECOND), (True,) * 3)
+    return Command(Steer(u), round(at_s * SECOND), (True,) * 3)
 
 
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.2, 0.325])

@@ -9,6 +9,7 @@ from support.trials import experiment
 
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import FieldOff
 from tetractl.core.errors import SpecError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec
@@ -29,9 +30,9 @@ def drive(fields, **changes):
         decision = controller.plan(seen)
         if isinstance(decision, Outcome):
             return np.array(sums), np.array(off), plans, decision
-        off.append(decision.field_off)
+        off.append(decision.instead == FieldOff())
         plans.append(decision)
-        plant.steer(decision.direction)
+        plant.send(decision.action)
         plant.clock.sleep_until((k + 1) * SECOND // 5)
     raise AssertionError
 
@@ -72,7 +73,7 @@ def test_a_dead_time_that_is_told_is_predicted_over(dead_time):
             when, promised = due.pop(0)
             starts.append((when, promised))
         plan = controller.plan(now)
-        world.steer(plan.direction)
+        world.send(plan.action)
         acts = now.sampled_ns + round(dead_time * SECOND)
         due.append((acts, plan.path[0]))
         world.clock.sleep_until((k + 1) * SECOND // 5)

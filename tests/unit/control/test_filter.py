@@ -13,6 +13,7 @@ from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance
 from tetractl.experiment.load import load_spec
@@ -63,7 +64,7 @@ def know(
         problem = estimator.seen(frames[-1] if frames else seen, command, frames[:-1])
         if until:
             until(k, problem, estimator, plant)
-        command = plant.steer(float(np.interp(2 * k / rate, np.arange(len(knots)), knots)))
+        command = plant.send(Steer(float(np.interp(2 * k / rate, np.arange(len(knots)), knots))))
     assert estimator.estimate is not None
     return estimator.estimate, plant, estimator
 

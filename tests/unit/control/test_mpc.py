@@ -8,7 +8,7 @@ from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
 from tetractl.control.fixed_sequence import given_search, make_plan
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
 
 ACCEPT = 20.0
@@ -129,7 +129,7 @@ def along_x(collision, steps_max=60):
     """Robots that all drive along +x with an empty plan: blue is 200 mm/s fast and 20 mm short of
     its target, so that all are there in 0.1 s."""
     controller, _ = driving({}, left=0, collision=collision, steps_max=steps_max)
-    controller.estimator.sent(Command(0.0, 0, (True,) * 3))
+    controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = TARGETS.copy()
     poses[:, 0] -= [18, 20, 15]
     return controller, step(controller, poses)
@@ -152,7 +152,7 @@ def test_robots_that_can_stand_rest_and_then_end_or_go_on(total, steps_max, ends
     controller, rest = along_x(RESTS)
     assert rest.state is State.RESTING
     assert rest.delay_ns == pytest.approx(100_000_000, abs=3_000_000)
-    controller.estimator.sent(Command(None, 300_000_000, (True,) * 3))
+    controller.estimator.sent(Command(Stop(), 300_000_000, (True,) * 3))
     decision = step(controller, near(total), now=1_000_000_000)
     assert (decision is Outcome.NOTHING_BETTER) == ends
     assert ends or decision.state is State.DRIVING
@@ -165,7 +165,7 @@ def beside_a_wall(gap, stop=True, radius=0.0):
     controller, _ = driving({}, collision=collision)
     controller.optimizer = controller.section.optimizer
     controller.last = first(controller, 2)
-    controller.estimator.sent(Command(0.0, 0, (True,) * 3))
+    controller.estimator.sent(Command(Steer(0.0), 0, (True,) * 3))
     poses = STARTS.copy()
     poses[0, 0] = controller.setup.arena.right - gap
     return controller, poses
@@ -178,7 +178,7 @@ def decisions_beside_a_wall(count):
     for k in range(count):
         now = 200_000_000 + k * 700_000_000
         found.append(controller.plan(seen(poses, now=now), command, ()))
-        command = Command(None, now, (True,) * 3, facing=getattr(found[-1], "facing", None))
+        command = Command(getattr(found[-1], "action", Stop()), now, (True,) * 3)
     return found
 
 
@@ -186,7 +186,7 @@ def test_robots_stop_and_turn_on_the_spot_rather_than_leave_where_every_plan_doe
     stop, turn = decisions_beside_a_wall(2)
     assert (stop.state, turn.state) == (State.RESTING, State.TURNING)
     assert len(turn.searches) > 1  # from standing nothing could move safely
-    assert math.cos(turn.facing) < 0.1  # not towards the right wall
+    assert math.cos(turn.action.facing) < 0.1  # not towards the right wall
 
 
 def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):

@@ -62,7 +62,7 @@ def drive(key, fields=None, **plant):
             world.clock.sleep_until(world.clock.now() + delay)
             world.stop()
             return world.settle(), decision
-        command = world.steer(decision.direction)
+        command = world.send(decision.action)
         world.clock.sleep_until((k + 1) * SECOND // 5)
     raise AssertionError
 

@@ -5,6 +5,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.lab import inner_loop
 from tetractl.lab.guard import GuardState
@@ -17,7 +18,7 @@ def hung(monkeypatch):
     monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
     lab = fake_lab(experiment().setup)
     lab.plant.open()
-    lab.plant.steer(0.5)
+    lab.plant.send(Steer(0.5))
     lab.clock.steps.remove(lab.plant.rig.loop.step)
     assert lab.plant.rig.loop._lock.acquire()
     return lab
@@ -25,7 +26,7 @@ def hung(monkeypatch):
 
 def test_steering_past_a_loop_that_hangs_aborts(hung):
     with pytest.raises(AbortError, match="the inner loop did not answer"):
-        hung.plant.steer(0.1)
+        hung.plant.send(Steer(0.1))
     assert hung.plant.rig.guard.state is GuardState.ABORT
 
 
@@ -41,7 +42,7 @@ def test_a_stop_is_sent_past_a_loop_that_hangs(hung):
 def test_a_robot_that_must_stop_is_not_steered_until_the_next_period():
     lab = fake_lab(experiment().setup, period_ns=SECOND // 4)
     lab.plant.open()
-    lab.plant.steer(0.5)
+    lab.plant.send(Steer(0.5))
     lab.clock.sleep_until(lab.clock.now() + SECOND // 100)
     lab.camera.hidden.add("blue")
     hidden = lab.clock.now()
@@ -54,5 +55,5 @@ def test_a_loop_that_is_not_ready_steers_nothing():
     lab = fake_lab(experiment().setup)
     refused = pytest.raises(AbortError, match="the guard lets no robot be steered")
     with lab.plant.rig as rig, refused:
-        rig.loop.steer(0.1)
+        rig.loop.hold(Steer(0.1))
     assert lab.actuator.sent == []

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from support.random_trials import trial, write
 from support.sameness import same
 
-from tetractl.core.commands import Command
+from tetractl.core.commands import Command, Steer
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.write.writer import LogWriter
 
@@ -49,7 +49,7 @@ def test_a_trial_comes_back_bit_for_bit(tmp_path_factory, seed, robots, steps, s
 
 def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path):
     made = trial(steps=1)
-    square = Command(1.25, 17, (True, False, True))
+    square = Command(Steer(1.25), 17, (True, False, True))
     with LogWriter(tmp_path / "trial.mcap") as writer:
         writer.on_start(made.start)
         writer.on_command(square)

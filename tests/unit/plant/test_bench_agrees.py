@@ -8,6 +8,7 @@ from support.bench_agreement import bench_spec, bench_trial, lab_spec, lab_trial
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.poses import wrap
 from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.model.motion.exact import step as exact
@@ -75,7 +76,7 @@ def headings(plant, clock, directions, period_ns):
     samples = []
     for k, direction in enumerate(directions):
         plant.observe()
-        plant.steer(direction)
+        plant.send(Steer(direction))
         clock.sleep_until(began + (k + 1) * period_ns)
         samples += plant.samples()
     times = [sample.observation.sampled_ns - began for sample in samples]
@@ -111,18 +112,16 @@ def turned_on_the_spot(plant, clock):
     plant.open()
     clock.sleep_until(clock.now() + SECOND // 10)
     plant.observe()
-    plant.steer(0.5)
+    plant.send(Steer(0.5))
     found = []
     for facing in (None, -0.8, -0.8, None):
         clock.sleep_until(clock.now() + SECOND // 2)
         found.append(plant.observe().poses)
-        command = plant.pause() if facing is None else plant.turn(facing)
-        assert command.stops
-        assert command.facing == facing
+        action = Stop() if facing is None else Turn(facing)
+        assert plant.send(action).action == action
     clock.sleep_until(clock.now() + SECOND // 2)
-    repeats = [one for one in plant.news() if getattr(one, "facing", None) is not None]
-    assert len(repeats) > 20
-    assert {one.facing for one in repeats} == {-0.8}
+    repeats = [one.action for one in plant.news() if isinstance(one, Command)]
+    assert repeats.count(Turn(-0.8)) > 20
     after = plant.observe().poses
     verdict = plant.settle()
     plant.stop()

@@ -10,6 +10,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer, Stop
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.disturbances.robots import WanderSection
@@ -30,7 +31,7 @@ def plant(*disturbances, seed=1, robots=ROBOTS, wheels=None, **fields):
 def driven(simulated, seconds, direction=0.0):
     """Hold a direction; return every sample."""
     simulated.open()
-    simulated.steer(direction)
+    simulated.send(Steer(direction))
     simulated.clock.sleep_until(round(seconds * SECOND))
     return simulated.samples()
 
@@ -71,7 +72,7 @@ def test_planning_takes_time_before_a_command_and_before_the_stop():
     taken = []
     for k in range(200):
         simulated.clock.sleep_until(k * PERIOD)
-        taken.append(simulated.steer(0.0).sent_ns - k * PERIOD)
+        taken.append(simulated.send(Steer(0.0)).sent_ns - k * PERIOD)
     assert stats.kstest(np.array(taken) / SECOND, "uniform", (0.01, 0.02)).pvalue > 1e-4
     now = simulated.clock.now()
     assert 0.01 <= (simulated.stop().sent_ns - now) / SECOND <= 0.03
@@ -80,7 +81,7 @@ def test_planning_takes_time_before_a_command_and_before_the_stop():
 def test_the_radio_delays_and_loses_for_each_robot_alone():
     simulated = plant({"type": "radio", "delay": 0.05, "loss": 0.3})
     simulated.open()
-    delivered = np.array([simulated.steer(0.0).delivered for _ in range(2000)])
+    delivered = np.array([simulated.send(Steer(0.0)).delivered for _ in range(2000)])
     assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
     assert abs(np.corrcoef(delivered.T)[0, 1]) < 0.08
     spread = driven(plant({"type": "radio", "spread": 0.1}), 1)[-1].truth.x
@@ -160,7 +161,7 @@ def test_no_robot_hears_anything_while_the_radio_is_silent():
     heard = []
     for k in range(600):
         simulated.clock.sleep_until(k * SECOND // 100)
-        heard.append(simulated.steer(0.0).delivered)
+        heard.append(simulated.send(Steer(0.0)).delivered)
     silent = ~np.array(heard).any(axis=1)
     assert np.array_equal(silent, ~np.array(heard).all(axis=1))
     begins = np.flatnonzero(np.diff(silent.astype(int)) == 1) + 1
@@ -186,7 +187,7 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
     simulated.open()
     for k in range(30):
         simulated.clock.sleep_until(k * SECOND // 10)
-        simulated.steer(0.0)
+        simulated.send(Steer(0.0))
     simulated.clock.sleep_until(3 * SECOND)
     samples = simulated.samples()
     gone = samples[-1].truth.x - 900
@@ -196,7 +197,7 @@ def test_a_robot_that_hears_nothing_stops_by_its_watchdog_until_it_hears_again(d
     at = [round(120 * when) for when in (1.5, 2.0)]
     stands = samples[at[1]].truth.x - samples[at[0]].truth.x < 0.1
     assert stands.all() == stands.any() == (watchdog is not None)
-    simulated.pause()
+    simulated.send(Stop())
     simulated.clock.sleep_until(4 * SECOND)
     simulated.samples()
     still = simulated.poses.x

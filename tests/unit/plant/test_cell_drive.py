@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from tetractl.core.commands import FieldOff, Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.experiment.load import parse_spec
@@ -35,7 +36,8 @@ def drive(walk=0.0, seed=1, **section):
 
 
 def command(direction, reached=(True, True), off=False):
-    return DelayedCommand(0, 0, direction, np.array(reached), field_off=off)
+    action = FieldOff() if off else Stop() if direction is None else Steer(direction)
+    return DelayedCommand(0, 0, action, np.array(reached))
 
 
 def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():

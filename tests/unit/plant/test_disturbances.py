@@ -9,6 +9,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
@@ -41,7 +42,7 @@ def driven(simulated, periods=5):
     simulated.open()
     sent = []
     for k in range(periods):
-        sent.append(simulated.steer(0.0))
+        sent.append(simulated.send(Steer(0.0)))
         simulated.clock.sleep_until((k + 1) * PERIOD)
     return sent, simulated.samples()
 
@@ -85,7 +86,7 @@ def test_a_stop_waits_for_a_late_command_and_settle_for_the_stop():
 
     simulated = plant(Late())
     simulated.open()
-    simulated.steer(0.0)
+    simulated.send(Steer(0.0))
     simulated.stop()
     assert simulated.settle().final.x == pytest.approx([900, 900])
     assert simulated.clock.now() > SECOND
@@ -119,7 +120,7 @@ def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, d
     held = sim(experiment(robots=robots, obstacles=[], plant=spec, **wheels))
     free = sim(experiment(robots=robots, obstacles=[], plant=spec | {"disturbances": []}, **wheels))
     held.open(), free.open()
-    held.steer(0.0), free.steer(0.0)
+    held.send(Steer(0.0)), free.send(Steer(0.0))
     ends = []
     for simulated, seconds in ((free, 0.6), (held, 1.0)):  # one direction held throughout
         simulated.clock.sleep_until(round(seconds * SECOND))

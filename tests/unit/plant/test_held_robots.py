@@ -8,6 +8,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
 PLANTS = {
@@ -50,7 +51,7 @@ def drive(plant, seconds, more=()):
     said, gone = [], []
     for k in range(40):
         if k < 35:
-            simulated.steer(0.5 * (k % 3))
+            simulated.send(Steer(0.5 * (k % 3)))
         elif k == 35:
             simulated.stop()
         simulated.clock.sleep_until((k + 1) * SECOND // 5)

@@ -6,7 +6,7 @@ from support.labs import fake_lab
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
-from tetractl.core.commands import Health, Note
+from tetractl.core.commands import Health, Note, Steer
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rest_check import REST_NS
@@ -27,7 +27,7 @@ def drive(lab, seconds, direction=0.5):
     began = lab.clock.now()
     for k in range(1, round(seconds * SECOND / PERIOD) + 1):
         lab.plant.observe()
-        lab.plant.steer(direction)
+        lab.plant.send(Steer(direction))
         lab.clock.sleep_until(began + k * PERIOD)
 
 
@@ -68,7 +68,7 @@ def test_a_robot_lost_for_too_long_aborts_and_stops_all(actuator):
     with pytest.raises(AbortError, match="blue is not tracked"):
         lab.plant.observe()
     with pytest.raises(AbortError, match="blue is not tracked"):
-        lab.plant.steer(0.1)
+        lab.plant.send(Steer(0.1))
     stops = [sent for sent in lab.actuator.sent if sent.direction is None]
     assert len(stops) >= 5
     lab.plant.stop()
@@ -82,7 +82,7 @@ def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_fram
     wait(lab, 0.2)
     assert lab.actuator.sent[-1].direction is None
     lab.plant.observe()
-    held = lab.plant.steer(1.0)
+    held = lab.plant.send(Steer(1.0))
     assert (held.direction, held.delivered) == (1.0, (False,) * 3)
     lab.camera.silent = False
     wait(lab, 0.1)
@@ -188,10 +188,10 @@ def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
     wait(lab, 0.3)
     assert lab.actuator.emergencies == 10
     with pytest.raises(AbortError, match="emergency stop by the operator"):
-        lab.plant.steer(0.0)
+        lab.plant.send(Steer(0.0))
 
 
-@pytest.mark.parametrize(("device", "method"), [("actuator", "steer"), ("camera", "frames")])
+@pytest.mark.parametrize(("device", "method"), [("actuator", "send"), ("camera", "frames")])
 def test_a_bug_in_a_device_stops_the_robots_and_is_told(device, method):
     """A camera that cannot be read must not keep the stop from being sent."""
     lab = opened()

@@ -10,6 +10,7 @@ from support.trials import experiment
 
 from tetractl.control.cost import predict
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.model.wheels import body_velocity
 
@@ -29,7 +30,7 @@ def steered(simulated, directions, period=PERIOD):
     """Open, steer once a period, and return every sample up to the last period's end."""
     simulated.open()
     for k, direction in enumerate(directions):
-        simulated.steer(direction)
+        simulated.send(Steer(direction))
         simulated.clock.sleep_until((k + 1) * period)
     return simulated.samples()
 
@@ -78,7 +79,7 @@ def test_the_plant_reproduces_the_planners_prediction(motion):
 def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     simulated = plant(wheels={"radius": 40}, measurement_noise={"heading": 0.1})
     simulated.open()
-    seen, command = simulated.observe(), simulated.steer(1.0)
+    seen, command = simulated.observe(), simulated.send(Steer(1.0))
     assert command.left is not None
     assert command.right is not None
     speed, turning = body_velocity(command.left, command.right, 40)
@@ -86,7 +87,7 @@ def test_wheel_speeds_are_24_and_25_at_the_measured_heading():
     assert speed == pytest.approx([robot.speed for robot in robots])
     a = np.array([robot.a for robot in robots])
     assert turning == pytest.approx(a * np.sin(1.0 - seen.poses.heading), abs=1e-12)
-    assert plant().steer(1.0).left is None  # robots without wheels
+    assert plant().send(Steer(1.0)).left is None  # robots without wheels
 
 
 @pytest.mark.parametrize("dead_time", [0.05, 0.1, 0.123, 0.2, 0.35])
@@ -110,7 +111,7 @@ def test_a_lost_command_leaves_the_one_before_in_force():
     checked = 0
     for k in range(20):
         u = DIRECTIONS[k % 12]
-        command = simulated.steer(u)
+        command = simulated.send(Steer(u))
         held = [u if got else h for got, h in zip(command.delivered, held, strict=True)]
         simulated.clock.sleep_until((k + 1) * PERIOD)
         path.append(simulated.observe().poses.array())
@@ -130,7 +131,7 @@ def test_a_lost_command_leaves_the_one_before_in_force():
 def test_commands_are_lost_as_often_as_stated_and_one_robot_at_a_time():
     simulated = plant(lost_commands=0.3)
     simulated.open()
-    delivered = np.array([simulated.steer(0.0).delivered for _ in range(2000)])
+    delivered = np.array([simulated.send(Steer(0.0)).delivered for _ in range(2000)])
     assert stats.binomtest(int((~delivered).sum()), delivered.size, 0.3).pvalue > 1e-4
     assert abs(np.corrcoef(delivered[:, 0], delivered[:, 1])[0, 1]) < 0.08
     assert simulated.stop().delivered == (True, True, True)
@@ -191,7 +192,7 @@ def test_errors_of_a_and_speed_are_uniform_within_their_bound(field, nominal):
 def test_the_facts_are_those_the_robots_move_by():
     simulated = plant(STRAIGHT, speed_error=0.2)
     true = json.loads(simulated.open().facts["true_speed"])[0]
-    simulated.steer(0.0)
+    simulated.send(Steer(0.0))
     simulated.clock.sleep_until(SECOND)
     assert simulated.observe().poses.x[0] == pytest.approx(900 + true, abs=1e-6)
 
@@ -228,7 +229,7 @@ def test_the_dead_time_counts_from_the_exposure_of_the_frame_answered(camera_rat
     simulated.open()
     simulated.clock.sleep_until(SECOND // 20)
     exposed = simulated.observe().sampled_ns / SECOND
-    simulated.steer(0.0)
+    simulated.send(Steer(0.0))
     simulated.clock.sleep_until(SECOND)
     simulated.observe()
     travelled = simulated.poses.x[0] - 900
@@ -239,7 +240,7 @@ def test_a_frame_older_than_the_dead_time_delays_nothing_further():
     simulated = plant(STRAIGHT, dead_time=0.05, camera_rate=5, truth_rate=1000)
     simulated.open()
     simulated.clock.sleep_until(round(0.19 * SECOND))  # the frame is of 0 s
-    simulated.steer(0.0)
+    simulated.send(Steer(0.0))
     simulated.clock.sleep_until(SECOND)
     simulated.observe()
     assert simulated.poses.x[0] - 900 == pytest.approx(100 * 0.81, abs=1e-6)
@@ -254,7 +255,7 @@ def test_arcs_are_those_of_the_wheel_speeds_in_the_log():
     noisy.open()
     for k, direction in enumerate(DIRECTIONS):
         before = noisy.poses.heading
-        command = noisy.steer(direction)
+        command = noisy.send(Steer(direction))
         noisy.clock.sleep_until((k + 1) * PERIOD)
         noisy.observe()
         _, turning = body_velocity(command.left, command.right, 40)

@@ -11,6 +11,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.errors import TetractlError
 from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots, FirmwareProgram
 from tetractl.experiment.load import parse_spec
@@ -35,7 +36,7 @@ def driven(simulated, directions=DIRECTIONS, period=PERIOD):
     simulated.open()
     commands, samples = [], []
     for k, direction in enumerate(directions):
-        commands.append(simulated.steer(direction))
+        commands.append(simulated.send(Steer(direction)))
         simulated.clock.sleep_until((k + 1) * period)
         samples += simulated.samples()
         commands += simulated.news()
@@ -189,9 +190,9 @@ def test_a_host_that_knows_the_lag_turns_robots_as_if_there_were_none():
     for lag in (0.0, 0.04):
         simulated = sim(spec.model_copy(update={"wheels": Wheels(radius=40, lag=lag)}))
         simulated.open()
-        simulated.steer(1.0)
+        simulated.send(Steer(1.0))
         simulated.clock.sleep_until(SECOND // 10)
-        simulated.steer(-0.5)
+        simulated.send(Steer(-0.5))
         simulated.clock.sleep_until(SECOND // 5)
         simulated.observe()
         simulated.stop()

@@ -9,6 +9,7 @@ import pytest
 from support.trials import THREE_M3PI
 
 from tetractl.api import to_arrays
+from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
@@ -46,10 +47,10 @@ def log(path):
 
 
 def test_some_commands_switch_the_field_off_and_only_the_last_stops(log):
-    off = [step.command.field_off for step in log.steps]
+    off = [step.command.action == FieldOff() for step in log.steps]
     assert any(off)
     assert not all(off)
-    assert [step.plan.field_off for step in log.steps] == off
+    assert [step.plan.action == FieldOff() for step in log.steps] == off
     assert [step.plan.direction is None for step in log.steps] == off
     assert [one.stops for one in log.commands] == [False] * (len(log.commands) - 1) + [True]
     assert log.stop is log.commands[-1]
@@ -62,13 +63,13 @@ def test_it_is_verified_whole(path):
 
 
 def test_tables_and_arrays_hold_no_direction_then(log):
-    off = [step.command.field_off for step in log.steps]
+    off = [step.command.action == FieldOff() for step in log.steps]
     assert [u is None for u in steps(log).as_dict()["direction_rad"]] == off
     assert np.isnan(to_arrays(log).direction).tolist() == off
 
 
 def test_it_is_shown(log):
-    k = next(step.k for step in log.steps if step.command.field_off)
+    k = next(step.k for step in log.steps if step.command.action == FieldOff())
     assert "field off" in step_line(Recording(log), k)
     assert trial_data(log, "t")["steps"]["u"]
     for kind in ("trajectory", "error", "timing"):

@@ -5,6 +5,7 @@ import pytest
 from support.paths import ROOT
 
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
@@ -31,7 +32,7 @@ def drive(seed, *sets, steps=50, period_s=0.2):
     for k, u in enumerate(np.random.default_rng(seed).uniform(-2, 2, steps)):
         clock.sleep_until(round(k * period_s * SECOND))
         plant.observe()
-        command = plant.steer(float(u))
+        command = plant.send(Steer(float(u)))
         samples += plant.samples()
         commands += [*plant.news(), command]
     clock.sleep_until(round(steps * period_s * SECOND))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.paths import ROOT
 
+from tetractl.core.commands import Turn
 from tetractl.core.plan import PAUSE_S, Outcome
 from tetractl.core.poses import wrap
 from tetractl.experiment.load import load_spec
@@ -81,13 +82,13 @@ def test_robots_without_a_safe_way_ahead_turn_on_the_spot_and_the_log_verifies(t
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", FACING)
     run_trial(spec, tmp_path, 3, (), Interrupt())
     log = read_trial(log_path(tmp_path, 3))
-    turns = [k for k, step in enumerate(log.steps) if step.plan.facing is not None]
+    turns = [k for k, step in enumerate(log.steps) if isinstance(step.plan.action, Turn)]
     assert turns
     assert turns[-1] + 1 < len(log.steps)
     for k in turns:
         before, after = (log.steps[i].observation.poses for i in (k, k + 1))
         assert before.distances(after.xy).max() < 1.0
-        off = [wrap(log.steps[k].plan.facing - poses.heading) for poses in (before, after)]
+        off = [wrap(log.steps[k].plan.action.facing - poses.heading) for poses in (before, after)]
         assert (np.abs(off[1]) <= np.abs(off[0]) + 1e-3).all()
     recording = Recording(log)
     for k, text in ((turns[0], "direction    turning"), (turns[-1] + 1, " deg")):

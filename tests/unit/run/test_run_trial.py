@@ -57,7 +57,7 @@ def test_a_trial_lasts_from_its_first_direction():
 def test_the_loop_observes_plans_steers_and_records_at_the_control_period():
     made = bench(2)
     made.run()
-    step = ["observe", "plan", "steer", "log.samples", "log.step"]
+    step = ["observe", "plan", "send", "log.samples", "log.step"]
     assert made.happenings.names == [
         *("open", "log.start", *step, *step, "observe", "plan"),
         *("stop", "settle", "close", "log.samples", "log.stop"),
@@ -86,7 +86,7 @@ def test_every_camera_frame_is_told_once_those_of_coming_to_rest_too():
 
 
 @pytest.mark.parametrize("error", [ControlError("no finite cost"), AbortError("a cable came off")])
-@pytest.mark.parametrize("where", ["plan", "steer", "observe", "log.step", "log.samples"])
+@pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step", "log.samples"])
 def test_a_fault_aborts_the_trial_and_is_its_reason(where, error):
     made = bench()
     made.happenings.faults[where, 2] = error
@@ -99,7 +99,7 @@ def test_a_fault_aborts_the_trial_and_is_its_reason(where, error):
 
 @pytest.mark.parametrize(
     ("where", "nth"),
-    [("plan", 1), ("plan", 2), ("steer", 1), ("observe", 2), ("log.start", 1), ("log.step", 1)],
+    [("plan", 1), ("plan", 2), ("send", 1), ("observe", 2), ("log.start", 1), ("log.step", 1)],
 )
 def test_a_bug_stops_the_robots_is_told_and_is_raised_again(where, nth):
     made = bench(observers=("log", "view"))
@@ -158,7 +158,7 @@ def test_a_plant_that_cannot_settle_is_closed():
     assert made.happenings.names[-3:] == ["stop", "settle", "close"]
 
 
-@pytest.mark.parametrize("where", ["plan", "steer", "observe", "log.step"])
+@pytest.mark.parametrize("where", ["plan", "send", "observe", "log.step"])
 def test_a_first_interruption_finishes_the_step(where):
     made = bench(5)
     made.happenings.actions[where, 2] = made.interrupt.request
@@ -169,7 +169,7 @@ def test_a_first_interruption_finishes_the_step(where):
     assert made.happenings.names.count("plan") == 2
 
 
-@pytest.mark.parametrize("where", ["plan", "steer", "log.step"])
+@pytest.mark.parametrize("where", ["plan", "send", "log.step"])
 def test_a_second_interruption_breaks_off_what_may_be_broken_off(where):
     made = bench(5)
 
@@ -263,7 +263,7 @@ def test_in_the_lab_squares_go_on_until_the_plan_is_there():
     made = bench(1, simulated=False, first_plan=SQUARE | {"laps": 1})
     enough = threading.Event()
     made.happenings.actions["plan", 1] = enough.wait
-    made.happenings.actions["steer", 101] = enough.set  # in the third square of 40 commands
+    made.happenings.actions["send", 101] = enough.set  # in the third square of 40 commands
     made.run()
     commands = len(made.observers[0].commands)
     assert commands >= 120
@@ -279,7 +279,7 @@ def test_a_controller_that_fails_during_the_square_aborts_the_trial():
 
 def test_one_interruption_ends_the_square_after_its_side():
     made = bench(first_plan=SQUARE)
-    made.happenings.actions["steer", 2] = made.interrupt.request
+    made.happenings.actions["send", 2] = made.interrupt.request
     result = made.run()
     assert_ended_well(made, Outcome.INTERRUPTED)
     assert result.reason == "interrupted before the first step"
@@ -331,4 +331,4 @@ def test_frames_are_told_while_the_first_plan_of_a_lab_is_computed():
     made.controller.plan = slow
     assert made.run().outcome is Outcome.SEQUENCE_COMPLETED
     names = made.happenings.names
-    assert names.index("log.samples") < names.index("plan") < names.index("steer")
+    assert names.index("log.samples") < names.index("plan") < names.index("send")

@@ -7,6 +7,7 @@ from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import Steer
 from tetractl.core.errors import SpecError
 from tetractl.run.trial_limits import check, directions, limits
 
@@ -25,7 +26,7 @@ def test_the_square_ends_where_it_began(angle):
     simulated.open()
     for lap in range(2):
         for k, direction in enumerate(directions(np.full(3, angle)), start=1):
-            simulated.steer(direction)
+            simulated.send(Steer(direction))
             simulated.clock.sleep_until(2 * (4 * lap + k) * SECOND)
     now = simulated.observe().poses
     starts = np.array([robot.start for robot in heading(angle).robots])

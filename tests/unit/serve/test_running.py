@@ -1,6 +1,6 @@
 from support import random_trials as made
 
-from tetractl.core.commands import Command, Note
+from tetractl.core.commands import Command, Note, Steer
 from tetractl.log.read.salvage import scan
 from tetractl.serve.live import ServedRun
 
@@ -36,7 +36,7 @@ def run(trial, server, wall):
     observer = ServedRun(server, wall)
     observer.on_start(trial.start)
     trial.give_rounds(observer)
-    observer.on_command(Command(0.5, 7, (True,) * 3))
+    observer.on_command(Command(Steer(0.5), 7, (True,) * 3))
     observer.on_note(Note(8, "warning", "a note"))
     observer.on_stop(trial.stop, trial.result)
     return server

@@ -9,7 +9,7 @@ from tetractl.control.kernels.multistart import BETWEEN_LOOKS
 from tetractl.control.kernels.rollout import Rollout, aligned, costs, lay_out
 from tetractl.control.optimizers.pso import PsoFields, Swarm
 from tetractl.control.rng import mix
-from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, Stop, TargetStop
+from tetractl.control.stop import BudgetStop, PaperStop, RelativeStop, StopCriterion, TargetStop
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 
@@ -94,7 +94,7 @@ def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kern
     )
 
 
-def _stop(stop: Stop) -> tuple[int, int, float, float]:
+def _stop(stop: StopCriterion) -> tuple[int, int, float, float]:
     match stop:
         case PaperStop():
             return kernel.PAPER_STOP, 10, 0.0, 0.0

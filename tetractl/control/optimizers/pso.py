@@ -13,7 +13,7 @@ from pydantic import Field
 
 from tetractl.control.cost import evaluate
 from tetractl.control.rng import mix, uniform, uniform_pair
-from tetractl.control.stop import PaperStop, Stop, stopped
+from tetractl.control.stop import PaperStop, StopCriterion, stopped
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.controller import OptimizerSection
@@ -36,7 +36,7 @@ class PsoFields(OptimizerSection):
     """Weight c1 of the paper's equation (14), towards a particle's own best."""
     social: float = Field(default=1.5, gt=0, le=10, allow_inf_nan=False)
     """Weight c2 of the paper's equation (14), towards the swarm's best."""
-    stop: Stop = PaperStop(type="paper")
+    stop: StopCriterion = PaperStop(type="paper")
     """Criterion by which a search ends before `iterations`."""
 
     @property

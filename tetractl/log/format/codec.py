@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.core.commands import Command, Sample
+from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Plan, Search, State, StopReason
 from tetractl.core.poses import Bools, Floats, Observation, Poses
@@ -137,21 +137,24 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
 
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
-    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right", "facing")
-    return pb.WheelCommand(stop=command.stops, **fields)
+    facing = command.action.facing if isinstance(command.action, Turn) else None
+    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right")
+    return pb.WheelCommand(stop=command.stops, facing=facing, **fields)
 
 
 def decode_command(message: pb.WheelCommand) -> Command:
     """Decode a command."""
-    directed = message.HasField("direction")
+    action: Action = Stop() if message.stop else FieldOff()
+    if message.HasField("direction"):
+        action = Steer(message.direction)
+    elif message.HasField("facing"):
+        action = Turn(message.facing)
     return Command(
-        direction=message.direction if directed else None,
+        action,
         sent_ns=message.sent_ns,
         delivered=tuple(message.delivered),
         left=_floats(message.left) if message.left else None,
         right=_floats(message.right) if message.right else None,
-        field_off=not directed and not message.stop,
-        facing=message.facing if message.HasField("facing") else None,
     )
 
 
@@ -197,9 +200,8 @@ def decode_step(
         chosen=message.chosen,
         generator=message.generator,
         estimate=_decode_estimate(estimate, robots) if estimate else None,
-        field_off=command.field_off,
+        instead=None if isinstance(command.action, Steer) else command.action,
         state=State(message.state),
-        facing=command.facing,
         leg=message.leg,
         delay_ns=message.delay_ns,
     )

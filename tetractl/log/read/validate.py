@@ -11,7 +11,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 
-from tetractl.core.commands import Command, Sample
+from tetractl.core.commands import Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
@@ -60,8 +60,9 @@ def check_frames(frames: Frames) -> None:
 
 def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
-    directions = [u for u in (command.direction, command.facing) if u is not None]
-    _within("a direction", directions, -ANGLE_MAX, ANGLE_MAX)
+    match command.action:
+        case Steer(u) | Turn(u):
+            _within("a direction", [u], -ANGLE_MAX, ANGLE_MAX)
     check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")

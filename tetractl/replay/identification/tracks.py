@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.core.clock import SECOND
+from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.table.table_files import read_csv
@@ -87,7 +88,7 @@ def _paused(log: TrialLog) -> Bools:
 
 def require_field(log: TrialLog) -> None:
     """Raise UsageError for a log whose robots drove with the field off at times."""
-    if any(one.field_off for one in log.commands):
+    if any(isinstance(one.action, FieldOff) for one in log.commands):
         raise UsageError(
             f"{log.path}: its robots drove with the field off at times",
             "use the log of a controller that sends a direction at every step",

@@ -11,6 +11,7 @@ from support.paths import ROOT
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
+from tetractl.core.commands import Steer
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.kernels.levenberg import polish
 from tetractl.control.optimizers.multistart import Multistart
@@ -53,7 +54,7 @@ for k, u in enumerate(np.random.default_rng(1).uniform(-2, 2, 40)):
     seen = plant.observe()
     frames = [one.observation for one in plant.samples()]
     digest.update(known.seen(seen, command, frames[:-1]).poses.array().tobytes())
-    command = plant.steer(float(u))
+    command = plant.send(Steer(float(u)))
     digest.update(b"".join(np.asarray(value).tobytes() for value in astuple(known.estimate)))
 hits = [sum(kernel.stats.cache_hits.values()) for kernel in (follow, place)]
 print(sum(hits), digest.hexdigest())

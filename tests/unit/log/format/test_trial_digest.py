@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_trials import trial, write
 
-from tetractl.core.commands import Note, Sample
+from tetractl.core.commands import FieldOff, Note, Sample
 from tetractl.core.errors import printable
 from tetractl.core.plan import Estimate, Outcome
 from tetractl.core.poses import Poses
@@ -63,7 +63,7 @@ def test_every_record_counts():
             {"truth": None},
             {"frames": whole.frames + 1},
             {"commands": whole.commands[:-1]},
-            {"commands": (*whole.commands[:-1], replace(made.stop, field_off=True))},
+            {"commands": (*whole.commands[:-1], replace(made.stop, action=FieldOff()))},
             {"steps": whole.steps[:1]},
             {"steps": (whole.steps[0], step)},
             {"steps": (whole.steps[0], later)},

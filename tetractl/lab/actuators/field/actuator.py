@@ -13,7 +13,7 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Pose
 from tetractl.core.setup import Setup
@@ -83,37 +83,37 @@ class FieldActuator:
         """The reason why the driver no longer makes a field; None without a fault."""
         return self.driver.failure
 
-    def steer(
+    def send(
         self,
-        direction: float,
+        action: Steer | Turn,
         poses: Sequence[Pose | None],
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Turn the field to a direction [rad], as far as the slew limit allows in one period.
+        """Turn the field to a direction, as far as the slew limit allows in one period.
 
         The currents (x, y) change along a straight line, so a field that turns by half a circle
         becomes weak on the way. The transmission's `turning` [rad/s] is computed for the requested
         field; it is 0 for cells without a pose. `moving` is ignored. AbortError if the driver has
-        failed.
+        failed, and for a `Turn`: cells swim ahead while the field turns them.
         """
+        if isinstance(action, Turn):
+            raise AbortError("cells cannot turn on the spot")
         if (failure := self.failure) is not None:
             raise AbortError(failure, HINT)
         with self._lock:
             now_ns = self._clock.now()
             section = self.section
-            wished = self.coils.currents(direction, section.strength_mt, section.current_max_a)
+            wished = self.coils.currents(
+                action.direction, section.strength_mt, section.current_max_a
+            )
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
             x_ma, y_ma = (round(1000 * current) for current in self._currents)
             self._sent_ns = self.driver.send(FieldFlag.RUN, x_ma, y_ma)
             self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
-        return self._transmission(direction, (x_ma / 1000, y_ma / 1000), headings)
-
-    def turn(self, *_: object) -> Transmission:
-        """Raise AbortError: cells swim ahead while the field turns them."""
-        raise AbortError("cells cannot turn on the spot")
+        return self._transmission(action, (x_ma / 1000, y_ma / 1000), headings)
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
@@ -126,7 +126,7 @@ class FieldActuator:
             flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
             self._sent_ns = [self.driver.send(flag) for _ in range(STOPS)][-1]
             self._held_until_ns = self._sent_ns
-        return self._transmission(None, OFF, np.full(len(self._a), np.nan))
+        return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Return one status per cell, with `answers` None, since cells cannot be polled."""
@@ -148,15 +148,13 @@ class FieldActuator:
         """Return the driver's set points [A] at a time [ns]; without commands they fall to 0."""
         return approach(self._currents, OFF, self._room(max(0, now_ns - self._held_until_ns)))
 
-    def _transmission(
-        self, direction: float | None, currents: Pair, headings: Floats
-    ) -> Transmission:
+    def _transmission(self, action: Action, currents: Pair, headings: Floats) -> Transmission:
         x_mt, y_mt = self.coils.field(currents)
         strength, towards = float(np.hypot(x_mt, y_mt)), float(np.arctan2(y_mt, x_mt))
         turning = self._a * (strength / self.section.strength_mt) * np.sin(towards - headings)
         return Transmission(
+            action,
             self._sent_ns,
-            direction,
             (True,) * len(self._a),
             self._speed.copy(),
             np.nan_to_num(turning),

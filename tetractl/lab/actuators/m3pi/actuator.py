@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Self
 
 import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Health, RobotStatus, Transmission
+from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
@@ -71,29 +70,17 @@ class M3piActuator:
             warnings = ("the robots have no watchdog: a robot that loses the radio drives on",)
         return Health(self.link.problems(), warnings, questions=self.link.questions)
 
-    def steer(
+    def send(
         self,
-        direction: float,
+        action: Steer | Turn,
         poses: Sequence[Pose | None],
         moving: Sequence[bool],
         exposed_ns: int,
     ) -> Transmission:
-        """Send each robot its wheel counts for a direction [rad]; robots not `moving` get 0."""
-        sent = self._send(self.counts(direction, poses, exposed_ns), moving)
-        return replace(sent, direction=direction)
-
-    def turn(
-        self,
-        facing: float,
-        poses: Sequence[Pose | None],
-        moving: Sequence[bool],
-        exposed_ns: int,
-    ) -> Transmission:
-        """Send each robot the wheel counts that turn it on the spot to face a direction [rad];
-        robots not `moving` get 0.
-        """
-        sent = self._send(self.counts(facing, poses, exposed_ns, ahead=False), moving)
-        return replace(sent, facing=facing)
+        """Send each robot its wheel counts; robots not `moving` get 0."""
+        wished = self.counts(action, poses, exposed_ns)
+        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
+        return self._transmission(self._protocol.drive(counts), action, counts, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
         """Stop every robot; the mbed firmware latches an emergency stop until the robot is switched
@@ -101,7 +88,7 @@ class M3piActuator:
         """
         sent_ns = self._protocol.emergency() if emergency else self._protocol.stop()
         still = [STOP] * len(self.robots)
-        return self._transmission(sent_ns, still, (False,) * len(still))
+        return self._transmission(sent_ns, Stop(), still, (False,) * len(still))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""
@@ -109,14 +96,9 @@ class M3piActuator:
         return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
 
     def counts(
-        self,
-        direction: float,
-        poses: Sequence[Pose | None],
-        exposed_ns: int,
-        ahead: bool = True,
+        self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
     ) -> list[Counts]:
-        """Return the wheel counts by `WheelHost`, for a direction [rad]. If not `ahead`, the counts
-        turn the robots on the spot.
+        """Return the wheel counts by `WheelHost`.
 
         Headings are predicted from the time of the poses, `exposed_ns`, to the time when the
         command reaches the wheels, over at most 0.1 s. Robots without a pose get counts of 0.
@@ -124,21 +106,19 @@ class M3piActuator:
         arrives = self._clock.now() + RADIO_NS
         since = max(exposed_ns, arrives - AHEAD_MAX_NS)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
-        wished = self._host.wished(heading, np.array(direction), since, arrives, ahead)
+        drives = isinstance(action, Steer)
+        u = np.array(action.direction if drives else action.facing)
+        wished = self._host.wished(heading, u, since, arrives, drives)
         wished[:, [pose is None for pose in poses]] = 0.0
         return [(one, two) for one, two in self._host.counts(wished).T.tolist()]
 
-    def _send(self, wished: Sequence[Counts], moving: Sequence[bool]) -> Transmission:
-        counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
-        return self._transmission(self._protocol.drive(counts), counts, tuple(moving))
-
     def _transmission(
-        self, sent_ns: int, counts: Sequence[Counts], moving: tuple[bool, ...]
+        self, sent_ns: int, action: Action, counts: Sequence[Counts], moving: tuple[bool, ...]
     ) -> Transmission:
         speeds = self.drivetrains.speeds(np.array(counts).T)
         speed, turning = self._host.sent(sent_ns + RADIO_NS, speeds)
         left, right = speeds / self._mm
-        return Transmission(sent_ns, None, moving, speed / self._mm, turning, left, right)
+        return Transmission(action, sent_ns, moving, speed / self._mm, turning, left, right)
 
     def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:
         if answer is None:

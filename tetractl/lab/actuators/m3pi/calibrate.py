@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from tetractl.core.clock import SECOND, MonotonicClock, wait_for
+from tetractl.core.commands import Steer, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.core.setup import Setup
@@ -123,16 +124,12 @@ def calibrate_robots(
 
 
 class ManualActuator(M3piActuator):
-    """An actuator that sends the wheel counts in `held`, whatever the direction."""
+    """An actuator that sends the wheel counts in `held`, whatever the action."""
 
     held: tuple[Counts, ...] = ()
 
     def counts(
-        self,
-        direction: float,
-        poses: Sequence[Pose | None],
-        exposed_ns: int,
-        ahead: bool = True,
+        self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
     ) -> list[Counts]:
         """Return the counts in `held`."""
         return list(self.held)
@@ -292,7 +289,7 @@ class _Bench:
     def _hold(self, counts: Counts) -> int:
         """Set the counts to send; return the time of their first transmission [ns]."""
         self.actuator.held = (counts,)
-        return self.rig.loop.steer(0.0).sent_ns
+        return self.rig.loop.hold(Steer(0.0)).sent_ns
 
     def _stand(self) -> None:
         self._hold((0, 0))

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from support.field_bench import LIMITS, Bench, Wire, section
 
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
@@ -46,7 +47,7 @@ def gap(a, b):
 @given(st.floats(-10, 10))
 def test_the_field_turns_cells_by_the_papers_law(direction):
     actuator, _ = virtual(slew_max_a_s=10_000)
-    sent = actuator.steer(direction, POSES, BOTH, 0)
+    sent = actuator.send(Steer(direction), POSES, BOTH, 0)
     headings = np.array([pose.heading for pose in POSES])
     assert sent.turning == pytest.approx(A * np.sin(direction - headings), abs=0.02)  # 1 mA
     assert (sent.speed == SPEED).all()
@@ -60,7 +61,7 @@ def test_the_field_turns_cells_by_the_papers_law(direction):
 
 def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():
     actuator, _ = virtual()
-    sent = actuator.steer(1.0, (None, POSES[1]), (False, True), 0)
+    sent = actuator.send(Steer(1.0), (None, POSES[1]), (False, True), 0)
     assert sent.moving == (True, True)
     assert sent.turning[0] == 0 != sent.turning[1]
 
@@ -68,7 +69,7 @@ def test_no_cell_can_be_held_and_one_out_of_sight_has_no_known_turning():
 def test_where_the_current_limit_binds_cells_turn_more_slowly():
     actuator, _ = virtual(strength_mt=8.0, slew_max_a_s=10_000)
     direction = actuator.coils.rotation  # along the weaker pair
-    sent = actuator.steer(direction, POSES, BOTH, 0)
+    sent = actuator.send(Steer(direction), POSES, BOTH, 0)
     assert asked(actuator)[0] == 2.0
     assert sent.outputs["field_mt"] == pytest.approx(4.03, abs=0.005)
     assert gap(sent.outputs["field_direction_rad"], direction) == pytest.approx(0, abs=0.002)
@@ -81,7 +82,7 @@ def test_the_slew_limit_is_kept_and_what_was_really_asked_is_told():
     before, told = (0.0, 0.0), []
     for k in range(60):
         clock.sleep_until(k * actuator.period_ns)
-        sent = actuator.steer(0.0 if k < 20 else 3.0, POSES, BOTH, 0)
+        sent = actuator.send(Steer(0.0 if k < 20 else 3.0), POSES, BOTH, 0)
         now = asked(actuator)
         steps = [abs(n - b) for n, b in zip(now, before, strict=True)]
         assert max(steps) <= 10 * actuator.period_ns / SECOND + 0.001
@@ -100,7 +101,7 @@ def test_commands_in_quick_succession_do_not_beat_the_slew_limit():
     actuator, clock = virtual(slew_max_a_s=10)
     for k in range(40):
         clock.sleep_until(k * SECOND // 1000)  # 1 kHz
-        actuator.steer(0.0, POSES, BOTH, 0)
+        actuator.send(Steer(0.0), POSES, BOTH, 0)
     assert max(map(abs, asked(actuator))) <= 10 * (0.025 + 0.039) + 0.001
 
 
@@ -108,26 +109,26 @@ def test_after_a_long_pause_or_a_stop_the_field_rises_from_where_the_driver_is()
     actuator, clock = virtual(slew_max_a_s=10)
     for k in range(10):
         clock.sleep_until(k * actuator.period_ns)
-        actuator.steer(0.3, POSES, BOTH, 0)
+        actuator.send(Steer(0.3), POSES, BOTH, 0)
     full = asked(actuator)[0]
     clock.sleep_until(clock.now() + round(0.25 * SECOND))
-    actuator.steer(0.3, POSES, BOTH, 0)
+    actuator.send(Steer(0.3), POSES, BOTH, 0)
     assert asked(actuator)[0] == full  # the watchdog has not begun
     clock.sleep_until(clock.now() + SECOND)
-    actuator.steer(0.3, POSES, BOTH, 0)
+    actuator.send(Steer(0.3), POSES, BOTH, 0)
     assert asked(actuator)[0] == pytest.approx(0.25, abs=0.001)  # one period from nothing
     clock.sleep_until(clock.now() + actuator.period_ns)
-    actuator.steer(0.3, POSES, BOTH, 0)
+    actuator.send(Steer(0.3), POSES, BOTH, 0)
     actuator.stop()
     clock.sleep_until(clock.now() + SECOND // 50)
-    actuator.steer(0.3, POSES, BOTH, 0)
+    actuator.send(Steer(0.3), POSES, BOTH, 0)
     assert asked(actuator)[0] == pytest.approx(0.5 - 0.2 + 0.2, abs=0.001)
 
 
 @pytest.mark.parametrize("emergency", [False, True])
 def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     actuator, _ = virtual()
-    actuator.steer(1.0, POSES, BOTH, 0)
+    actuator.send(Steer(1.0), POSES, BOTH, 0)
     stop = actuator.stop(emergency)
     flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
     assert [(c.flags, c.x_ma, c.y_ma) for c in actuator.driver.sent[1:]] == [(flag, 0, 0)] * 3
@@ -144,7 +145,7 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
 def fails(actuator):
     """Steer once more; return why that cannot be done any longer."""
     with suppress(AbortError):
-        actuator.steer(1.0, POSES, BOTH, 0)
+        actuator.send(Steer(1.0), POSES, BOTH, 0)
     return actuator.failure
 
 
@@ -159,7 +160,7 @@ def stops(stage):
 def test_leaving_switches_the_field_off_before_the_watchdog_would():
     stage = Bench(DriverLimits(2000, 100_000, watchdog_ms=5000))
     with stage.opened(SETUP, watchdog=5.0) as actuator:
-        actuator.steer(1.0, POSES, BOTH, 0)
+        actuator.send(Steer(1.0), POSES, BOTH, 0)
         assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) > 0.5)
     actuator.__exit__(None, None, None)
     assert stage.clock.wait(lambda: max(map(abs, stage.driver.currents)) < 1e-6)
@@ -205,13 +206,13 @@ def test_an_emergency_stop_latches_until_the_driver_is_switched_off():
             lambda: actuator.failure == "the current driver is emergency-stopped"
         )
         with pytest.raises(AbortError, match="emergency-stopped"):
-            actuator.steer(1.0, POSES, BOTH, 0)
+            actuator.send(Steer(1.0), POSES, BOTH, 0)
         (problem,) = actuator.check().problems
         assert "switch it off and on again" in problem
         stage.driver.switch(False)
         stage.driver.switch(True)
         assert actuator.check().problems == ()
-        actuator.steer(1.0, POSES, BOTH, 0)
+        actuator.send(Steer(1.0), POSES, BOTH, 0)
 
 
 @needs_compiler
@@ -235,7 +236,7 @@ def test_a_driver_that_falls_silent_is_noticed():
         assert stage.clock.wait(lambda: fails(actuator))
         assert actuator.failure == "the current driver does not answer any more"
         with pytest.raises(AbortError, match="does not answer") as got:
-            actuator.steer(1.0, POSES, BOTH, 0)
+            actuator.send(Steer(1.0), POSES, BOTH, 0)
         assert "cells swim on" in got.value.hint
         before = stops(stage)
         actuator.stop()  # it may hear all the same

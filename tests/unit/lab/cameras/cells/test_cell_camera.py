@@ -8,7 +8,7 @@ from support.dish_films import film
 from support.needs_opencv import cv2
 
 from tetractl.core.clock import VirtualClock
-from tetractl.core.commands import Transmission
+from tetractl.core.commands import Steer, Stop, Transmission
 from tetractl.core.errors import AbortError
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.cells.cells_health import SeenDish, dish_lines
@@ -103,8 +103,8 @@ def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
             pass
 
     loop = InnerLoop(Listener(), None, Calm(), VirtualClock(), None, None)
-    for direction in (1.0, None):
-        loop._note(Transmission(5, direction, (True,), np.zeros(1), np.zeros(1)))
+    for action in (Steer(1.0), Stop()):
+        loop._note(Transmission(action, 5, (True,), np.zeros(1), np.zeros(1)))
     assert heard == [(1.0, 5), (None, 5)]
 
 

@@ -201,8 +201,7 @@ def to_dataframe(data: "TrialLog | Batch") -> "pandas.DataFrame":
             "a DataFrame needs pandas, which is not installed",
             "pip install pandas, or use to_arrays",
         ) from None
-    from tetractl.results.items import trials_table
-    from tetractl.results.trial_tables import poses
+    from tetractl.results.trial_tables import poses, trials_table
 
     table = poses(data) if isinstance(data, TrialLog) else trials_table(data)
     frame = pandas.DataFrame(table.as_dict())

@@ -77,13 +77,12 @@ def show(found: "GroupComparison", form: str) -> None:
     """Print groups and their comparisons to stdout."""
     from tetractl.core.table.table_files import csv_text, json_text
     from tetractl.core.table.terminal_table import TEXTS, print_tables
-    from tetractl.results.items import as_items, data_table
-    from tetractl.results.tables import tables
+    from tetractl.results.tables import data_table, tables
 
     if form == "table":
         print_tables(tables(found))
     elif form == "json":
-        print(json_text(as_items(found)), flush=True)
+        print(json_text(found.record), flush=True)
     elif form == "csv":
         print(csv_text(data_table(found)), end="")
     else:

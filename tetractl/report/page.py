@@ -21,7 +21,6 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.report.trial_data import trial_data
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
-from tetractl.results.items import as_items
 from tetractl.results.open_batch import sources
 from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
@@ -138,7 +137,7 @@ def _overview(groups: Sequence[Group]) -> Table:
     """Return a table with each group's mean total error and the numbers of its unsafe trials."""
     totals = [group.total for group in groups]
     show = lengths(min((t.mean for t in totals if t.n), default=1.0))
-    rows = [{k: v for value in one.statistics for k, v in value.rows} for one in groups]
+    rows = [group.rows for group in groups]
     counts = {
         label: [texts[f"{label}, 95 % interval"].partition(" (")[0] for texts in rows]
         for label in SAFETY
@@ -191,7 +190,7 @@ def _statistics(found: GroupComparison, numbers: Mapping[str, int]) -> str:
         )
     if found.contrasts:
         parts.append(f"<section><h2>Comparison</h2>{_tables(tables(found))}</section>")
-    data = _json(plain(as_items(found)))
+    data = _json(plain(found.record))
     return "".join(parts) + f'<script type="application/json" class="statistics">{data}</script>\n'
 
 

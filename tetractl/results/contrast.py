@@ -4,36 +4,21 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import ResultSummary
+from tetractl.results import mean_difference
 from tetractl.results.describe import Group
 from tetractl.results.estimate import CONFIDENCE, Interval
-from tetractl.results.mean_difference import (
-    Effect,
-    MeanDifference,
-    Ratio,
-    cliffs_delta,
-    detectable,
-    detectable_between,
-    deviation_ratio,
-    from_both_intervals,
-    holm,
-    paired_t,
-    rank_sum,
-    signed_rank,
-    standardised,
-    welch,
-)
+from tetractl.results.mean_difference import MeanDifference, from_both_intervals
 from tetractl.results.open_batch import counts, differences
 
 ENOUGH = 8
 """Least number of pairs or, without pairs, of trials on each side, for a verdict."""
-PAIRED_T, WELCH_T = "paired t", "Welch's t"
-SIGNED_RANK, RANK_SUM = "signed rank", "rank sum"
 _NOT_THE_WORLD = {"controller", "name", "description", "trials", "reference", "scale", "lab"}
 
 
@@ -45,14 +30,12 @@ class Contrast:
     `why_unpaired` is the reason. `difference` is tested by the paired t test, or without pairs by
     Welch's t test; `both` is another interval of this difference, computed from the intervals of
     the two means. `rank_p` is the p-value of Wilcoxon's signed-rank test or, without pairs,
-    rank-sum test. `standardised` is the mean of the paired differences over their standard
-    deviation, `delta` Cliff's delta, and `deviations` the ratio of both standard deviations.
-    `p_holm`, `rank_p_holm` and `deviation_p_holm` are the p-values for means, ranks and standard
-    deviations, corrected for the number of contrasts. `detects` is the difference that the test
-    finds in 80 % of all studies of this size, in standard deviations of the paired differences or,
-    without pairs, of the values. `differs` lists the fields in which both specs differ. `verdict`
-    is "lower", "higher" or "undecided", or None with a `reason`. Groups with different plants
-    (`alike` False) are not tested: their p-values are NaN.
+    rank-sum test. `p_holm` and `rank_p_holm` are the p-values for means and ranks, corrected for
+    the number of contrasts. `detects` is the difference that the test finds in 80 % of all studies
+    of this size, in standard deviations of the paired differences or, without pairs, of the values.
+    `differs` lists the fields in which both specs differ. `verdict` is "lower", "higher" or
+    "undecided", or None with a `reason`. Groups with different plants (`alike` False) are not
+    tested: their p-values are NaN.
     """
 
     one: Group
@@ -63,14 +46,10 @@ class Contrast:
     difference: MeanDifference
     both: Interval
     rank_p: float
-    standardised: Effect
-    delta: Effect
-    deviations: Ratio
     detects: float
     differs: tuple[str, ...]
     p_holm: float = math.nan
     rank_p_holm: float = math.nan
-    deviation_p_holm: float = math.nan
     verdict: str | None = None
     reason: str | None = None
 
@@ -82,7 +61,7 @@ class Contrast:
     @property
     def tests(self) -> str:
         """Names of the tests of means and of ranks, as "paired t, signed rank"."""
-        return f"{PAIRED_T}, {SIGNED_RANK}" if self.pairs else f"{WELCH_T}, {RANK_SUM}"
+        return "paired t, signed rank" if self.pairs else "Welch's t, rank sum"
 
     @property
     def counted(self) -> str:
@@ -90,6 +69,40 @@ class Contrast:
         return (
             f"{self.pairs} pairs" if self.pairs else f"{self.one.counted} and {self.other.counted}"
         )
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The comparison by its keys in JSON."""
+        sides = {
+            f"{side}_{key}": value
+            for side, group in (("one", self.one), ("other", self.other))
+            for key, value in (
+                ("origin", group.origin.value),
+                ("n", group.counted),
+                ("mean", group.total.mean),
+                ("std", group.total.std),
+                ("tail", group.total.tail.as_dict()),
+            )
+        }
+        return {
+            "one": self.one.name,
+            "other": self.other.name,
+            "unit": self.one.unit,
+            **sides,
+            "comparable": self.alike,
+            "pairs": self.pairs,
+            "unpaired_reason": self.why_unpaired or None,
+            **self.difference.as_dict(),
+            "both": self.both.as_dict(),
+            "p_holm": self.p_holm,
+            "rank_p": self.rank_p,
+            "rank_p_holm": self.rank_p_holm,
+            "tests": self.tests,
+            "detects_sd": self.detects,
+            "verdict": self.verdict,
+            "verdict_reason": self.reason,
+            "differs": list(self.differs),
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +116,19 @@ class GroupComparison:
     def unit(self) -> str:
         """The length unit of every error."""
         return self.groups[0].unit
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The object that `stats --format json` prints: of one group its record, of several
+        `groups` and `comparisons`. Numbers are not rounded; unknown values are NaN.
+        """
+        if len(self.groups) == 1:
+            return self.groups[0].record
+        return {
+            "unit": self.unit,
+            "groups": [{"name": group.name, **group.record} for group in self.groups],
+            "comparisons": [one.record for one in self.contrasts],
+        }
 
     @property
     def whole(self) -> bool:
@@ -133,17 +159,16 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
     alike = one.origin is other.origin
     paired, why = paired_differences(one, other)
     if len(paired):
-        difference, rank_p = paired_t(paired), signed_rank(paired)
-        detects = detectable(len(paired), tests)
+        difference = mean_difference.paired_t(paired)
+        rank_p = mean_difference.signed_rank(paired)
+        detects = mean_difference.detectable(len(paired), tests=tests)
     else:
-        difference = welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
-        rank_p = rank_sum(one.totals, other.totals)
-        detects = detectable_between(a.n, b.n, tests)
-    deviations = deviation_ratio(one.totals, other.totals)
+        difference = mean_difference.welch(a.n, a.mean, a.std, b.n, b.mean, b.std)
+        rank_p = mean_difference.rank_sum(one.totals, other.totals)
+        detects = mean_difference.detectable(a.n, b.n, tests)
     if not alike:
         rank_p = detects = math.nan
         difference = replace(difference, p_value=math.nan)
-        deviations = replace(deviations, p_value=math.nan)
     return Contrast(
         one=one,
         other=other,
@@ -153,9 +178,6 @@ def _contrast(one: Group, other: Group, tests: int) -> Contrast:
         difference=difference,
         both=from_both_intervals(a, b),
         rank_p=rank_p,
-        standardised=standardised(paired),
-        delta=cliffs_delta(one.totals, other.totals),
-        deviations=deviations,
         detects=detects,
         differs=tuple(differences(one.experiment, other.experiment)),
     )
@@ -176,11 +198,8 @@ def paired_differences(one: Group, other: Group) -> tuple[Floats, str]:
     if ours != theirs:
         return np.zeros(0), "the batches differ in more than the controller"
     others = _by_world(other.batch.trials)
-    pairs = [
-        error - others[world]
-        for world, error in _by_world(one.batch.trials).items()
-        if world in others
-    ]
+    own = _by_world(one.batch.trials)
+    pairs = [error - others[world] for world, error in own.items() if world in others]
     if not pairs:
         return np.zeros(0), "the batches have no seed and trial in common"
     return np.array(pairs), ""
@@ -195,14 +214,14 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
 
 def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
     """Correct the p-values for the number of tests, and set the verdicts."""
-    means = holm([one.difference.p_value for one in found])
-    ranks = holm([one.rank_p for one in found])
-    deviations = holm([one.deviations.p_value for one in found])
+    means = mean_difference.holm([one.difference.p_value for one in found])
+    ranks = mean_difference.holm([one.rank_p for one in found])
     corrected = []
-    for one, p_holm, rank, deviation in zip(found, means, ranks, deviations, strict=True):
+    for one, p_holm, rank in zip(found, means, ranks, strict=True):
         verdict, reason = _verdict(one, p_holm)
-        p_values = {"p_holm": p_holm, "rank_p_holm": rank, "deviation_p_holm": deviation}
-        corrected.append(replace(one, **p_values, verdict=verdict, reason=reason))
+        corrected.append(
+            replace(one, p_holm=p_holm, rank_p_holm=rank, verdict=verdict, reason=reason)
+        )
     return corrected
 
 

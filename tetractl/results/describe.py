@@ -9,44 +9,14 @@ import numpy as np
 from tetractl.core.commands import STOOD
 from tetractl.core.plan import Outcome
 from tetractl.core.poses import Floats
-from tetractl.experiment.experiment import Experiment, Reference, Scale
+from tetractl.core.table.table import NONE, digits, lengths, p_value
+from tetractl.experiment.experiment import Experiment
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.results.estimate import Distribution, Interval, distributions
+from tetractl.results.estimate import FAR, Distribution, Interval, distributions
 from tetractl.results.mean_difference import MeanDifference, welch
 from tetractl.results.open_batch import Batch, counts, experiment_of
 from tetractl.results.outcomes import SAFETY
 from tetractl.results.statistic import Value, statistics
-
-
-@dataclass(frozen=True, slots=True)
-class Published:
-    """The published result, and the measured mean minus the published mean, tested by Welch's t
-    test.
-
-    `difference` is None if the two results cannot be compared, such as those of an undisturbed
-    simulation and of real robots.
-    """
-
-    reference: Reference
-    difference: MeanDifference | None
-
-
-@dataclass(frozen=True, slots=True)
-class Scaled:
-    """The mean error of one robot scaled to another kind of robot by the ratio of speeds.
-
-    `error` = (mean total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`;
-    NaN if every speed is 0. `published` is the published mean error, scaled by the same factor.
-    """
-
-    scale: Scale
-    error: float
-    ci95: Interval
-    published: float
-
-    def body_lengths(self, error: float) -> float:
-        """Convert an error in `scale.unit` to body lengths."""
-        return error / self.scale.body_length
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,9 +25,8 @@ class Group:
 
     Only complete trials count, those whose outcome the controller decided. `totals` (n,) and
     `errors` (n, N) are the errors of the n trials that count; `total` and `robots` describe them.
-    `statistics` are the values of all registered statistics, over all trials. `published` and
-    `scaled` are None if the spec requests none; `scaled` is also None for a simulation without
-    disturbances and for an emulated lab.
+    `values` are the group's other figures: plant, tail, the published and the scaled error, all
+    registered statistics, over all trials, and the logs that are missing.
     """
 
     name: str
@@ -68,9 +37,7 @@ class Group:
     errors: Floats = field(repr=False)  # (n, N) errors of each robot
     total: Distribution
     robots: tuple[Distribution, ...] = field(repr=False)
-    statistics: tuple[Value, ...] = field(repr=False)
-    published: Published | None = field(repr=False)
-    scaled: Scaled | None = field(repr=False)
+    values: tuple[Value, ...] = field(repr=False)
 
     @property
     def unit(self) -> str:
@@ -83,14 +50,59 @@ class Group:
         return self.total.n
 
     @property
-    def n_attempts(self) -> int:
-        """Number of earlier attempts, readable or not."""
-        return len(self.batch.attempts) + len(self.batch.lost_attempts)
+    def rows(self) -> dict[str, str]:
+        """The figures by their labels in tables."""
+        return {label: text for value in self.values for label, text in value.rows}
 
     @property
     def items(self) -> dict[str, Any]:
-        """The statistics by their keys in JSON, such as `arrived` and `solve_ms`."""
-        return {key: item for value in self.statistics for key, item in value.items.items()}
+        """The figures by their keys in JSON, such as `arrived` and `solve_ms`."""
+        return {key: item for value in self.values for key, item in value.items.items()}
+
+    @property
+    def record(self) -> dict[str, Any]:
+        """The object that `stats --format json` prints for a group: errors, figures and trials.
+
+        Lengths are in `unit`, times in the unit with which their key ends; unknown values are NaN.
+        """
+        batch, names = self.batch, self.experiment.setup.names
+        return {
+            "experiment": self.experiment.name,
+            "unit": self.unit,
+            "total_error": self.total.as_dict(),
+            "robots": [
+                {"name": name, **errors.as_dict()}
+                for name, errors in zip(names, self.robots, strict=True)
+            ],
+            **self.items,
+            "trials": [trial_items(trial) for trial in batch.trials],
+            "attempts": [
+                *(trial_items(trial) | {"counted": False} for trial in batch.attempts),
+                *batch.lost_attempts,
+            ],
+            "flagged": flagged(batch),
+        }
+
+
+def trial_items(trial: ResultSummary) -> dict[str, Any]:
+    """Return the result of a trial by its keys in JSON."""
+    result = trial.result
+    return {
+        "path": trial.path,
+        "seed": trial.seed,
+        "trial": trial.trial,
+        "total_error": result.total_error,
+        "robot_errors": list(result.robot_errors),
+        "steps": result.steps,
+        "duration_s": result.duration_s,
+        "origin": trial.origin.value,
+        "outcome": result.outcome.value,
+        "reason": result.reason,
+        "warnings": trial.warnings,
+        "processor": trial.processor,
+        **{key: item for one in statistics() for key, item in one.of_trial(trial).items()},
+        "counted": counts(trial),
+    }
 
 
 def describe(batch: Batch, name: str = "") -> Group:
@@ -114,32 +126,102 @@ def describe(batch: Batch, name: str = "") -> Group:
         errors=errors,
         total=total,
         robots=tuple(distributions(errors.T)),
-        statistics=tuple(statistic.of_batch(batch.trials) for statistic in statistics()),
-        published=_published(experiment, total, origin),
-        scaled=_scaled(experiment, total) if origin.comparable else None,
+        values=(
+            *_kept(batch, experiment, total, origin),
+            _published(experiment, total, origin),
+            _scaled(experiment, total, origin),
+            *(statistic.of_batch(batch.trials) for statistic in statistics()),
+            *_left_out(batch),
+        ),
     )
 
 
-def _published(experiment: Experiment, total: Distribution, origin: Origin) -> Published | None:
-    if (reference := experiment.reference) is None:
-        return None
-    if not origin.comparable:
-        return Published(reference, None)
-    known = reference.n, reference.mean, reference.std
-    return Published(reference, welch(total.n, total.mean, total.std, *known))
+def _kept(
+    batch: Batch, experiment: Experiment, total: Distribution, origin: Origin
+) -> tuple[Value, ...]:
+    """Return the plant, how many trials count, and the tail of their errors."""
+    assumed = ("  its disturbances", "assumed in the spec, not measured")
+    plant = {
+        "origin": origin.value,
+        "kind": "simulated" if origin.simulated else origin.name.lower(),
+        "disturbed": origin is not Origin.UNDISTURBED,
+        "body_radius": experiment.controller.body_radius or None,
+    }
+    rows = [("plant", str(origin)), *([assumed] if origin is Origin.DISTURBED else [])]
+    n = {"n_trials": len(batch.trials), "n_counted": total.n}
+    bound = "error_bound" if total.tail.stated else f"{FAR} medians"
+    return (
+        Value(plant, tuple(rows)),
+        Value.row("complete, with known errors", f"{total.n} of {len(batch.trials)}", **n),
+        Value.row(f"trials above {bound}, 95 % interval", total.tail.text(experiment.units.length)),
+    )
 
 
-def _scaled(experiment: Experiment, total: Distribution) -> Scaled | None:
-    if (scale := experiment.scale) is None:
-        return None
+def _published(experiment: Experiment, total: Distribution, origin: Origin) -> Value:
+    """Return the published result, and the measured mean minus the published mean, tested by
+    Welch's t test; `comparable` is false for an undisturbed simulation and an emulated lab.
+    """
+    if (known := experiment.reference) is None:
+        return Value({"reference": None}, ())
+    unit = experiment.units.length
+    label = f"difference from published [{unit}]"
+    stated = {"source": known.source, "n": known.n, "mean": known.mean, "std": known.std}
+    if origin.comparable:
+        found = welch(total.n, total.mean, total.std, known.n, known.mean, known.std)
+        show = lengths(found.value)
+        rows = [
+            (label, show(found.value)),
+            (f"  its 95 % interval [{unit}]", found.ci95.text(show)),
+            ("  p (Welch)", p_value(found.p_value)),
+        ]
+    else:
+        found = MeanDifference.untested(math.nan, "not compared")
+        rows = [(label, f"{NONE} (not real robots)")]
+    stated |= {"comparable": origin.comparable, **found.as_dict()}
+    return Value({"reference": stated}, tuple(rows))
+
+
+def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Value:
+    """Return the mean error of one robot scaled to another kind of robot by the ratio of speeds:
+    (mean total error / N) (scale.speed / mean speed of the N robots), in `scale.unit`, and the
+    published mean error scaled by the same factor; NaN if every speed is 0.
+    """
+    if (scale := experiment.scale) is None or not origin.comparable:
+        return Value({"scaled": None}, ())
     speeds = sum(robot.speed for robot in experiment.robots)
-    # (total / N) (scale.speed / mean speed): the number of robots cancels
-    factor = scale.speed / speeds if speeds > 0 else math.nan
-    interval = total.ci95
-    if interval.known:
-        interval = Interval(interval.low * factor, interval.high * factor, interval.method)
+    factor = scale.speed / speeds if speeds > 0 else math.nan  # the number of robots cancels
+    error = total.mean * factor
+    ci95 = Interval(total.ci95.low * factor, total.ci95.high * factor, reason=total.ci95.reason)
     published = experiment.reference.mean * factor if experiment.reference else math.nan
-    return Scaled(scale, total.mean * factor, interval, published)
+    bodies, published_bodies = error / scale.body_length, published / scale.body_length
+    show = lengths(error)
+    rows = [
+        (f"robot error scaled to {scale.name} [{scale.unit}]", show(error)),
+        (f"  its 95 % interval [{scale.unit}]", ci95.text(show)),
+        ("  in body lengths", digits(bodies)),
+    ]
+    if math.isfinite(published):
+        text = f"{lengths(published)(published)} ({digits(published_bodies)} body lengths)"
+        rows.append((f"  published error scaled [{scale.unit}]", text))
+    found = {
+        "name": scale.name,
+        "unit": scale.unit,
+        "mean": error,
+        "ci95": ci95.ends,
+        "body_lengths": bodies,
+        "published_mean": published,
+        "published_body_lengths": published_bodies,
+    }
+    return Value({"scaled": found}, tuple(rows))
+
+
+def _left_out(batch: Batch) -> tuple[Value, Value]:
+    """Return the number of earlier attempts, readable or not, and the logs that are lost."""
+    attempts = len(batch.attempts) + len(batch.lost_attempts)
+    return (
+        Value.row("earlier attempts, not counted", str(attempts), n_attempts=attempts),
+        Value.row("logs that could not be read", str(len(batch.lost)), damaged=batch.lost),
+    )
 
 
 @dataclass(frozen=True, slots=True)

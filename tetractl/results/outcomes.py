@@ -25,15 +25,14 @@ _ARRIVED = share("arrived", "arrived", lambda trial: trial.outcome is Outcome.AR
 def _arrived(trials: Sequence[ResultSummary]) -> Value:
     if trials[0].experiment.controller.arrival_tolerance > 0:
         return _ARRIVED.of_batch(trials)
-    unknown = {"arrived": None, "arrived_ci95": None}
-    return Value(unknown, (("arrived, 95 % interval", f"{NONE} (no arrival_tolerance)"),))
+    text = f"{NONE} (no arrival_tolerance)"
+    return Value.row("arrived, 95 % interval", text, arrived=None, arrived_ci95=None)
 
 
 def _outcomes(trials: Sequence[ResultSummary]) -> Value:
     found = Counter(trial.outcome for trial in trials)
     text = ", ".join(f"{n} {outcome.value}" for outcome, n in found.most_common())
-    items = {outcome.value: found[outcome] for outcome in Outcome}
-    return Value({"outcomes": items}, (("outcomes", text),))
+    return Value.row("outcomes", text, outcomes={one.value: found[one] for one in Outcome})
 
 
 OUTCOMES = Statistic(_outcomes)
@@ -69,7 +68,7 @@ def least(key: str, label: str, of: Distances) -> Statistic:
         unit = trials[0].experiment.units.length
         nearest = min(known, default=None)
         text = NONE if nearest is None else lengths(nearest)(nearest)
-        return Value({key: nearest}, ((f"{label} [{unit}]", text),))
+        return Value.row(f"{label} [{unit}]", text, **{key: nearest})
 
     return Statistic(of_batch, of_trial)
 
@@ -119,7 +118,7 @@ def safety(label: str, body: str, centre: tuple[str, str] | None = None) -> Stat
             if columns[0][column] is not None:
                 found, share = fraction(key, [one[column] for one in columns])
                 items, text = items | found, f"{share}, {counted}"
-        return Value(items, ((f"{label}, 95 % interval", text),))
+        return Value.row(f"{label}, 95 % interval", text, **items)
 
     return Statistic(of_batch, of_trial)
 
@@ -202,7 +201,7 @@ def _solve_ms(trials: Sequence[ResultSummary]) -> Value:
 
 def _deadline_misses(trials: Sequence[ResultSummary]) -> Value:
     misses = sum(trial.result.deadline_misses for trial in trials)
-    return Value({"deadline_misses": misses}, (("deadline misses", str(misses)),))
+    return Value.row("deadline misses", str(misses), deadline_misses=misses)
 
 
 SOLVE_MS = Statistic(_solve_ms)

@@ -5,7 +5,7 @@ the CSV table of trials.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -25,6 +25,11 @@ class Value:
 
     items: dict[str, Any]
     rows: tuple[tuple[str, str], ...]
+
+    @classmethod
+    def row(cls, label: str, text: str, **items: Any) -> Self:
+        """Return a value with one row."""
+        return cls(items, ((label, text),))
 
 
 def _nothing(trial: ResultSummary) -> dict[str, Any]:
@@ -72,7 +77,7 @@ def count(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         found = sum(map(holds, trials))
-        return Value({key: found}, ((label, str(found)),))
+        return Value.row(label, str(found), **{key: found})
 
     return Statistic(of_batch)
 
@@ -93,7 +98,7 @@ def share(key: str, label: str, holds: Callable[[ResultSummary], bool]) -> Stati
 
     def of_batch(trials: Sequence[ResultSummary]) -> Value:
         items, text = fraction(key, [holds(trial) for trial in trials])
-        return Value(items, ((f"{label}, 95 % interval", text),))
+        return Value.row(f"{label}, 95 % interval", text, **items)
 
     return Statistic(of_batch)
 

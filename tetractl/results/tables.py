@@ -5,20 +5,19 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
-from tetractl.core.table.table import NONE, Column, Table, digits, fixed, lengths, p_value
+from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_value
+from tetractl.core.table.table_files import flat
 from tetractl.experiment.experiment import Experiment
-from tetractl.log.read.trial_log import Origin
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, flagged
-from tetractl.results.estimate import FAR, Distribution, Interval, known_distribution
+from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
+from tetractl.results.trial_tables import trials_table
 
 _SHOWN = 20  # largest number of flagged trials in a table
 _OTHER_SCALE = 100.0  # an error above this multiple of the smallest mean is shown with six digits
 _ABREAST = 3  # largest number of groups in one table
-
-Show = Callable[[float], str]
 
 
 def tables(found: GroupComparison) -> list[Table]:
@@ -87,8 +86,8 @@ def _errors(groups: Sequence[Group]) -> Table:
             title = f"{groups[0].name} against {groups[1].name}: final total error, {plants}"
         each = []
     for group in groups:
-        if group.published and all(name != "published" for name, _ in named):
-            known = group.published.reference
+        known = group.experiment.reference
+        if known and all(name != "published" for name, _ in named):
             row = known_distribution(known.n, known.mean, known.std, Interval.none(""))
             named.append(("published", row))
     scale = min((group.total.mean for group in groups if group.counted), default=math.nan)
@@ -113,7 +112,7 @@ def processors_note(types: Iterable[str]) -> str:
 
 def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
     """Return a table of some groups: a row per statistic, a column per group."""
-    columns = [dict(_figures(group)) for group in groups]
+    columns = [group.rows for group in groups]
     labels = list(dict.fromkeys(label for column in columns for label in column))
     return Table(
         "Trials",
@@ -127,62 +126,13 @@ def _trials(groups: Sequence[Group], names: Sequence[str]) -> Table:
     )
 
 
-def _figures(group: Group) -> list[tuple[str, str]]:
-    """Return the label and the text of each statistic of one group."""
-    rows = [("plant", str(group.origin))]
-    if group.origin is Origin.DISTURBED:
-        rows.append(("  its disturbances", "assumed in the spec, not measured"))
-    complete = f"{group.counted} of {len(group.batch.trials)}"
-    rows.append(("complete, with known errors", complete))
-    rows.append((tail_label(group.total), group.total.tail.text(group.unit)))
-    if group.published:
-        found = group.published.difference
-        if found is None:
-            text = f"{NONE} (not real robots)"
-            rows.append((f"difference from published [{group.unit}]", text))
-        else:
-            show = lengths(found.value)
-            rows += [
-                (f"difference from published [{group.unit}]", show(found.value)),
-                (f"  its 95 % interval [{group.unit}]", found.ci95.text(show)),
-                ("  p (Welch)", p_value(found.p_value)),
-            ]
-    if scaled := group.scaled:
-        show, unit = lengths(scaled.error), scaled.scale.unit
-        label = f"robot error scaled to {scaled.scale.name} [{unit}]"
-        rows += [
-            (label, show(scaled.error)),
-            (f"  its 95 % interval [{unit}]", scaled.ci95.text(show)),
-            ("  in body lengths", digits(scaled.body_lengths(scaled.error))),
-        ]
-        if math.isfinite(scaled.published):
-            in_bodies = digits(scaled.body_lengths(scaled.published))
-            text = f"{lengths(scaled.published)(scaled.published)} ({in_bodies} body lengths)"
-            rows.append((f"  published error scaled [{unit}]", text))
-    return [
-        *rows,
-        *(row for value in group.statistics for row in value.rows),
-        ("earlier attempts, not counted", str(group.n_attempts)),
-        ("logs that could not be read", str(len(group.batch.lost))),
-    ]
-
-
-def tail_label(values: Distribution) -> str:
-    """Return the label of the row or column that counts errors above the bound of `values.tail`."""
-    bound = "error_bound" if values.tail.stated else f"{FAR} medians"
-    return f"trials above {bound}, 95 % interval"
-
-
 def _contrasts(found: Sequence[Contrast]) -> list[Table]:
-    """Return three tables: the differences of the means, the effect sizes, and what the tests rest
-    on.
-    """
+    """Return two tables: the differences of the means with their tests, and what these rest on."""
     if not found:
         return []
     first = found[0].one
     sizes = [abs(one.difference.value) for one in found]
     show = lengths(max(filter(math.isfinite, sizes), default=0.0), finest(first.experiment))
-    two = fixed(2)
     names = Column("one - other", [one.name for one in found])
     verdicts = [one.verdict or f"none: {one.reason}" for one in found]
     compared = "Comparison of the mean total errors"
@@ -199,28 +149,14 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
             Column("verdict on the mean error", verdicts, words=True),
         ),
     )
-    effects = Table.of_texts(
-        "Size of the differences, with 95 % intervals, p by Holm",
-        (names.name, "in sd of pairs", "Cliff's delta", "p of ranks", "sd ratio", "p of sd"),
-        [
-            (
-                one.name,
-                _with_ends(one.standardised.value, one.standardised.ci95, two),
-                _with_ends(one.delta.value, one.delta.ci95, two),
-                p_value(one.rank_p_holm),
-                _with_ends(one.deviations.value, one.deviations.ci95, two),
-                p_value(one.deviation_p_holm),
-            )
-            for one in found
-        ],
-    )
     basis = Table.of_texts(
         "What the comparisons rest on",
-        (names.name, "tests", "what n can show", "why not paired", "differs in"),
+        (names.name, "tests", "p of ranks", "what n can show", "why not paired", "differs in"),
         [
             (
                 one.name,
                 one.tests if one.alike else NONE,
+                p_value(one.rank_p_holm),
                 detects(one),
                 one.why_unpaired,
                 listing(one.differs) or "nothing",
@@ -228,11 +164,7 @@ def _contrasts(found: Sequence[Contrast]) -> list[Table]:
             for one in found
         ],
     )
-    return [differences, effects, basis]
-
-
-def _with_ends(value: float, ends: Interval, show: Show) -> str:
-    return f"{show(value)} ({ends.text(show)})" if math.isfinite(value) else NONE
+    return [differences, basis]
 
 
 def detects(one: Contrast) -> str:
@@ -247,6 +179,15 @@ def _flagged(groups: Sequence[Group]) -> Table:
     if len(found) > _SHOWN:
         rows.append((f"{len(found) - _SHOWN} more", NONE, "--format json names all"))
     return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+
+
+def data_table(found: GroupComparison) -> Table:
+    """Return the table of `stats --format csv`: for one group, a row per trial, earlier attempts
+    last; for several groups, a row per comparison, with the same numbers as the JSON.
+    """
+    if len(found.groups) == 1:
+        return trials_table(found.groups[0].batch)
+    return Table.of_records("comparisons", [flat(one.record) for one in found.contrasts])
 
 
 def finest(experiment: Experiment) -> int:

@@ -1,8 +1,9 @@
-"""The tables of a trial: one row per control step, pose, estimate or event, or one for the trial.
+"""The tables of trials: one row per trial or, of one trial, per control step, pose, estimate or
+event.
 
 The unit of a column is in its name: s, ms, rad, rad/s, or the length unit of the experiment, such
-as mm and mm/s. Times count from the first direction sent. `log` and `trial` are in every table, so
-that tables can be joined.
+as mm and mm/s. Times count from the first direction sent. `log` and `trial` are in every table of
+`tetractl export`, so that tables can be joined.
 """
 
 from collections.abc import Callable, Container, Mapping
@@ -11,13 +12,33 @@ from typing import Any
 
 import numpy as np
 
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Floats
 from tetractl.core.table.table import Column, Table
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.trial_log import ResultSummary, TrialLog
-from tetractl.results.items import trials_table
+from tetractl.results.describe import trial_items
 from tetractl.results.open_batch import Batch
 
 _WORDS = ("robot", "level", "text", "stopped", "outcome", "origin", "reason")
+
+
+def trials_table(batch: Batch) -> Table:
+    """Return one row per trial, then one row per earlier attempt, with `attempt` True.
+
+    The names of lengths end in their unit.
+    """
+    counted = [_row(trial) | {"attempt": False} for trial in batch.trials]
+    attempts = [_row(one) | {"attempt": True, "counted": False} for one in batch.attempts]
+    return Table.of_records("trials", [*counted, *attempts])
+
+
+def _row(trial: ResultSummary) -> dict[str, Any]:
+    """Return the row of one trial: its values by the names of the columns."""
+    fields, unit = trial_items(trial), trial.experiment.units.length
+    total, errors = fields.pop("total_error"), fields.pop("robot_errors")
+    names = (f"error_{robot.name}_{unit}" for robot in trial.experiment.robots)
+    return {**fields, f"total_error_{unit}": total, **dict(zip(names, errors, strict=True))}
 
 
 def steps(log: TrialLog) -> Table:
@@ -47,9 +68,12 @@ def steps(log: TrialLog) -> Table:
     for i, name in enumerate(setup.names):
         columns[f"delivered_{name}"] = [step.command.delivered[i] for step in found]
     if setup.wheel_radius is not None:
+        wheels = {
+            "left": [step.command.left for step in found],
+            "right": [step.command.right for step in found],
+        }
         for i, name in enumerate(setup.names):
-            for side in ("left", "right"):
-                speeds = [getattr(step.command, side) for step in found]
+            for side, speeds in wheels.items():
                 columns[f"{side}_{name}_{setup.unit}_s"] = [
                     None if one is None else float(one[i]) for one in speeds
                 ]
@@ -81,16 +105,16 @@ def estimates(log: TrialLog) -> Table:
     """Return one row per control step and robot: the controller's estimates and their standard
     deviations."""
     setup = log.start.setup
-    of = {
-        "a_rad_s": "a",
-        "a_std_rad_s": "a_std",
-        f"speed_{setup.unit}_s": "speed",
-        f"speed_std_{setup.unit}_s": "speed_std",
-        "heading_bias_rad": "heading_bias",
-        "heading_bias_std_rad": "heading_bias_std",
-        "dead_time_s": "dead_time",
-        "dead_time_std_s": "dead_time_std",
-        "misfit": "misfit",
+    of: dict[str, Callable[[Estimate], Floats | float | None]] = {
+        "a_rad_s": lambda found: found.a,
+        "a_std_rad_s": lambda found: found.a_std,
+        f"speed_{setup.unit}_s": lambda found: found.speed,
+        f"speed_std_{setup.unit}_s": lambda found: found.speed_std,
+        "heading_bias_rad": lambda found: found.heading_bias,
+        "heading_bias_std_rad": lambda found: found.heading_bias_std,
+        "dead_time_s": lambda found: found.dead_time,
+        "dead_time_std_s": lambda found: found.dead_time_std,
+        "misfit": lambda found: found.misfit,
     }
     columns: dict[str, list[Any]] = {name: [] for name in ("k", "time_s", "robot", *of)}
     for step in log.steps:
@@ -100,8 +124,8 @@ def estimates(log: TrialLog) -> Table:
             columns["k"].append(step.k)
             columns["time_s"].append(log.elapsed_s(step.command.sent_ns))
             columns["robot"].append(robot)
-            for column, name in of.items():
-                value = getattr(found, name)
+            for column, get in of.items():
+                value = get(found)
                 one = value[i] if isinstance(value, np.ndarray) else value
                 columns[column].append(None if one is None else float(np.max(one)))
     return _table("estimates", columns)

@@ -14,9 +14,9 @@ from tetractl.core.table.table_files import TableFiles
 from tetractl.log.read.rows import SIMULATED, Row
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.estimate import Distribution, distributions
-from tetractl.results.items import trials_table
 from tetractl.results.open_batch import Batch, counts
 from tetractl.results.tables import error_table, processors_note
+from tetractl.results.trial_tables import trials_table
 from tetractl.study.load_study import Arm, LoadedStudy, as_cell, as_yaml
 from tetractl.study.row_store import Store
 

@@ -10,8 +10,8 @@ from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, grou
 from tetractl.core.plan import Outcome
 from tetractl.core.table.table_files import csv_text, json_text
 from tetractl.results.contrast import contrast
-from tetractl.results.items import as_items, data_table
 from tetractl.results.open_batch import Damaged
+from tetractl.results.tables import data_table
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 SPEC_PLAIN = experiment()
@@ -19,7 +19,7 @@ SPEC = experiment(reference=REFERENCE, scale=SCALE, plant=DISTURBED)
 
 
 def as_json(*groups):
-    return json.loads(json_text(as_items(contrast(groups))))
+    return json.loads(json_text(contrast(groups).record))
 
 
 def rows_of(*groups):

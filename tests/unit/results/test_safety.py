@@ -6,7 +6,7 @@ from support.batches import batch, experiment, group
 from tetractl.core.commands import Verdict
 from tetractl.core.poses import Poses
 from tetractl.results.describe import flagged
-from tetractl.results.items import group_items, trials_table
+from tetractl.results.trial_tables import trials_table
 
 INF = float("inf")
 
@@ -43,11 +43,11 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
         judged(2, (48.0, 60.0), (95.0, 95.0), (48.0, 60.0), spec),
     ]
     found = group(trials)
-    items = group_items(found)
+    items = found.record
     assert items["body_radius"] == 47
     assert (items["obstacle_violations"], items["left_arena"]) == (0, 1)
     assert (items["body_in_obstacle"], items["body_over_edge"], items["bodies_touch"]) == (1, 2, 1)
-    rows = dict(row for value in found.statistics for row in value.rows)
+    rows = found.rows
     assert rows["left the arena, 95 % interval"] == "2 of 3 (21 to 94 %), bodies of radius 47 mm"
     assert rows["touched one another, 95 % interval"].startswith("1 of 3")
     columns = trials_table(found.batch).as_dict()
@@ -62,7 +62,7 @@ def test_bodies_are_counted_where_the_spec_gives_their_radius_and_centres_beside
 
 def test_without_a_radius_centres_are_counted_and_said_to_be():
     found = group([judged(0, (-1.0, 5.0), (200.0, 200.0))])
-    rows = dict(row for value in found.statistics for row in value.rows)
+    rows = found.rows
     assert rows["left the arena, 95 % interval"] == "1 of 1 (21 to 100 %), centres"
     assert rows["touched one another, 95 % interval"] == "- (no radius)"
     assert found.items["body_over_edge"] is found.items["bodies_touch"] is None

@@ -12,9 +12,8 @@ from tetractl.core.registries import STATISTICS
 from tetractl.core.table.table_files import csv_text
 from tetractl.core.table.terminal_table import TEXTS, print_tables
 from tetractl.results.contrast import contrast
-from tetractl.results.items import as_items, data_table
 from tetractl.results.statistic import number
-from tetractl.results.tables import tables
+from tetractl.results.tables import data_table, tables
 
 ERRORS = np.random.default_rng(4).gamma(4, 50, (20, 3)).tolist()
 WORST = number("worst_error", "error of the worst robot", lambda result: max(result.robot_errors))
@@ -35,7 +34,7 @@ def test_it_is_in_every_table(capsys):
 
 def test_it_is_in_json_and_csv():
     described = contrast([group(batch(ERRORS))])
-    found = as_items(described)
+    found = described.record
     assert found["worst_error"]["mean"] == pytest.approx(np.max(ERRORS, axis=1).mean())
     assert found["worst_error"]["n"] == 20
     assert found["trials"][3]["worst_error"] == max(ERRORS[3])

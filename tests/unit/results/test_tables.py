@@ -100,7 +100,7 @@ def test_latex_has_units_minus_signs_and_a_width():
     assert r" & -- & --" in text
     assert r"arrived, 95 \% interval & -- (no arrival\_tolerance)" in text
     assert text.count(r"\begin{tabular}") == text.count(r"\resizebox{\ifdim\width>\linewidth")
-    assert text.count(r"\begin{tabularx}{\linewidth}") == 4
+    assert text.count(r"\begin{tabularx}{\linewidth}") == 3
 
 
 def shown(summary, label, *comparison):

@@ -10,8 +10,8 @@ from tetractl.core.errors import LogError
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.reader import read_result
 from tetractl.log.read.rows import SPEC, Row, row_results
-from tetractl.results.items import trials_table
 from tetractl.results.open_batch import Batch
+from tetractl.results.trial_tables import trials_table
 from tetractl.study.options import Logs
 
 

@@ -60,7 +60,7 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
     "unit/view/test_film.py::test_an_mp4_lasts",
 )
 CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
-    r"test_plant_contract.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"
+    r"contract/test_plants.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"
 )
 TURNS = ("cli/test_study", "emulated", "cli/test_docs", "cli", "plays", "")  # the longest first
 LANES = 2  # plays on real wires at a time: each has deadlines to keep

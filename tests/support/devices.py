@@ -5,151 +5,109 @@ time. A further type joins by an entry in `CAMERAS` or `ACTUATORS`.
 """
 
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass
-from pathlib import Path
+from contextlib import contextmanager
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, in_virtual_time
 from support.labs import STEP_NS, FakeActuator, FakeCamera, World
 
-from tetractl.core.clock import Clock, MonotonicClock, wait_for
-from tetractl.core.protocols import Actuator, Camera
-from tetractl.core.setup import Setup
+from tetractl.core.clock import MonotonicClock
 from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.load import parse_spec
-
-PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
-
-
-@dataclass
-class CameraRig:
-    """A camera, not entered yet, and what can be done to what it sees; poses (N, 3) are true."""
-
-    camera: Camera
-    clock: Clock
-    setup: Setup
-    poses: Callable[[], np.ndarray]
-    hide: Callable[[str], None]
-    woken: Callable[[], int]
-
-    def wait(self, condition: Callable[[], bool]) -> bool:
-        """Let time pass until a condition holds."""
-        return wait_for(self.clock, condition, PATIENCE_S)
+from tetractl.testing import Robots, Scene
 
 
-@dataclass
-class ActuatorRig:
-    """An actuator, not entered yet, and what it moves; `moves()` (N,) tells who truly moves."""
-
-    actuator: Actuator
-    clock: Clock
-    setup: Setup
-    moves: Callable[[], list[bool]]
-    unplug: Callable[[], None]
-
-    def wait(self, condition: Callable[[], bool]) -> bool:
-        """Let time pass until a condition holds."""
-        return wait_for(self.clock, condition, PATIENCE_S)
-
-
-@contextmanager
-def fake_camera(folder: Path) -> Iterator[CameraRig]:
+def fake_world():
     setup = parse_spec(SPEC, "fake").experiment.setup
-    clock = LabClock(STEP_NS)
-    camera = FakeCamera(World(setup, clock))
-    yield CameraRig(
-        camera,
-        clock,
-        setup,
-        lambda: camera.world.poses,
-        camera.hidden.add,
-        lambda: 0 if camera.newest is None else camera.newest.number,
-    )
+    return setup, World(setup, LabClock(STEP_NS))
 
 
 @contextmanager
-def fake_actuator(folder: Path) -> Iterator[ActuatorRig]:
-    setup = parse_spec(SPEC, "fake").experiment.setup
-    clock = LabClock(STEP_NS)
-    actuator = FakeActuator(World(setup, clock))
+def fake_camera(folder):
+    setup, world = fake_world()
+    cameras = []
 
-    def unplug() -> None:
-        actuator.failure = "gone"
+    def build(setup, clock, wake):
+        cameras.append(FakeCamera(world, wake))
+        return cameras[-1]
 
-    yield ActuatorRig(actuator, clock, setup, lambda: list(actuator.world.moving), unplug)
+    scene = Scene(world.clock, lambda: world.poses, lambda name: cameras[0].hidden.add(name))
+    yield SimpleNamespace(build=build), setup, scene
 
 
 @contextmanager
-def running(folder: Path, spec: str = SPEC) -> Iterator:
+def fake_actuator(folder):
+    setup, world = fake_world()
+    actuators = []
+
+    def build(setup, clock):
+        actuators.append(FakeActuator(world))
+        return actuators[-1]
+
+    def unplug():
+        actuators[0].failure = "gone"
+
+    section = SimpleNamespace(build=build, contradictions=lambda setup: ())
+    yield section, setup, Robots(world.clock, lambda: list(world.moving), unplug)
+
+
+@contextmanager
+def running(folder, spec=SPEC):
     """An emulated lab in virtual time, the experiment that leads to it, and the clock."""
     with in_virtual_time(folder, spec=spec) as (lab, clock, settings):
         yield lab, parse_spec(spec, "emulated", settings).experiment, clock
 
 
 @contextmanager
-def optitrack(folder: Path) -> Iterator[CameraRig]:
-    woken = []
+def optitrack(folder):
     with running(folder) as (lab, experiment, clock):
-        camera = experiment.lab.camera.build(experiment.setup, clock, lambda: woken.append(1))
 
-        def hide(name: str) -> None:
+        def hide(name):
             lab.camera.tracked_body(name).tracked = False
 
-        yield CameraRig(camera, clock, experiment.setup, _poses(lab), hide, lambda: len(woken))
-        camera.__exit__(None, None, None)
+        yield experiment.lab.camera, experiment.setup, Scene(clock, poses(lab), hide)
 
 
 @contextmanager
-def _actuator(folder: Path, spec: str) -> Iterator[ActuatorRig]:
+def actuator(folder, spec):
     with running(folder, spec) as (lab, experiment, clock):
-        actuator = experiment.lab.actuator.build(experiment.setup, clock)
 
-        def moves() -> list[bool]:
+        def moves():
             return [not body.standing for body in lab.actuator.bodies]
 
-        yield ActuatorRig(
-            actuator, clock, experiment.setup, moves, lambda: lab.actuator.plugged(False)
-        )
-        actuator.__exit__(None, None, None)
+        robots = Robots(clock, moves, lambda: lab.actuator.plugged(False))
+        yield experiment.lab.actuator, experiment.setup, robots
 
 
 @contextmanager
-def apriltag(folder: Path) -> Iterator[CameraRig]:
+def apriltag(folder):
     pytest.importorskip("cv2")
-    clock, woken = MonotonicClock(), []
     with emulated(folder, spec=APRILTAG_SPEC) as lab:
         thread = threading.Thread(target=lab.run)
         thread.start()
         experiment = parse_spec(APRILTAG_SPEC, "emulated").experiment
         source = experiment.lab.camera.source.model_copy(update={"url": lab.camera.camera.url})
-        section = experiment.lab.camera.model_copy(update={"source": source, "connect": PATIENCE_S})
-        camera = section.build(experiment.setup, clock, lambda: woken.append(1))
+        section = experiment.lab.camera.model_copy(update={"source": source, "connect": 120.0})
 
-        def hide(name: str) -> None:
+        def hide(name):
             lab.camera.renderer.hidden.add(lab.camera.tag(name))
 
         try:
-            yield CameraRig(camera, clock, experiment.setup, _poses(lab), hide, lambda: len(woken))
-            camera.__exit__(None, None, None)
+            yield section, experiment.setup, Scene(MonotonicClock(), poses(lab), hide)
         finally:
             lab.loop.end()
             thread.join()
 
 
-def _poses(lab) -> Callable[[], np.ndarray]:
+def poses(lab):
     return lambda: np.array([(b.x, b.y, b.heading) for b in lab.actuator.bodies])
 
 
-CAMERAS: dict[str, Callable[[Path], AbstractContextManager[CameraRig]]] = {
-    "fake": fake_camera,
-    "optitrack": optitrack,
-    "apriltag": apriltag,
-}
-ACTUATORS: dict[str, Callable[[Path], AbstractContextManager[ActuatorRig]]] = {
+CAMERAS = {"fake": fake_camera, "optitrack": optitrack, "apriltag": apriltag}
+ACTUATORS = {
     "fake": fake_actuator,
-    "m3pi-xbee": lambda folder: _actuator(folder, SPEC),
-    "field": lambda folder: _actuator(folder, FIELD_SPEC),
+    "m3pi-xbee": lambda folder: actuator(folder, SPEC),
+    "field": lambda folder: actuator(folder, FIELD_SPEC),
 }

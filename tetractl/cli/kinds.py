@@ -86,7 +86,7 @@ def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value
-    from tetractl.kind_checks import check_kind
+    from tetractl.testing import check_kind
 
     sys.path.insert(0, "")  # modules in this folder, as for `python -m`
     fields: dict[str, Any] = {}

@@ -1,6 +1,8 @@
-"""Checks a kind of another package against tetractl's requirements: `tetractl kinds --check`.
+"""Checks a kind, of tetractl or of another package, against tetractl's requirements.
 
-Each check is a generator of findings. Random numbers come from a fixed seed, so findings repeat.
+Each check is a generator of findings; `failed` names those with a problem, for a test of your own.
+`tetractl kinds --check` calls them from the command line. Random numbers come from a fixed seed, so
+findings repeat.
 """
 
 from collections.abc import Callable, Mapping
@@ -19,11 +21,17 @@ from tetractl.experiment.disturbance import DisturbanceSection
 from tetractl.experiment.lab_section import ActuatorSection, CameraSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.explain import words
-from tetractl.kind_checks.control_checks import check_controller, check_optimizer
-from tetractl.kind_checks.finding import Finding, Findings
-from tetractl.kind_checks.model_checks import check_motion, check_shape
-from tetractl.kind_checks.plant_checks import check_actuator, check_camera, check_disturbance
 from tetractl.model.motion.motion import Motion
+from tetractl.testing.control_checks import check_controller, check_optimizer
+from tetractl.testing.device_checks import Robots, Scene, check_actuator, check_camera
+from tetractl.testing.disturbance_checks import check_disturbance
+from tetractl.testing.finding import Finding, Findings, failed
+from tetractl.testing.model_checks import check_motion, check_shape
+
+__all__ = [
+    "Finding", "Findings", "Robots", "Scene", "check_actuator", "check_camera", "check_controller",
+    "check_disturbance", "check_kind", "check_motion", "check_optimizer", "check_shape", "failed",
+]  # fmt: skip
 
 CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {
     ShapeSection: check_shape,

@@ -24,6 +24,11 @@ class Finding:
 Findings = Iterator[Finding]
 
 
+def failed(findings: Findings) -> list[str]:
+    """Return the checks with a problem, one line each."""
+    return [f"{one.what}: {one.problem}" for one in findings if one.problem]
+
+
 def near(what: str, ours: Any, theirs: Any, scale: Any, share: float = NEAR) -> Finding:
     """Check that two results differ by at most `share` times `scale`; the error names the case
     that differs most."""

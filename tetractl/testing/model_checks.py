@@ -11,8 +11,8 @@ from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
-from tetractl.kind_checks.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
 from tetractl.model.motion.motion import Held, Motion
+from tetractl.testing.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
 
 STEP = 1e-6  # step of a central difference [rad]
 SLOPE = 1e-4  # relative error up to which a derivative agrees with a central difference

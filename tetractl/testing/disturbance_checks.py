@@ -1,22 +1,16 @@
-"""Checks of a disturbance, each method called as the plant does; and of a camera and an actuator,
-with which no robot moves.
-"""
+"""Checks of a disturbance, each method called as the plant does."""
 
 from dataclasses import astuple, is_dataclass
-from threading import Event
 from typing import Any
 
 import numpy as np
 
-from tetractl.core.clock import SECOND, MonotonicClock, seconds
+from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
-from tetractl.core.errors import AbortError
 from tetractl.core.poses import Floats, Poses
-from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, overriding
-from tetractl.experiment.lab_section import ActuatorSection, CameraSection
-from tetractl.kind_checks.finding import SEED, Finding, Findings, random_watched, same, true
+from tetractl.testing.finding import SEED, Finding, Findings, random_watched, same, true
 
 FRAME_NS = SECOND // 60
 FRAMES = 180
@@ -31,7 +25,6 @@ FITS = {
     "measured": "finite where valid",
     "received": "not before the exposure; None only with loses_frames",
 }
-STARTED_S = 5.0  # time in which an opened camera must deliver two frames
 
 
 def _fits(method: str, section: DisturbanceSection, given: Any, found: Any) -> Any:
@@ -112,53 +105,3 @@ def _flat(value: Any) -> Floats:
     if isinstance(value, tuple | list):
         return np.concatenate([np.zeros(0), *map(_flat, value)])
     return np.asarray(np.nan if value is None else value, dtype=float).ravel()
-
-
-def check_camera(section: CameraSection, setup: Setup) -> Findings:
-    """Check that a camera can be built and, if it can be opened, that its frames are valid."""
-    woken, clock = Event(), MonotonicClock()
-    camera = section.build(setup, clock, woken.set)
-    yield _members("camera", camera, Camera)
-    try:
-        with camera:
-            newest = "" if camera.newest else "there is no frame"
-            yield Finding("newest: a frame after opening", newest)
-            until, found = clock.now() + STARTED_S * SECOND, camera.frames()
-            while len(found) < 5 and clock.now() < until:
-                woken.wait(0.1)
-                woken.clear()
-                found += camera.frames()
-            now = clock.now()
-    except AbortError as error:
-        yield Finding(f"not opened, so its frames are not checked ({error})")
-        return
-    if len(found) < 2:
-        yield Finding("frames: at least 2", f"{len(found)} in {seconds(now):.0f} s")
-        return
-    numbers, times = [one.number for one in found], [one.sampled_ns for one in found]
-    yield true("frames: numbers rise", numbers == sorted(set(numbers)), str(numbers))
-    yield true("frames: times rise", times == sorted(times), str(times))
-    due = [one.sampled_ns <= one.received_ns <= now for one in found]
-    yield true("frames: received after their exposure", due)
-    count = [len(one.poses) for one in found]
-    yield true("frames: one pose per robot", np.equal(count, len(setup.names)), f"not so: {count}")
-
-
-def check_actuator(section: ActuatorSection, setup: Setup) -> Findings:
-    """Check that an actuator can be built; nothing is opened or moved."""
-    actuator = section.build(setup, MonotonicClock())
-    yield _members("actuator", actuator, Actuator)
-    yield Finding("period_ns: above 0", "" if actuator.period_ns > 0 else f"{actuator.period_ns}")
-    for name in ("individual", "halts"):
-        value = getattr(actuator, name)
-        yield Finding(f"{name}: true or false", "" if isinstance(value, bool) else repr(value))
-    yield Finding("failure: None before the device is opened", actuator.failure or "")
-    wrong = (f"{'.'.join(map(str, loc))} {text}" for loc, text in section.contradictions(setup))
-    yield Finding("section: fits the spec's robots", "; ".join(wrong))
-
-
-def _members(what: str, device: Any, protocol: type) -> Finding:
-    names = {name for base in protocol.__mro__ for name in vars(base) if not name.startswith("_")}
-    names |= {"__enter__", "__exit__"}
-    lacking = ", ".join(sorted(name for name in names if not hasattr(device, name)))
-    return Finding(f"{what}: all members", f"lacks {lacking}" if lacking else "")

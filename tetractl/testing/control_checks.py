@@ -12,14 +12,14 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import FieldOff
-from tetractl.core.plan import End, Limits, Outcome, Plan, Problem
+from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.controller import ControllerSection, OptimizerSection
-from tetractl.kind_checks.finding import SEED, Finding, Findings, near, random_watched, same, true
 from tetractl.model.obstacles import Obstacles
 from tetractl.plant.simulation import SimSection
+from tetractl.testing.finding import SEED, Finding, Findings, near, random_watched, same, true
 
 STEPS_MAX = 3
 CLOCKS = {"time", "perf_counter", "monotonic", "process_time", "now", "utcnow", "today"}
@@ -67,6 +67,7 @@ class Play:
 
     def __init__(self, section: ControllerSection, setup: Setup) -> None:
         self.decisions: list[Any] = []
+        self.first = setup.starts.array()  # the poses first observed
         self.changed = self.wrapped = False  # whether it changes observations, and uses `wrap`
         self.clocks: set[str] = set()
         self._package = type(section).__module__.partition(".")[0]
@@ -87,6 +88,7 @@ class Play:
         for k in range(STEPS_MAX + 2):
             seen = plant.observe()
             before = seen.poses.array()
+            self.first = before if k == 0 else self.first
             decision = controller.plan(seen, command, earlier)
             self.changed |= not np.array_equal(before, seen.poses.array())
             self.decisions.append(decision)
@@ -102,7 +104,8 @@ class Play:
 
     def _called(self, frame: Any, event: str, called: Any) -> None:
         """Note each call of a clock by the section's package."""
-        if event == "c_call" and frame.f_globals["__name__"].partition(".")[0] == self._package:
+        module = frame.f_globals.get("__name__", "")  # code that was generated has none
+        if event == "c_call" and module.partition(".")[0] == self._package:
             clock = called.__name__.removesuffix("_ns") in CLOCKS
             if clock and "time" in repr(called.__self__):
                 self.clocks.add(f"line {frame.f_lineno} calls {called.__name__}")
@@ -128,22 +131,54 @@ def check_controller(section: ControllerSection, setup: Setup) -> Findings:
     )
     finite = [np.isfinite(each).all() for each in play.numbers]
     yield true("plan: signals, path and costs are finite", finite)
-    chosen = [np.array_equal(one.signals, one.search.signals) for one in plans]
-    yield true("plan: signals of the chosen search", chosen)
+    inside = [np.abs(one.signals).max(initial=0.0) <= math.pi + 1e-12 for one in plans]
+    yield true("plan: signals from -pi to pi", inside)
+    yield true("plan: generator of 64 bits", [0 <= one.generator < 2**64 for one in plans])
+    yield true("plan: signals of the chosen search", [_chosen(one) for one in plans])
+    consistent = [_consistent(search) for one in plans for search in one.searches]
+    yield true("searches: signals, history and cost fit together", consistent)
+    if plans and all(finite):
+        path, size = plans[0].path, max(plans[0].target_cost, 1e-9)
+        yield near("plan: path from the observed poses", path[0], play.first, 1.0)
+        ends = np.hypot(*(path[-1, :, :2] - setup.targets).T).sum()
+        yield near("plan: target_cost of the path's end", plans[0].target_cost, ends, size)
     off = [section.switches_field or not isinstance(one.instead, FieldOff) for one in plans]
     yield true("plan: FieldOff only with switches_field", off)
-    late = len(plans) == len(decisions) or len(plans) > STEPS_MAX + 1
-    yield true("steps_max: ends the trial", not late)
-    there = Poses.of(np.column_stack([setup.targets, np.zeros(robots)]))
-    seen = Observation(0, 0, 0, there, np.ones(robots, dtype=np.bool_))
-    late = isinstance(section.build(setup, SEED).plan(seen), Plan)
-    yield true("arrival_tolerance: ends the trial", not late)
+    ends = [one for one in decisions if isinstance(one, Outcome)]
+    yield true("outcome: of a trial that is complete", [one.complete for one in ends])
+    in_time = len(plans) < len(decisions) and len(plans) <= STEPS_MAX + 1
+    if len(plans) == STEPS_MAX + 1:
+        in_time &= decisions[-1] is Outcome.STEPS_MAX
+    yield true("steps_max: ends the trial", in_time)
+    for share, arrived in ((0.95, True), (1.05, False)):
+        off = np.array([share * section.arrival_tolerance, 0.0])
+        there = Poses.of(np.column_stack([setup.targets + off, np.ones(robots)]))
+        seen = Observation(0, 0, 0, there, np.ones(robots, dtype=np.bool_))
+        ended = section.build(setup, SEED).plan(seen) is Outcome.ARRIVED
+        what = "ends the trial" if arrived else "a robot further off has not arrived"
+        yield true(f"arrival_tolerance: {what}", ended == arrived)
     yield true("observation: not changed", not play.changed)
     searches = any(isinstance(one, OptimizerSection) for _, one in section)
     yield true("wrap: gets the optimiser", play.wrapped or not searches)
     yield same("key: same key, same decisions", play.numbers, again.numbers)
     yield Finding("random numbers: from the key", " and ".join(used))
     yield Finding("clock: only timer", ", ".join(sorted(play.clocks)))
+
+
+def _chosen(plan: Plan) -> bool:
+    return np.array_equal(plan.signals, plan.search.signals)
+
+
+def _consistent(search: Search) -> bool:
+    """Return whether the record of a search agrees with itself."""
+    history = np.asarray(search.history)
+    return (
+        bool(np.isfinite(history).all() and np.all(np.diff(history) <= 0))
+        and bool(search.cost == history[-1] >= 0)
+        and isinstance(search.stopped, StopReason)
+        and search.evaluations >= 1
+        and len(search.signals) == search.length
+    )
 
 
 def _numbers(plan: Plan) -> Floats:

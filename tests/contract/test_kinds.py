@@ -1,0 +1,88 @@
+"""Every kind of tetractl passes the checks of `tetractl.testing`, as those of plug-ins should."""
+
+import pytest
+from support.controllers import CONTROLLERS, SMALL
+from support.devices import ACTUATORS, CAMERAS
+from support.straight import install
+
+from tetractl.cli.init import template
+from tetractl.core import registries
+from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
+from tetractl.experiment.load import parse_spec
+from tetractl.model.shapes.circle import Circle
+from tetractl.model.shapes.polygon import Polygon
+from tetractl.model.shapes.rectangle import Rectangle
+from tetractl.testing import (
+    check_actuator,
+    check_camera,
+    check_controller,
+    check_disturbance,
+    check_motion,
+    check_optimizer,
+    check_shape,
+    failed,
+)
+
+SETUP = parse_spec(template("check", "check", "robots"), "check").experiment.setup
+SHAPES = {
+    "circle": Circle(type="circle", center=(3.0, -2.0), radius=40.0),
+    "rectangle": Rectangle(type="rectangle", left=-5, bottom=2, width=30, height=12),
+    "polygon": Polygon(type="polygon", vertices=((0, 0), (10, 0), (10, 10), (5, 3))),
+}
+FIELDS = {
+    "battery": {"speed": 0.2},
+    "camera-latency": {"mean": 0.01},
+    "flow": {"speed": 10},
+    "heading-drift": {"rate": 0.1},
+    "frame-loss": {"share": 0.1},
+    "frozen-camera": {"duration": 0.2},
+    "marker-off": {"heading": 0.1},
+    "planning-time": {"least": 0.01},
+    "silent-radio": {"duration": 0.2},
+    "stale-camera": {"duration": 0.2, "age": 0.2},
+    "sticking": {"every": 1},
+    "tracking-loss": {"every": 1},
+    "wobble": {"radius": 3, "frequency": 2},
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS.builtin)
+def test_motion(name):
+    assert failed(check_motion(MOTIONS.load(name))) == []
+
+
+@pytest.mark.parametrize("name", registries.SHAPES.builtin)
+def test_shape(name):
+    assert failed(check_shape(SHAPES[name], SETUP)) == []
+
+
+@pytest.mark.parametrize("name", OPTIMIZERS.builtin)
+def test_optimizer(name):
+    section = OPTIMIZERS.load(name).model_validate({"type": name} | SMALL[name])
+    assert failed(check_optimizer(section, SETUP)) == []
+
+
+@pytest.mark.parametrize("name", CONTROLLERS)
+def test_controller(name, monkeypatch):
+    install(monkeypatch)
+    fields = CONTROLLERS[name]
+    section = registries.CONTROLLERS.load(fields["type"]).model_validate(fields)
+    assert failed(check_controller(section, SETUP)) == []
+
+
+@pytest.mark.parametrize("name", DISTURBANCES.builtin)
+def test_disturbance(name):
+    section = DISTURBANCES.load(name).model_validate({"type": name} | FIELDS.get(name, {}))
+    assert failed(check_disturbance(section, SETUP)) == []
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_camera(name, tmp_path):
+    with CAMERAS[name](tmp_path) as (section, setup, scene):
+        assert failed(check_camera(section, setup, scene)) == []
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
+def test_actuator(name, tmp_path):
+    with ACTUATORS[name](tmp_path) as (section, setup, robots):
+        assert failed(check_actuator(section, setup, robots)) == []

@@ -16,7 +16,7 @@ from support.labs import STEP_NS, FakeActuator, FakeCamera, World
 from tetractl.core.clock import MonotonicClock
 from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.load import parse_spec
-from tetractl.testing import Robots, Scene
+from tetractl.testing import MovedRobots, SeenRobots
 
 
 def fake_world():
@@ -33,7 +33,7 @@ def fake_camera(folder):
         cameras.append(FakeCamera(world, wake))
         return cameras[-1]
 
-    scene = Scene(world.clock, lambda: world.poses, lambda name: cameras[0].hidden.add(name))
+    scene = SeenRobots(world.clock, lambda: world.poses, lambda name: cameras[0].hidden.add(name))
     yield SimpleNamespace(build=build), setup, scene
 
 
@@ -50,7 +50,7 @@ def fake_actuator(folder):
         actuators[0].failure = "gone"
 
     section = SimpleNamespace(build=build, contradictions=lambda setup: ())
-    yield section, setup, Robots(world.clock, lambda: list(world.moving), unplug)
+    yield section, setup, MovedRobots(world.clock, lambda: list(world.moving), unplug)
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def optitrack(folder):
         def hide(name):
             lab.camera.tracked_body(name).tracked = False
 
-        yield experiment.lab.camera, experiment.setup, Scene(clock, poses(lab), hide)
+        yield experiment.lab.camera, experiment.setup, SeenRobots(clock, poses(lab), hide)
 
 
 @contextmanager
@@ -77,7 +77,7 @@ def actuator(folder, spec):
         def moves():
             return [not body.standing for body in lab.actuator.bodies]
 
-        robots = Robots(clock, moves, lambda: lab.actuator.plugged(False))
+        robots = MovedRobots(clock, moves, lambda: lab.actuator.plugged(False))
         yield experiment.lab.actuator, experiment.setup, robots
 
 
@@ -95,7 +95,7 @@ def apriltag(folder):
             lab.camera.renderer.hidden.add(lab.camera.tag(name))
 
         try:
-            yield section, experiment.setup, Scene(MonotonicClock(), poses(lab), hide)
+            yield section, experiment.setup, SeenRobots(MonotonicClock(), poses(lab), hide)
         finally:
             lab.loop.end()
             thread.join()

@@ -23,14 +23,15 @@ from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.explain import words
 from tetractl.model.motion.motion import Motion
 from tetractl.testing.control_checks import check_controller, check_optimizer
-from tetractl.testing.device_checks import Robots, Scene, check_actuator, check_camera
+from tetractl.testing.device_checks import MovedRobots, SeenRobots, check_actuator, check_camera
 from tetractl.testing.disturbance_checks import check_disturbance
 from tetractl.testing.finding import Finding, Findings, failed
 from tetractl.testing.model_checks import check_motion, check_shape
 
 __all__ = [
-    "Finding", "Findings", "Robots", "Scene", "check_actuator", "check_camera", "check_controller",
-    "check_disturbance", "check_kind", "check_motion", "check_optimizer", "check_shape", "failed",
+    "Finding", "Findings", "MovedRobots", "SeenRobots", "check_actuator", "check_camera",
+    "check_controller", "check_disturbance", "check_kind", "check_motion", "check_optimizer",
+    "check_shape", "failed",
 ]  # fmt: skip
 
 CHECKS: Mapping[type, Callable[[Any, Setup], Findings]] = {

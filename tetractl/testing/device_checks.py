@@ -26,7 +26,7 @@ HEADING = 0.05  # the same of a heading [rad]
 
 
 @dataclass(frozen=True)
-class Scene:
+class SeenRobots:
     """What an emulated camera sees. `poses()` (N, 3) are true, in the spec's coordinates, and
     `hide(name)` puts a robot out of its sight."""
 
@@ -36,7 +36,7 @@ class Scene:
 
 
 @dataclass(frozen=True)
-class Robots:
+class MovedRobots:
     """What an emulated actuator moves. `moves()` (N,) tells which robots truly move, and `unplug()`
     takes the device away."""
 
@@ -45,7 +45,7 @@ class Robots:
     unplug: Callable[[], None]
 
 
-def check_camera(section: CameraSection, setup: Setup, scene: Scene | None = None) -> Findings:
+def check_camera(section: CameraSection, setup: Setup, scene: SeenRobots | None = None) -> Findings:
     """Check that a camera can be built and, if it can be opened, that its frames are valid; before
     a `scene` also that they show it.
     """
@@ -98,7 +98,7 @@ def _frames(camera: Camera, clock: Clock, patience_s: float) -> list[CameraFrame
 
 
 def _check_scene(
-    camera: Camera, setup: Setup, scene: Scene, found: Sequence[CameraFrame]
+    camera: Camera, setup: Setup, scene: SeenRobots, found: Sequence[CameraFrame]
 ) -> Findings:
     healthy = [one.fault == "" and one.strangers == () for one in found]
     yield true("frames: neither a fault nor a stranger", healthy)
@@ -128,7 +128,7 @@ def _check_scene(
 
 
 def check_actuator(
-    section: ActuatorSection, setup: Setup, robots: Robots | None = None
+    section: ActuatorSection, setup: Setup, robots: MovedRobots | None = None
 ) -> Findings:
     """Check that an actuator can be built; nothing is opened or moved without emulated `robots`,
     which are steered and stopped in every way.
@@ -157,7 +157,7 @@ def check_actuator(
 class _Steered:
     """An actuator that is open, and the robots it moves."""
 
-    def __init__(self, actuator: Actuator, setup: Setup, robots: Robots) -> None:
+    def __init__(self, actuator: Actuator, setup: Setup, robots: MovedRobots) -> None:
         self.actuator, self.setup, self.robots = actuator, setup, robots
         self.poses = [Pose(*map(float, row)) for row in setup.starts.array()]
         self.all = (True,) * len(self.poses)

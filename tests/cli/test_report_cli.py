@@ -47,9 +47,18 @@ def browser(tmp_path_factory):
 
 @pytest.fixture
 def page(folder, browser):
-    browser.open(folder / "report.html")
+    show(browser, folder)
     yield browser
     assert browser.errors == []
+
+
+def show(page, folder, width=1280, height=800):
+    """Open the report and wait until its first trial is shown."""
+    page.open(folder / "report.html", width, height)
+    page.run(
+        "new Promise((done) => { const wait = () => window.player"
+        " ? done() : setTimeout(wait, 5); wait(); })"
+    )
 
 
 def text(page, name):
@@ -91,6 +100,7 @@ def test_the_page_shows_the_numbers_of_stats(page, statistics):
         shown = float(text(page, "total"))
         assert shown == pytest.approx(statistics["trials"][trial]["total_error"], rel=0.1, abs=1)
         page.key("]")
+        page.run("player.opened")
 
 
 @needs_chromium
@@ -123,6 +133,7 @@ def test_it_plays_and_scrubs_and_steps(page):
     assert text(page, "time").startswith("0.00 s of ")
     page.run("location.hash = '#trial-3'")
     page.run("new Promise((done) => setTimeout(done))")
+    page.run("player.opened")
     assert page.run("player.index") == 2
     assert text(page, "file") == "trial-002.mcap"
 
@@ -140,7 +151,7 @@ def test_what_is_drawn_moves_with_the_time(page):
 
 @needs_chromium
 def test_the_whole_player_fits_a_laptops_screen_in_two_columns(folder, page):
-    page.open(folder / "report.html", 1280, 900)
+    show(page, folder, 1280, 900)
     box = "document.querySelector('{}').getBoundingClientRect()"
     player = box.format("#player .player")
     assert page.run(f"{player}.bottom - {box.format('#player')}.top") <= 900
@@ -150,7 +161,7 @@ def test_the_whole_player_fits_a_laptops_screen_in_two_columns(folder, page):
 @needs_chromium
 @pytest.mark.parametrize("width", [390, 1280])
 def test_nothing_is_wider_than_the_screen_and_no_name_covers_an_obstacle(folder, page, width):
-    page.open(folder / "report.html", width, 844)
+    show(page, folder, width, 844)
     assert page.run("document.documentElement.scrollWidth") <= width
     covered = """(() => {
       const scene = player.scene, found = [], { obstacles, robots } = player.trial;

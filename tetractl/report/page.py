@@ -18,7 +18,7 @@ from tetractl.core.table.terminal_table import html
 from tetractl.log.read.find import without_others
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.report.trial_data import trial_data
+from tetractl.report.trial_data import packed, trial_data
 from tetractl.results.contrast import GroupComparison, contrast
 from tetractl.results.describe import Group, describe
 from tetractl.results.open_batch import sources
@@ -162,7 +162,7 @@ def _player(shown: Sequence[Sequence[Any]], unit: str) -> str:
         f'<option value="{i}">{i + 1}: {escape(name)}</option>' for i, (name, _) in enumerate(shown)
     )
     data = "".join(
-        f'<script type="application/json" id="trial-data-{i}">{_json(trial)}</script>\n'
+        f'<script type="text/plain" id="trial-data-{i}">{packed(trial)}</script>\n'
         for i, (_, trial) in enumerate(shown)
     )
     frame = (ASSETS / "player.html").read_text()

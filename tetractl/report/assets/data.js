@@ -1,27 +1,12 @@
-// Trials as they stand in the page: JSON whose arrays are packed as report/pack.py says.
+// Trials as they stand in the page: text that report/trial_data.py packs, where null stands for NaN.
 
-function unpack(packed) {
-  const raw = atob(packed.f4 ?? packed.i2);
-  const bytes = new Uint8Array(raw.length);
-  for (let i = 0; i < raw.length; i++) bytes[i] = raw.charCodeAt(i);
-  if (packed.f4 !== undefined) return new Float32Array(bytes.buffer);
-  return Float64Array.from(new Int16Array(bytes.buffer), (i) =>
-    i === -32768 ? NaN : packed.offset + packed.scale * i);
-}
-
-function unpackAll(group) {
-  const found = {};
-  for (const [name, value] of Object.entries(group))
-    found[name] = value && (value.f4 !== undefined || value.i2 !== undefined) ? unpack(value) : value;
-  return found;
-}
-
-function readTrial(index) {
-  const trial = JSON.parse(document.getElementById(`trial-data-${index}`).textContent);
-  for (const part of ["frames", "steps", "plan", "history", "dish"])
-    if (trial[part]) trial[part] = unpackAll(trial[part]);
+async function readTrial(index) {
+  const text = document.getElementById(`trial-data-${index}`).textContent;
+  const bytes = Uint8Array.from(atob(text), (char) => char.charCodeAt(0));
+  const plain = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
+  const trial = JSON.parse(await new Response(plain).text(), (_, value) => value ?? NaN);
   const last = (times) => (times.length ? times[times.length - 1] : 0);
-  trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s ?? 0);
+  trial.end = Math.max(last(trial.frames.t), last(trial.steps.t), trial.duration_s || 0);
   trial.start = 0;  // frames before the first direction give the poses there
   return trial;
 }
@@ -43,14 +28,13 @@ function angleBetween(one, other, share) {
 
 // Poses [x, y, heading] of all robots at a time, between two frames by interpolation.
 function posesAt(trial, t) {
-  const { t: times, xy, heading } = trial.frames, robots = trial.robots.length;
+  const { t: times, xy, heading } = trial.frames;
   const i = Math.max(indexAt(times, t), 0), j = Math.min(i + 1, times.length - 1);
   const gap = times[j] - times[i];
   const share = gap > 0 ? Math.min(Math.max((t - times[i]) / gap, 0), 1) : 0;
   return trial.robots.map((_, r) => {
-    const at = (frame, k) => xy[(frame * robots + r) * 2 + k];
-    const mix = (k) => at(i, k) + share * (at(j, k) - at(i, k));
-    return [mix(0), mix(1), angleBetween(heading[i * robots + r], heading[j * robots + r], share)];
+    const mix = (k) => xy[i][r][k] + share * (xy[j][r][k] - xy[i][r][k]);
+    return [mix(0), mix(1), angleBetween(heading[i][r], heading[j][r], share)];
   });
 }
 

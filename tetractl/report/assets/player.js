@@ -15,8 +15,6 @@ class Player {
     };
     this.rate = 1;
     this.frames = 0;
-    this.bind();
-    this.open(0);
   }
 
   bind() {
@@ -51,10 +49,9 @@ class Player {
   // Open the trial that the address names, such as #trial-3.
   follow() {
     const found = /^#trial-(\d+)$/.exec(location.hash);
-    if (found && Number(found[1]) >= 1 && Number(found[1]) <= this.count) {
-      this.open(Number(found[1]) - 1);
-      byId("player").scrollIntoView();
-    }
+    if (!found || !(Number(found[1]) >= 1 && Number(found[1]) <= this.count)) return;
+    this.open(Number(found[1]) - 1);
+    byId("player").scrollIntoView();
   }
 
   key(event) {
@@ -84,8 +81,15 @@ class Player {
     if (index < 0 || index >= this.count) return;
     this.pause();
     this.index = index;
-    this.trial = readTrial(index);
-    byId("which").value = String(index);
+    this.opened = readTrial(index).then((trial) => {
+      if (index === this.index) this.show(trial);  // else another was chosen meanwhile
+    });
+  }
+
+  show(trial) {
+    this.trial = trial;
+    this.searched = undefined;
+    byId("which").value = String(this.index);
     const scrub = byId("scrub");
     scrub.min = this.trial.start;
     scrub.max = this.trial.end;
@@ -98,14 +102,14 @@ class Player {
   }
 
   lines() {
-    const { trial } = this, { steps } = trial, robots = trial.robots.length;
+    const { trial } = this, { steps } = trial;
     const each = trial.robots.map((robot, r) => ({
       name: robot.name, color: robot.color, x: steps.t,
-      y: Array.from(steps.t, (_, k) => steps.distance[k * robots + r]),
+      y: steps.distance.map((distances) => distances[r]),
     }));
     const total = {
       name: "total", color: color("ink"), x: steps.t, dashed: true,
-      y: Array.from(steps.t, (_, k) => each.reduce((sum, one) => sum + one.y[k], 0)),
+      y: steps.distance.map((distances) => distances.reduce((sum, one) => sum + one)),
     };
     const { start, end } = trial;
     this.charts.distance.show([...each, total], start, end);
@@ -229,10 +233,8 @@ class Player {
   search(k) {
     if (!this.trial.history || k === this.searched) return;
     this.searched = k;
-    const { at, iterations, values } = this.trial.history;
-    const part = (numbers) => (k < 0 ? [] : Array.from(numbers.subarray(at[k], at[k + 1])));
-    const x = part(iterations);
-    this.charts.history.show([{ name: "J", color: color("accent"), x, y: part(values) }], 0, x.at(-1) ?? 1);
+    const y = k < 0 ? [] : this.trial.history[k], x = [...y.keys()];
+    this.charts.history.show([{ name: "J", color: color("accent"), x, y }], 0, x.at(-1) ?? 1);
     this.charts.history.draw();
   }
 
@@ -253,9 +255,13 @@ class Player {
   }
 }
 
-document.addEventListener("DOMContentLoaded", () => {
+document.addEventListener("DOMContentLoaded", async () => {
   const count = document.querySelectorAll('script[id^="trial-data-"]').length;
   if (!count) return;
-  window.player = new Player(count);
-  window.player.follow();
+  const player = new Player(count);
+  player.open(0);
+  await player.opened;
+  player.bind();
+  player.follow();
+  window.player = player;
 });

@@ -172,14 +172,12 @@ class Scene {
   }
 
   trails(context, t) {
-    const { t: times, xy } = this.trial.frames, robots = this.trial.robots.length;
-    const last = indexAt(times, t);
+    const { t: times, xy } = this.trial.frames;
+    const past = xy.slice(0, indexAt(times, t) + 1);
     context.lineWidth = 1.8;
     context.globalAlpha = 0.6;
     this.trial.robots.forEach((robot, r) => {
-      const points = [];
-      for (let i = 0; i <= last; i++) points.push([xy[(i * robots + r) * 2], xy[(i * robots + r) * 2 + 1]]);
-      this.line(context, points);
+      this.line(context, past.map((poses) => poses[r]));
       context.strokeStyle = robot.color;
       context.stroke();
     });
@@ -189,14 +187,10 @@ class Scene {
   plan(context, t) {
     const k = indexAt(this.trial.steps.t, t);
     if (k < 0) return;
-    const { at, values } = this.trial.plan, robots = this.trial.robots.length;
     context.lineWidth = 1.4;
     context.setLineDash([4, 4]);
     this.trial.robots.forEach((robot, r) => {
-      const points = [];
-      for (let i = at[k]; i < at[k + 1]; i++)
-        points.push([values[(i * robots + r) * 2], values[(i * robots + r) * 2 + 1]]);
-      this.line(context, points);
+      this.line(context, this.trial.plan[k].map((poses) => poses[r]));
       context.strokeStyle = robot.color;
       context.stroke();
     });

@@ -1,9 +1,9 @@
 """Serves a recorded trial, or running trials, to the log viewers Foxglove and Lichtblick.
 
-`websockets` (the extra `serve`) implements the protocol; each viewer has two threads. No trial
-waits for a viewer: each viewer has a queue of at most `BACKLOG` messages; when it is full, the
-oldest are dropped. A viewer cannot publish messages or call services; it can only control the
-playback of a recording.
+`websockets` (the extra `serve`) implements each connection, and its server's handshake. No trial
+waits for a viewer: each viewer has a queue of at most `BACKLOG` messages and a thread that sends
+them; when the queue is full, the oldest are dropped. A viewer cannot publish messages or call
+services; it can only control the playback of a recording.
 """
 
 import json
@@ -13,16 +13,18 @@ import socket
 import threading
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
 from typing import Any
 
-from websockets.exceptions import InvalidState
-from websockets.frames import CloseCode, Frame, Opcode
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import CloseCode
 from websockets.http11 import Request as Upgrade
+from websockets.protocol import State
 from websockets.server import ServerProtocol
+from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
 from tetractl.core.clock import SECOND, Clock
@@ -37,10 +39,9 @@ from tetractl.serve.foxglove_protocol import PlaybackState, Request
 
 BACKLOG = 2048
 """Length of a viewer's queue [messages]: three seconds of a trial with a camera of 120 Hz."""
-CLOSE_S = 0.25
-"""Time for the viewers to receive their last messages, and again to end their connections [s]."""
+CLOSE_S = 0.5
+"""Time for the viewers to receive their last messages and to end their connections [s]."""
 REQUEST_BYTES = 1 << 16
-CONTROL = (Opcode.CLOSE, Opcode.PING, Opcode.PONG)  # messages that `websockets` answers
 
 _QUIET = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr
@@ -97,25 +98,23 @@ class Viewers:
             self._put(foxglove_protocol.playback_state(state))
 
     def close(self) -> None:
-        """End the connections; waits for at most twice `CLOSE_S`."""
+        """End the connections; waits for at most `CLOSE_S`."""
         with self._lock:
             clients = list(self._clients)
         for client in clients:
             client.end()
         until = monotonic() + CLOSE_S
         for client in clients:
-            client.sent.wait(max(until - monotonic(), 0))
-        until = monotonic() + CLOSE_S
-        for client in clients:
-            if client.sent.is_set():
-                client.gone.wait(max(until - monotonic(), 0))
-            client.link.cut()
+            client.leave(until)
 
     def converse(self, connection: socket.socket, request: bytes) -> None:
         """Serve a viewer whose HTTP request was read already, until its connection ends. An invalid
         message ends only its own connection.
         """
-        client = _Client(link := _Link(connection, request))
+        link = _upgraded(connection, request)
+        if link is None:
+            return
+        client = _Client(link)
         with self._lock:
             for said in self._greeting:
                 client.put(said)
@@ -125,20 +124,16 @@ class Viewers:
                 now = replace(self._state, time_ns=self._time_ns, sought=False)
                 client.put(foxglove_protocol.playback_state(now))
             self._clients.add(client)
-        sender = threading.Thread(target=client.send, name="viewer", daemon=True)
-        sender.start()
         try:
-            for said in link.messages():
+            for said in link:
                 self._obey(client, said)
         except Exception:  # a viewer's messages or failure must not end the run
             link.close(CloseCode.INTERNAL_ERROR)
         finally:
             with self._lock:
                 self._clients.discard(client)
-            client.gone.set()
             client.end()
-            link.cut()
-            sender.join()
+            client.leave(monotonic())
 
     def _obey(self, client: "_Client", said: str | bytes) -> None:
         if isinstance(said, bytes):
@@ -177,16 +172,34 @@ class Viewers:
             client.put(message)
 
 
+def _upgraded(connection: socket.socket, request: bytes) -> Connection | None:
+    """Answer a request for a WebSocket; return the WebSocket, None if the request is refused."""
+    protocol = ServerProtocol(
+        subprotocols=[Subprotocol(foxglove_protocol.PROTOCOL)],
+        max_size=REQUEST_BYTES,
+        logger=_QUIET,
+    )
+    protocol.receive_data(request)
+    for event in protocol.events_received():
+        if isinstance(event, Upgrade):
+            protocol.send_response(protocol.accept(event))
+    with suppress(OSError):
+        connection.sendall(b"".join(protocol.data_to_send()))
+        if protocol.state is State.OPEN:
+            return Connection(connection, protocol, ping_interval=None, close_timeout=CLOSE_S / 2)
+    return None
+
+
 class _Client:
     """The subscriptions of one viewer, an id per topic, and its queued messages."""
 
-    def __init__(self, link: "_Link") -> None:
+    def __init__(self, link: Connection) -> None:
         self.subscriptions: dict[str, bytes] = {}
-        self.link = link
-        self.sent, self.gone = threading.Event(), threading.Event()
-        self._some = threading.Condition()
+        self._link, self._some = link, threading.Condition()
         self._waiting: deque[str | bytes] = deque(maxlen=BACKLOG)
         self._ending = False
+        self._sender = threading.Thread(target=self._send, name="viewer", daemon=True)
+        self._sender.start()
 
     def message(self, entry: Entry) -> None:
         """Queue a message if its topic is subscribed to."""
@@ -205,82 +218,23 @@ class _Client:
             self._ending = True
             self._some.notify()
 
-    def send(self) -> None:
-        """Send queued messages, until the end."""
-        with suppress(OSError, InvalidState):
+    def leave(self, until: float) -> None:
+        """Wait for the end until a time of `monotonic`, then cut the connection."""
+        self._sender.join(max(until - monotonic(), 0))
+        with suppress(OSError):
+            self._link.socket.shutdown(socket.SHUT_RDWR)
+        self._sender.join()
+
+    def _send(self) -> None:
+        with suppress(OSError, ConnectionClosed):
             while True:
                 with self._some:
                     self._some.wait_for(lambda: self._waiting or self._ending)
                     if not self._waiting:
                         break
                     message = self._waiting.popleft()
-                self.link.send(message)
-            self.link.close()
-            self.sent.set()
-
-
-class _Link:
-    """A WebSocket on a connection whose HTTP request was read already."""
-
-    def __init__(self, connection: socket.socket, request: bytes) -> None:
-        self._connection, self._lock = connection, threading.Lock()
-        self._websocket = ServerProtocol(
-            subprotocols=[Subprotocol(foxglove_protocol.PROTOCOL)],
-            max_size=REQUEST_BYTES,
-            logger=_QUIET,
-        )
-        self._websocket.receive_data(request)
-        for event in self._websocket.events_received():
-            if isinstance(event, Upgrade):
-                self._websocket.send_response(self._websocket.accept(event))
-        with suppress(OSError):
-            self._flush()
-
-    def send(self, message: str | bytes) -> None:
-        """Send a message; OSError or InvalidState if the connection has ended."""
-        with self._lock:
-            if isinstance(message, str):
-                self._websocket.send_text(message.encode())
-            else:
-                self._websocket.send_binary(message)
-            self._flush()
-
-    def close(self, code: CloseCode = CloseCode.NORMAL_CLOSURE) -> None:
-        """Send the WebSocket's closing message."""
-        with self._lock, suppress(OSError, InvalidState):
-            self._websocket.send_close(code)
-            self._flush()
-
-    def cut(self) -> None:
-        """End the connection at once."""
-        with suppress(OSError):
-            self._connection.shutdown(socket.SHUT_RDWR)
-
-    def messages(self) -> Iterator[str | bytes]:
-        """Yield the viewer's messages, until it ends the connection."""
-        parts, text = list[bytes](), False
-        data = b"first"
-        while data:
-            data = self._connection.recv(REQUEST_BYTES)
-            with self._lock:
-                self._websocket.receive_data(data) if data else self._websocket.receive_eof()
-                self._flush()
-            for frame in self._websocket.events_received():
-                if not isinstance(frame, Frame) or frame.opcode in CONTROL:
-                    continue
-                if frame.opcode is not Opcode.CONT:
-                    parts, text = [], frame.opcode is Opcode.TEXT
-                parts.append(bytes(frame.data))
-                if frame.fin:
-                    whole = b"".join(parts)
-                    yield whole.decode() if text else whole
-
-    def _flush(self) -> None:
-        for part in self._websocket.data_to_send():
-            if part:
-                self._connection.sendall(part)
-            else:
-                self._connection.shutdown(socket.SHUT_WR)
+                self._link.send(message)
+            self._link.close()
 
 
 FRAME_NS = SECOND // 60

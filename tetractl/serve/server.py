@@ -13,6 +13,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -29,7 +30,12 @@ ADDRESS = "127.0.0.1"
 TOKEN_BYTES = 12  # 96 random bits; a link fits next to the arena on a terminal of 80 columns
 FOXGLOVE = "https://app.foxglove.dev"
 """Address of Foxglove in the browser."""
-BLOCK_BYTES = 1 << 16
+_ANY_PAGE: dict[str, object] = {
+    "Access-Control-Allow-Origin": "*",
+    "Access-Control-Expose-Headers": "Accept-Ranges, Content-Length, Content-Range",
+    "Cache-Control": "no-store",
+}
+"""Headers with which a browser passes a log on to a viewer's page."""
 
 
 class LoopbackServer:
@@ -126,21 +132,21 @@ class _Handler(BaseHTTPRequestHandler):
     def do_OPTIONS(self) -> None:
         """Answer the CORS preflight before a viewer's request for a part of a file."""
         if self._wanted() is None:
-            self._refuse(HTTPStatus.NOT_FOUND)
+            self._head(HTTPStatus.NOT_FOUND, {"Content-Length": 0})
             return
-        self.send_response(HTTPStatus.NO_CONTENT)
-        self._allow()
-        self.send_header("Access-Control-Allow-Methods", "GET, HEAD, OPTIONS")
-        self.send_header("Access-Control-Allow-Headers", "Range")
-        self.send_header("Access-Control-Allow-Private-Network", "true")
-        self.end_headers()
+        allowed = {
+            "Access-Control-Allow-Methods": "GET, HEAD, OPTIONS",
+            "Access-Control-Allow-Headers": "Range",
+            "Access-Control-Allow-Private-Network": "true",
+        }
+        self._head(HTTPStatus.NO_CONTENT, _ANY_PAGE | allowed)
 
     def _upgrade(self, converse: Callable[[socket.socket, bytes], None]) -> None:
         """Call `converse` with the WebSocket's connection and the request that was read from it."""
         self.close_connection = True
         token, origin = self.path.strip("/"), self.headers.get("Origin")
         if not (self._let_in(token) and is_viewers_origin(origin, self._site.viewer)):
-            self._refuse(HTTPStatus.FORBIDDEN)
+            self._head(HTTPStatus.FORBIDDEN, {"Content-Length": 0})
             return
         self.connection.settimeout(None)
         head = "".join(f"{name}: {value}\r\n" for name, value in self.headers.items())
@@ -157,26 +163,25 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _answer(self, body: bool) -> None:
         wanted = self._wanted()
-        if wanted is None:
-            self._refuse(HTTPStatus.NOT_FOUND)
-        elif isinstance(wanted, bytes):
-            page = wanted is self._site.page
-            kind = "text/html" if page else "application/json"
-            self.send_response(HTTPStatus.OK)
-            self.send_header("Content-Type", f"{kind}; charset=utf-8")
-            self.send_header("Content-Length", str(len(wanted)))
-            if not page:
-                self.send_header("Content-Disposition", 'attachment; filename="layout.json"')
-            self.send_header("Referrer-Policy", "no-referrer")
-            self.end_headers()
+        if isinstance(wanted, bytes):
+            kind = "text/html" if wanted is self._site.page else "application/json"
+            headers: dict[str, object] = {
+                "Content-Type": f"{kind}; charset=utf-8",
+                "Content-Length": len(wanted),
+                "Referrer-Policy": "no-referrer",
+            }
+            if wanted is self._site.layout:
+                headers["Content-Disposition"] = 'attachment; filename="layout.json"'
+            self._head(HTTPStatus.OK, headers)
             if body:
                 self.wfile.write(wanted)
-        else:
-            try:
+            return
+        with suppress(OSError):
+            if wanted is not None:
                 with wanted.open("rb") as file:
                     self._part(file, body)
-            except OSError:
-                self._refuse(HTTPStatus.NOT_FOUND)
+                return
+        self._head(HTTPStatus.NOT_FOUND, {"Content-Length": 0})
 
     def _wanted(self) -> bytes | Path | None:
         """Return the page, the layout or a log's file; None for any other address."""
@@ -194,39 +199,30 @@ class _Handler(BaseHTTPRequestHandler):
         asked = self.headers.get("Range")
         span = (0, size - 1) if asked is None else byte_range(asked, size)
         if span is None:
-            self.send_response(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE)
-            self._allow()
-            self.send_header("Content-Range", f"bytes */{size}")
-            self.send_header("Content-Length", "0")
-            self.end_headers()
+            none = {"Content-Range": f"bytes */{size}", "Content-Length": 0}
+            self._head(HTTPStatus.REQUESTED_RANGE_NOT_SATISFIABLE, _ANY_PAGE | none)
             return
         first, last = span
-        self.send_response(HTTPStatus.OK if asked is None else HTTPStatus.PARTIAL_CONTENT)
-        self._allow()
-        self.send_header("Content-Type", "application/octet-stream")
-        self.send_header("Accept-Ranges", "bytes")
-        self.send_header("Content-Length", str(last - first + 1))
-        if asked is not None:
-            self.send_header("Content-Range", f"bytes {first}-{last}/{size}")
-        self.end_headers()
+        part = {} if asked is None else {"Content-Range": f"bytes {first}-{last}/{size}"}
+        about = {
+            "Content-Type": "application/octet-stream",
+            "Accept-Ranges": "bytes",
+            "Content-Length": last - first + 1,
+        }
+        status = HTTPStatus.PARTIAL_CONTENT if part else HTTPStatus.OK
+        self._head(status, _ANY_PAGE | about | part)
         file.seek(first)
         left = last - first + 1 if body else 0
-        while left > 0 and (block := file.read(min(left, BLOCK_BYTES))):
+        while left > 0 and (block := file.read(min(left, 1 << 16))):
             self.wfile.write(block)
             left -= len(block)
         if left > 0:
             self.close_connection = True  # the file has become shorter meanwhile
 
-    def _allow(self) -> None:
-        self.send_header("Access-Control-Allow-Origin", "*")
-        self.send_header(
-            "Access-Control-Expose-Headers", "Accept-Ranges, Content-Length, Content-Range"
-        )
-        self.send_header("Cache-Control", "no-store")
-
-    def _refuse(self, status: HTTPStatus) -> None:
+    def _head(self, status: HTTPStatus, headers: Mapping[str, object]) -> None:
         self.send_response(status)
-        self.send_header("Content-Length", "0")
+        for name, value in headers.items():
+            self.send_header(name, str(value))
         self.end_headers()
 
     def log_message(self, format: str, *args: object) -> None:

@@ -31,7 +31,9 @@ def packed(trial: dict[str, Any]) -> str:
 def rounded(values: ArrayLike, decimals: int = 3) -> list[Any]:
     """Return an array as lists, with None in place of values that are not finite."""
     wanted = np.asarray(values, dtype=float)
-    return np.where(np.isfinite(wanted), np.round(wanted, decimals), None).tolist()
+    found = np.round(wanted, decimals).astype(object)
+    found[~np.isfinite(wanted)] = None
+    return found.tolist()
 
 
 def significant(values: ArrayLike) -> list[float | None]:

@@ -6,6 +6,8 @@ and animated WebP.
 import shutil
 import subprocess
 from collections.abc import Callable, Iterator
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,6 @@ from PIL import Image
 from tetractl.core.clock import SECOND
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import LogError, UsageError, unit_of
-from tetractl.core.poses import Floats
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.player import Moment, Recording, tracked
 from tetractl.view import style
@@ -31,17 +32,13 @@ from tetractl.view.figures.trajectory import DishGround, draw_scene
 
 FORMATS = {"mp4": 25, "gif": 20, "webp": 25}
 """Pictures per second by format; a GIF can only state intervals in hundredths of a second."""
-WIDTH = 960
 HOLD_S = 1.5
 """Time for which the last picture is shown [s]."""
 LONGEST_S = 60.0
-SPEEDS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-ARENA_IN = (5.0, 4.4)  # largest width and height of the arena
-SIDE_IN = 2.2  # width of the curve and the numbers
-MARGINS_IN = (0.62, 0.45, 0.62, 0.3)  # left of and below the arena, between arena and side, above
-TRAIL_POINTS = 600
-BODY = 0.028
-"""Least length of a robot's wedge, relative to the arena's longer side."""
+ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
+"""The line of an arrow along +x: its points x + iy."""
+WEDGE = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j])
+"""The corners of a robot that heads along +x, the front corner first, for half a length of 1."""
 
 Picture = NDArray[np.uint8]
 
@@ -64,7 +61,7 @@ def write_video(
     log: TrialLog,
     path: Path,
     progress: Callable[[int, int], None] = lambda done, total: None,
-    width: int = WIDTH,
+    width: int = 960,
 ) -> int:
     """Write a film of a trial and return how many times faster than the trial it plays.
 
@@ -77,7 +74,8 @@ def write_video(
     frames = FilmFrames(log, width)
     recording = frames.recording
     end_s = max(recording.elapsed_s(recording.end_ns), 0.0)
-    speed = next((s for s in SPEEDS if end_s / s <= LONGEST_S), SPEEDS[-1])
+    steps = (m * 10**power for power in count() for m in (1, 2, 5))
+    speed = next(s for s in steps if end_s / s <= LONGEST_S)
     times = np.append(np.arange(0, end_s, speed / rate), end_s).tolist()
     hold = round(HOLD_S * rate)
 
@@ -124,15 +122,12 @@ def _mp4(path: Path, pictures: Iterator[Picture], rate: int, hold: int) -> None:
     ]  # fmt: skip
     with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdin is not None and process.stderr is not None
-        try:
+        with suppress(BrokenPipeError):  # ffmpeg ended; stderr has the reason
             process.stdin.write(last.tobytes())
             for last in pictures:
                 process.stdin.write(last.tobytes())
-            for _ in range(hold):
-                process.stdin.write(last.tobytes())
+            process.stdin.write(last.tobytes() * hold)
             process.stdin.close()
-        except BrokenPipeError:
-            pass  # ffmpeg ended; stderr has the reason
         said = process.stderr.read().decode(errors="replace").strip()
         if process.wait() != 0:
             raise OSError(said.splitlines()[-1] if said else "ffmpeg failed")
@@ -145,93 +140,105 @@ class FilmFrames:
     Raises LogError for a log without control steps.
     """
 
+    @style.styled()
     def __init__(self, log: TrialLog, width: int) -> None:
         need_steps(log)
         self.recording = Recording(log)
         setup = self._setup = log.start.setup
-        self._colors = robot_colors(setup.names, setup.colors)
         heading = f"{setup.name}, trial {log.start.trial}: {log.origin.value}"
         if text := unfinished(log):
             heading += f" ({text})"
         arena = setup.arena
-        scale = min(ARENA_IN[0] / arena.width, ARENA_IN[1] / arena.height)
-        wide, high = scale * arena.width, scale * arena.height
-        left, below, between, above = MARGINS_IN
-        size = left + wide + between + SIDE_IN + 0.12, below + max(high, 3.0) + above
+        # inches: at most 5 x 4.4 of the arena, its labels, and to its right 2.2 of numbers
+        scale = min(5.0 / arena.width, 4.4 / arena.height)
+        wide, high, side = scale * arena.width, scale * arena.height, 2.2
+        size = wide + side + 1.36, max(high, 3.0) + 0.75
         dpi = 2 * round(width / 2) / size[0]
         size = size[0], 2 * round(size[1] * dpi / 2) / dpi
-        lower = (size[1] - above - high) / size[1]
-        with style.styled():
-            figure = Figure(figsize=size, dpi=dpi)
-            self._canvas = FigureCanvasAgg(figure)
-            figure.text(0.01, 0.985, heading[:120], va="top", color=style.GREY, fontsize=7.5)
-            scene = figure.add_axes((left / size[0], lower, wide / size[0], high / size[1]))
-            side = (left + wide + between) / size[0], SIDE_IN / size[0], 1 - above / size[1]
-            self._ground = DishGround(scene, log)
-            self._moving = [*self._arena(scene, log), *self._course(figure, side, log)]
-            for artist in self._moving:
-                artist.set_animated(True)
-            self._canvas.draw()
-            self._still = self._canvas.copy_from_bbox(figure.bbox)
+        figure = Figure(size, dpi)
+        self._canvas = FigureCanvasAgg(figure)
 
-    def _arena(self, axes: Axes, log: TrialLog) -> list[Line2D | Polygon]:
-        """Draw the arena, and return the parts that move: plans, trails and robots."""
-        arena = self._setup.arena
-        draw_scene(axes, self._setup, self._colors, [tracked(log.mocap, log.valid)])
-        axes.set_xlim(arena.left, arena.right)
-        axes.set_ylim(arena.bottom, arena.top)
-        self._body = max(self._setup.wheel_radius or 0.0, BODY / 2 * max(arena.width, arena.height))
-        self._plans, self._trails, self._robots = list[Line2D](), list[Line2D](), list[Polygon]()
+        def axes(left: float, low: float, width: float, height: float) -> Axes:
+            inches = left / size[0], low / size[1], width / size[0], height / size[1]
+            return figure.add_axes(inches)
+
+        figure.text(0.01, 0.985, heading[:120], va="top", color=style.GREY, fontsize=7.5)
+        scene = axes(0.62, size[1] - 0.3 - high, wide, high)
+        self._ground = DishGround(scene, log)
+        self._robots = self._draw_robots(scene, log)
+        middle = 0.56 * size[1]
+        self._curve = self._draw_curve(axes(wide + 1.24, middle, side, size[1] - 0.3 - middle))
+        words = axes(wide + 1.24, 0.1, side, middle - 0.7)
+        self._arrow, self._texts = self._draw_words(words)
+        robots = [artist for robot in self._robots for artist in robot]
+        self._moving = [*robots, self._curve, self._arrow, *self._texts]
+        for artist in self._moving:
+            artist.set_animated(True)
+        self._draw_still()
+
+    def _draw_still(self) -> None:
+        self._canvas.draw()
+        self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
+
+    def _draw_robots(self, axes: Axes, log: TrialLog) -> list[tuple[Line2D, Line2D, Polygon]]:
+        """Draw the arena, and return each robot's plan, trail and body, in order of depth."""
+        setup = self._setup
+        self._colors = robot_colors(setup.names, setup.colors)
+        draw_scene(axes, setup, self._colors, [tracked(log.mocap, log.valid)])
+        arena = setup.arena
+        axes.set(xlim=(arena.left, arena.right), ylim=(arena.bottom, arena.top))
+        least = 0.014 * max(arena.width, arena.height)  # to be seen
+        self._body = max(setup.wheel_radius or 0.0, least)
+        robots = []
         for color in self._colors:
-            self._plans += axes.plot([], [], ".", color=color, ms=2.5, mew=0, zorder=3)
-            self._trails += axes.plot([], [], color=color, lw=1.3, zorder=4)
-            wedge = Polygon(np.zeros((4, 2)), facecolor=color, edgecolor="white", linewidth=0.6)
-            wedge.set_zorder(6)
-            axes.add_patch(wedge)
-            self._robots.append(wedge)
-        return [*self._plans, *self._trails, *self._robots]
+            (plan,) = axes.plot([], [], ".", color=color, ms=2.5, mew=0)
+            (trail,) = axes.plot([], [], color=color, lw=1.3)
+            body = Polygon(np.zeros((4, 2)), fc=color, ec="white", lw=0.6)
+            axes.add_patch(body)
+            robots.append((plan, trail, body))
+        return robots
 
-    def _course(
-        self, figure: Figure, side: tuple[float, float, float], log: TrialLog
-    ) -> list[Line2D | Text]:
-        """Draw the axes of the total error and, below them, those of the direction u; return the
-        parts that change: the curve, the arrow of u, and the numbers.
-
-        `side` is the left end, the width and the upper end of this part, as fractions of the
-        figure.
-        """
-        setup, recording = self._setup, self.recording
-        left, width, top = side
-        axes = figure.add_axes((left, 0.56, width, top - 0.56))
-        self._times = np.array([log.elapsed_s(int(t)) for t in recording.step_ns])
-        self._totals = recording.totals
-        axes.plot(self._times, self._totals, color=style.FAINT, lw=1.2)
+    def _draw_curve(self, axes: Axes) -> Line2D:
+        """Draw the axes and the course of the total error; return the curve up to a time."""
+        recording = self.recording
+        self._times = (recording.step_ns - recording.began_ns) / SECOND
+        axes.plot(self._times, recording.totals, color=style.FAINT, lw=1.2)
         axes.set_xlim(0, max(recording.elapsed_s(recording.end_ns), 1e-9))
-        axes.set_ylim(0, 1.05 * float(np.nanmax(self._totals, initial=1e-9)))
-        axes.set_ylabel(f"total error [{unit_of(setup.unit)}]")
-        axes.set_xlabel("time [s]")
-        (self._curve,) = axes.plot([], [], color=style.INK, lw=1.5)
-        self._names = robot_labels(setup.names) if len(setup.names) < NUMBERED else []
+        axes.set_ylim(0, 1.05 * float(np.nanmax(recording.totals, initial=1e-9)))
+        axes.set(xlabel="time [s]", ylabel=f"total error [{unit_of(self._setup.unit)}]")
+        return axes.plot([], [], color=style.INK, lw=1.5)[0]
+
+    def _draw_words(self, axes: Axes) -> tuple[Line2D, list[Text]]:
+        """Return the arrow of the direction u, and a line of text for each number."""
+        names = self._setup.names
+        self._names = robot_labels(names) if len(names) < NUMBERED else []
+        axes.set_axis_off()
         inks = [*[style.INK] * 3, *self._colors[: len(self._names)]]
-        rows = 0.42 - 0.4 * np.arange(len(inks)) / max(len(inks), 7)
-        self._texts = [
-            figure.text(left - 0.05, float(row), "", color=ink, fontsize=8.5)
-            for row, ink in zip(rows, inks, strict=True)
+        heights = 0.92 - np.arange(len(inks)) / max(len(inks), 7)
+        texts = [
+            axes.text(
+                -0.2,
+                float(y),
+                "",
+                color=ink,
+                fontsize=8.5,
+                transform=axes.transAxes,
+                in_layout=False,
+            )
+            for y, ink in zip(heights, inks, strict=True)
         ]
-        dial = figure.add_axes((left + 0.8 * width, 0.36, 0.2 * width, 0.1))
+        dial = axes.inset_axes((0.8, 0.85, 0.2, 0.22))
         dial.set(xlim=(-1.2, 1.2), ylim=(-1.2, 1.2), aspect="equal")
         dial.set_axis_off()
         dial.text(-1.6, 0, "$u$", ha="right", va="center")
-        (self._arrow,) = dial.plot([], [], color=style.INK, lw=1.4, clip_on=False)
-        return [self._curve, self._arrow, *self._texts]
+        return dial.plot([], [], color=style.INK, lw=1.4, clip_on=False)[0], texts
 
     def at(self, elapsed_s: float) -> Picture:
         """Return the picture at `elapsed_s` [s] after the first direction sent."""
         when = self.recording.began_ns + round(elapsed_s * SECOND)
         self._show(self.recording.at(when))
         if self._ground.show(when):
-            self._canvas.draw()
-            self._still = self._canvas.copy_from_bbox(self._canvas.figure.bbox)
+            self._draw_still()
         self._canvas.restore_region(self._still)
         renderer = self._canvas.get_renderer()
         for artist in self._moving:
@@ -240,41 +247,28 @@ class FilmFrames:
 
     def _show(self, moment: Moment) -> None:
         trail, step = moment.trail, moment.step
-        thin = trail[:: max(1, len(trail) // TRAIL_POINTS)]
-        running = step is not None and not moment.result
-        plan = step.plan.path if step is not None and running else None
-        for robot, (x, y, heading) in enumerate(moment.poses):
-            self._trails[robot].set_data(*np.vstack([thin[:, robot], [x, y]]).T)
-            self._robots[robot].set_xy(_wedge(x, y, heading, self._body))
-            self._plans[robot].set_data(*(plan[:, robot, :2].T if plan is not None else ([], [])))
-        u = step.plan.direction if step is not None and running else None
-        points = np.zeros(0) if u is None else ARROW * np.exp(1j * u)
-        self._arrow.set_data(points.real, points.imag)
-        done = len(moment.totals)
+        thin = trail[:: max(1, len(trail) // 600)]
+        next_plan = None if step is None or moment.result else step.plan
+        for i, (plan, path, body) in enumerate(self._robots):
+            x, y, heading = moment.poses[i]
+            plan.set_data(*(next_plan.path[:, i, :2].T if next_plan else ([], [])))
+            path.set_data(*np.vstack([thin[:, i], [x, y]]).T)
+            corners = self._body * WEDGE * np.exp(1j * heading)
+            body.set_xy(np.column_stack([x + corners.real, y + corners.imag]))
+        u = next_plan.direction if next_plan else None
+        arrow = np.zeros(0) if u is None else ARROW * np.exp(1j * u)
+        self._arrow.set_data(arrow.real, arrow.imag)
+        done, unit = len(moment.totals), unit_of(self._setup.unit)
         total = float(np.nansum(moment.distances))
         self._curve.set_data(
-            np.append(self._times[:done], moment.time_s), np.append(self._totals[:done], total)
+            np.append(self._times[:done], moment.time_s), np.append(moment.totals, total)
         )
-        unit = unit_of(self._setup.unit)
-        words = [
-            f"{moment.time_s:.1f} s" + (f", step {step.k}" if step else ""),
-            f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
-            if step
-            else "",
-            f"total error {total:.1f} {unit}",
-            *(f"{n} {e:.1f} {unit}" for n, e in zip(self._names, moment.distances, strict=False)),
+        words = [f"{moment.time_s:.1f} s", "", f"total error {total:.1f} {unit}"]
+        if step:
+            words[0] += f", step {step.k}"
+            words[1] = f"{len(step.plan.signals)} signals planned, J {step.plan.cost:.3g} {unit}"
+        words += [
+            f"{n} {e:.1f} {unit}" for n, e in zip(self._names, moment.distances, strict=False)
         ]
         for text, line in zip(self._texts, words, strict=True):
             text.set_text(line)
-
-
-ARROW = np.array([-1, 1, 0.6 + 0.3j, 1, 0.6 - 0.3j])
-"""The line of an arrow along +x: its points x + iy."""
-
-
-def _wedge(x: float, y: float, heading: float, half: float) -> Floats:
-    """Return the corners (4, 2) of a robot's wedge, the front corner first; `half` is half its
-    length.
-    """
-    corners = np.array([1.2, -1 + 0.8j, -0.6, -1 - 0.8j]) * half * np.exp(1j * heading)
-    return np.column_stack([x + corners.real, y + corners.imag])

@@ -2,25 +2,26 @@
 
 import io
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from matplotlib import style
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
 
 from tetractl.core.errors import UsageError
 from tetractl.core.files import save_whole
 
 INK, GREY, FAINT = "#222222", "#8A8A8A", "#D0D0D0"
-OBSTACLE, OBSTACLE_EDGE = "#F6DF8B", "#B8960C"
+OBSTACLE: dict[str, Any] = {"fc": "#F6DF8B", "ec": "#B8960C", "lw": 0.6}
 ALARM = "#B00020"
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
-CHARACTERS_PER_IN = 17  # assumed for the width of a headline
 FORMATS = ("png", "svg", "pdf")
 
 RC: dict[str, Any] = {
@@ -77,7 +78,7 @@ def headline(drawing: Figure, text: str, alarm: str = "") -> None:
 
     The figure becomes higher by these lines; its axes keep their size.
     """
-    wrapped = textwrap.wrap(alarm, int(CHARACTERS_PER_IN * drawing.get_figwidth()))
+    wrapped = textwrap.wrap(alarm, int(17 * drawing.get_figwidth()))  # characters per inch
     old_in, line_in = drawing.get_figheight(), 0.135
     new_in = old_in + line_in * (1 + len(wrapped)) + 0.03
     above_in = _lower_legends(drawing, old_in / new_in)
@@ -113,9 +114,21 @@ def lay_out(drawing: Figure) -> None:
         engine.execute(drawing)
 
 
-def panel(axes: Axes, letter: str, title: str) -> None:
-    """Set the title of a panel to "(LETTER) TITLE"."""
+def panel(axes: Axes, letter: str, title: str, x: str = "", y: str = "") -> None:
+    """Set the title of a panel to "(LETTER) TITLE", and the labels of its axes."""
     axes.set_title(f"({letter}) {title}", loc="left")
+    axes.set(xlabel=x, ylabel=y)
+
+
+def sign(label: str, **look: Any) -> Line2D:
+    """Return an entry of a legend: by default a grey marker without a line."""
+    shown: dict[str, Any] = {"color": GREY, "ls": "none", "label": label, **look}
+    return Line2D([], [], **shown)
+
+
+def legend(drawing: Figure, signs: Sequence[Artist], columns: int = 3, **look: Any) -> None:
+    """Put the legend of a figure below its panels."""
+    drawing.legend(handles=signs, loc="outside lower center", ncols=columns, **look)
 
 
 def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "picture") -> str:

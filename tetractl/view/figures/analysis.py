@@ -1,21 +1,17 @@
 """The figure of `tetractl analyze`: end positions, singular values, and two curves of the error."""
 
-import math
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import Ellipse
 
 from tetractl.analysis.analyze import Analysis
 from tetractl.analysis.steering import Steering
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import UsageError, unit_of
-from tetractl.core.poses import ellipse
 from tetractl.view import style
-from tetractl.view.figures.axes import robot_labels
-
-ROOM = 1.15  # half width of panel (a), relative to the largest ellipse
+from tetractl.view.figures.axes import draw_ellipse, robot_labels
 
 
 def analysis_figure(found: Analysis) -> Figure:
@@ -27,71 +23,58 @@ def analysis_figure(found: Analysis) -> Figure:
     """
     if found.steering is None:
         raise UsageError("no plan found, nothing to draw", "raise controller.horizon_max")
-    several = bool(found.by_gap)
-    with style.styled():
-        figure = style.figure(style.PAGE_IN, 5.2 if several else 2.8)
-        panels = figure.subplots(2 if several else 1, 2, squeeze=False)
-        _ends(panels[0, 0], found, found.steering)
-        _singular(panels[0, 1], found, found.steering)
-        if several:
-            _map(panels[1, 0], found, found.steering.error)
-            _crowd(panels[1, 1], found)
+    figure = _drawn(found, found.steering)
     style.headline(figure, f"{found.setup.name}: predicted by a linear model; no trial was run")
     return figure
 
 
+@style.styled()
+def _drawn(found: Analysis, here: Steering) -> Figure:
+    several = bool(found.by_gap)
+    unit = unit_of(found.setup.unit)
+    figure = style.figure(style.PAGE_IN, 5.2 if several else 2.8)
+    panels = figure.subplots(2 if several else 1, 2, squeeze=False).ravel()
+    _ends(panels[0], found, here)
+    off = f"error from the planned end [{unit}]"
+    style.panel(panels[0], "a", "95 % of the end positions, with feedback", f"x {off}", f"y {off}")
+    number = np.arange(1, len(here.singular) + 1)
+    panels[1].bar(number, here.singular, color=style.GREY, width=0.6)
+    if (here.singular > 0).any():
+        panels[1].set_yscale("log")
+    panels[1].set_xticks(number)
+    moved, values = "how far signals move robots' ends", f"singular values [{unit}/rad]"
+    style.panel(panels[1], "b", moved, "singular value", values)
+    if several:
+        error, mean = here.error, f"mean total error [{unit}]"
+        _curve(panels[2], [(100 * gap, one) for gap, one in found.by_gap], [error])
+        panels[2].plot(
+            100 * found.gap, error, "D", color=style.ALARM, ms=5, label="robots in the spec"
+        )
+        panels[2].legend()
+        gap = "smallest relative difference of two robots' a [%]"
+        style.panel(panels[2], "c", "error over the difference between robots", gap, mean)
+        _curve(panels[3], found.by_count)
+        panels[3].set_xticks([count for count, _ in found.by_count])
+        count = "number of robots, in the spec's order"
+        style.panel(panels[3], "d", "error for fewer robots", count, mean)
+    return figure
+
+
 def _ends(axes: Axes, found: Analysis, here: Steering) -> None:
-    setup, unit = found.setup, unit_of(found.setup.unit)
-    colors, reach = robot_colors(setup.names, setup.colors), 0.0
-    for i, (name, color) in enumerate(zip(robot_labels(setup.names), colors, strict=True)):
-        long, short, angle = ellipse(here.covariance[i])
-        reach = max(reach, long)
-        axes.add_patch(
-            Ellipse((0, 0), 2 * long, 2 * short, angle=math.degrees(angle), fill=False, ec=color,
-                    lw=1.2, label=name)
-        )  # fmt: skip
-    limit = ROOM * reach or 1.0
-    axes.set_xlim(-limit, limit)
-    axes.set_ylim(-limit, limit)
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"x error from the planned end [{unit}]")
-    axes.set_ylabel(f"y error from the planned end [{unit}]")
+    setup = found.setup
+    named = zip(robot_labels(setup.names), robot_colors(setup.names, setup.colors), strict=True)
+    reach = max(
+        draw_ellipse(axes, (0, 0), covariance, ec=color, lw=1.2, label=name)
+        for covariance, (name, color) in zip(here.covariance, named, strict=True)
+    )
+    limit = 1.15 * reach or 1.0
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
     axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    style.panel(axes, "a", "95 % of the end positions, with feedback")
 
 
-def _singular(axes: Axes, found: Analysis, here: Steering) -> None:
-    values = here.singular
-    axes.bar(np.arange(1, len(values) + 1), values, color=style.GREY, width=0.6)
-    if (values > 0).any():
+def _curve(axes: Axes, points: Sequence[tuple[float, float]], more: Sequence[float] = ()) -> None:
+    """Draw errors over a quantity, on a logarithmic axis if these and `more` are positive."""
+    x, errors = zip(*points, strict=True)
+    axes.plot(x, errors, color=style.INK, marker="o", ms=3)
+    if np.nanmin([*errors, *more]) > 0:
         axes.set_yscale("log")
-    axes.set_xticks(np.arange(1, len(values) + 1))
-    axes.set_xlabel("singular value")
-    axes.set_ylabel(f"singular values [{unit_of(found.setup.unit)}/rad]")
-    style.panel(axes, "b", "how far signals move robots' ends")
-
-
-def _map(axes: Axes, found: Analysis, error: float) -> None:
-    gaps, errors = zip(*found.by_gap, strict=True)
-    axes.plot(100 * np.array(gaps), errors, color=style.INK, marker="o", ms=3)
-    axes.plot([100 * found.gap], [error], "D", color=style.ALARM, ms=5, ls="none",
-              label="robots in the spec")  # fmt: skip
-    _error_axis(axes, found, [*errors, error])
-    axes.set_xlabel("smallest relative difference of two robots' a [%]")
-    axes.legend()
-    style.panel(axes, "c", "error over the difference between robots")
-
-
-def _crowd(axes: Axes, found: Analysis) -> None:
-    counts, errors = zip(*found.by_count, strict=True)
-    axes.plot(counts, errors, color=style.INK, marker="o", ms=3)
-    axes.set_xticks(counts)
-    _error_axis(axes, found, errors)
-    axes.set_xlabel("number of robots, in the spec's order")
-    style.panel(axes, "d", "error for fewer robots")
-
-
-def _error_axis(axes: Axes, found: Analysis, errors: "list[float] | tuple[float, ...]") -> None:
-    if np.nanmin(errors) > 0:
-        axes.set_yscale("log")
-    axes.set_ylabel(f"mean total error [{unit_of(found.setup.unit)}]")

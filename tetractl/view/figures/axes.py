@@ -1,9 +1,12 @@
-"""Functions shared by figures: selecting trials, labels of robots, and logarithmic axes."""
+"""Functions shared by figures: selecting trials, names of robots, axes and ellipses."""
 
+import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.patches import Ellipse
 from matplotlib.ticker import (
     FuncFormatter,
     LogFormatterMathtext,
@@ -13,7 +16,7 @@ from matplotlib.ticker import (
 )
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Floats, ellipse
 from tetractl.log.read.trial_log import TrialLog
 
 NUMBERED = 8  # least number of robots that are numbered
@@ -101,15 +104,13 @@ def broken_off(logs: Sequence[TrialLog]) -> str:
 
 def check_alike(logs: Sequence[TrialLog]) -> None:
     """Raise UsageError for logs of different robots, arenas, obstacles or units."""
-    first = logs[0].experiment
+
+    def scene(log: TrialLog) -> tuple[object, ...]:
+        spec = log.experiment
+        return spec.robots, spec.arena, spec.obstacles, spec.units
+
     for log in logs[1:]:
-        other = log.experiment
-        if (first.robots, first.arena, first.obstacles, first.units) != (
-            other.robots,
-            other.arena,
-            other.obstacles,
-            other.units,
-        ):
+        if scene(log) != scene(logs[0]):
             raise UsageError(
                 f"{logs[0].path} and {log.path} are of different experiments",
                 "plot together only trials with the same robots, arena and obstacles",
@@ -140,23 +141,21 @@ def positive(values: Floats) -> Floats:
     return np.where(np.isfinite(values) & (values > 0), values, np.nan)
 
 
-def span(values: Floats) -> tuple[float, float]:
-    """Return limits of an axis for positive values, the upper at least 1.1 times the lower."""
-    seen = values[np.isfinite(values)]
-    if not len(seen):
-        return 0.1, 10.0
-    low, high = float(seen.min()), float(seen.max())
-    return (low, high) if high > 1.1 * low else (low / 1.05, high * 1.05)
+def log_axis(axes: Axes, values: Floats, below: float, above: float) -> None:
+    """Make the y axis logarithmic, to show positive values (others may be NaN).
 
-
-def plain_log(axes: Axes) -> None:
-    """Place the ticks of a logarithmic axis: evenly if its limits have a ratio below 5, at 1, 2 and
-    5 of each decade below 1000, otherwise at each decade.
-
-    All ticks of an axis have the same format: decimal if the limits lie between 0.001 and 100,000
-    or have a ratio below 5, else powers of ten.
+    It goes beyond them by the fractions `below` and `above` of their range. The ticks are even if
+    the limits have a ratio below 5, at 1, 2 and 5 of each decade below 1000, otherwise at each
+    decade. All have the same format: decimal if the limits lie between 0.001 and 100,000 or have a
+    ratio below 5, else powers of ten.
     """
-    low, high = axes.get_ylim()
+    seen = values[np.isfinite(values)]
+    low, high = (float(seen.min()), float(seen.max())) if len(seen) else (0.1, 10.0)
+    if high <= 1.1 * low:
+        low, high = low / 1.05, high * 1.05
+    low, high = low / (high / low) ** below, high * (high / low) ** above
+    axes.set_yscale("log")
+    axes.set_ylim(low, high)
     if high / low < 5:
         axes.yaxis.set_major_locator(MaxNLocator(4))
     else:
@@ -167,3 +166,17 @@ def plain_log(axes: Axes) -> None:
     else:
         axes.yaxis.set_major_formatter(LogFormatterMathtext(labelOnlyBase=False))
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def whole_ticks(axes: Axes) -> None:
+    """Place the ticks of the x axis at whole numbers."""
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+
+
+def draw_ellipse(axes: Axes, centre: tuple[float, float], covariance: Floats, **look: Any) -> float:
+    """Draw the ellipse that contains 95 % of a normal distribution; return its long half axis."""
+    long, short, angle = ellipse(covariance)
+    axes.add_patch(
+        Ellipse(centre, 2 * long, 2 * short, angle=math.degrees(angle), fill=False, **look)
+    )
+    return long

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from tetractl.core.colors import BLUE, PALETTE, RED
 from tetractl.core.errors import LogError, unit_of
@@ -18,10 +17,7 @@ from tetractl.results.open_batch import counts
 from tetractl.view import style
 
 COLORS = [BLUE, *(color for color in PALETTE if color not in (BLUE, RED))]
-_NAME = 18  # largest number of characters in a line of a group's name
 _ASIDE = 0.14  # shift of dots to the left of their category's centre [categories]
-_MANY = 100  # largest number of trials drawn with large dots
-_LABELS = 12  # largest number of labelled categories
 
 
 def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None) -> Figure:
@@ -34,8 +30,7 @@ def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None
     drawn = [group for group in groups if group.counted]
     if not drawn:
         raise LogError("no complete trial to plot")
-    with style.styled():
-        figure = _drawn(drawn, links or {})
+    figure = _drawn(drawn, links or {})
     plants = [group.origin.value for group in drawn]
     if len(drawn) > 1:
         plants = [f"{group.name}: {group.origin.value}" for group in drawn]
@@ -43,6 +38,7 @@ def batch_figure(groups: Sequence[Group], links: Mapping[str, str] | None = None
     return figure
 
 
+@style.styled()
 def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
     figure = style.figure(style.PAGE_IN, 3.3)
     first = groups[0]
@@ -56,7 +52,12 @@ def _drawn(groups: Sequence[Group], links: Mapping[str, str]) -> Figure:
     _finish(right, [robot.name for robot in first.experiment.robots])
     whose = f"each robot, {first.name}" if len(groups) > 1 else "each robot"
     right.set_ylabel(f"error of {whose} [{unit}]")
-    figure.legend(handles=_key(), loc="outside lower center", ncols=3)
+    signs = [
+        style.sign("one trial", marker="o", ms=4, alpha=0.7),
+        style.sign("mean and its 95 % interval", ls="-", lw=4, marker="o", mfc="white"),
+        style.sign("standard deviation", ls="-", lw=1),
+    ]
+    style.legend(figure, signs)
     return figure
 
 
@@ -68,7 +69,7 @@ def _totals(axes: Axes, groups: Sequence[Group], links: Mapping[str, str]) -> li
         paths = [trial.path for trial in group.batch.trials if counts(trial)]
         color = COLORS[i % len(COLORS)]
         _strip(axes, i, group.totals, group.total, color, top, [links.get(p) for p in paths])
-        name = textwrap.fill(group.name, _NAME) if len(groups) > 1 else "this batch"
+        name = textwrap.fill(group.name, 18) if len(groups) > 1 else "this batch"
         labels.append(f"{name}\nn = {group.counted}")
     if reference := groups[0].experiment.reference:
         found = published_distribution(reference.n, reference.mean, reference.std)
@@ -90,15 +91,9 @@ def _strip(
     right.
     """
     dots = axes.scatter(
-        at - _ASIDE + _spread(values, top),
-        values,
-        s=16 if len(values) <= _MANY else 4,
-        color=color,
-        linewidths=0,
-        alpha=0.55,
-        clip_on=False,
-        gid="trials",
-    )
+        at - _ASIDE + _spread(values, top), values, s=16 if len(values) <= 100 else 4, color=color,
+        linewidths=0, alpha=0.55, clip_on=False, gid="trials",
+    )  # fmt: skip
     if any(links):
         dots.set_urls(list(links))
     _mean(axes, at + 1.4 * _ASIDE, found, color)
@@ -134,21 +129,9 @@ def _mean(axes: Axes, at: float, found: Distribution, color: str) -> None:
 
 
 def _finish(axes: Axes, labels: Sequence[str]) -> None:
-    every = math.ceil(len(labels) / _LABELS)
+    every = math.ceil(len(labels) / 12)
     axes.set_xticks(range(0, len(labels), every), labels[::every])
-    axes.set_xlim(-0.5, len(labels) - 0.5)
-    axes.set_ylim(bottom=0)
+    axes.set(xlim=(-0.5, len(labels) - 0.5), ylim=(0, None))
     axes.tick_params(axis="x", length=0)
     axes.grid(axis="y", color=style.FAINT, linewidth=0.6)
     axes.set_axisbelow(True)
-
-
-def _key() -> list[Line2D]:
-    def key(label: str, **look: object) -> Line2D:
-        return Line2D([], [], color=style.GREY, label=label, **look)  # pyright: ignore[reportArgumentType]
-
-    return [
-        key("one trial", linestyle="none", marker="o", markersize=4, alpha=0.7),
-        key("mean and its 95 % interval", linewidth=4, marker="o", markerfacecolor="white"),
-        key("standard deviation", linewidth=1),
-    ]

@@ -7,7 +7,6 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from tetractl.core.clock import SECOND
@@ -27,17 +26,15 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
-from tetractl.view.figures.labels import end_labels
+from tetractl.view.figures.labels import separated
 
-POINTS = 400  # points of the time axis for several trials
-QUARTILES = (25, 50, 75)
 LINE_IN = 0.1  # height of a robot's label [in]
 SINCE = "time since the first command [s]"
 
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """Values (M,) over time, with a band from `low` to `high` unless these are None.
+    """Values (M,) over time, with a `band` of two rows (2, M), from low to high, unless it is None.
 
     `name` is written at the end of the curve; `key` is the curve's entry in a legend.
     """
@@ -46,8 +43,7 @@ class Curve:
     color: str
     name: str
     gid: str
-    low: Floats | None = None
-    high: Floats | None = None
+    band: Floats | None = None
     key: str = ""
     width: float = 1.1
 
@@ -55,45 +51,58 @@ class Curve:
 def draw_curves(axes: Axes, time_s: Floats, curves: Iterable[Curve]) -> None:
     """Draw curves at times (M,)."""
     for curve in curves:
-        if curve.low is not None and curve.high is not None:
-            axes.fill_between(time_s, curve.low, curve.high, color=curve.color, alpha=0.2, lw=0)
+        if curve.band is not None:
+            axes.fill_between(time_s, *curve.band, color=curve.color, alpha=0.2, lw=0)
         label = curve.key or f"_{curve.gid}"
         look = {"color": curve.color, "lw": curve.width, "label": label, "gid": curve.gid}
-        axes.plot(time_s, curve.values, **look)
+        axes.plot(time_s, curve.values[: len(time_s)], **look)
 
 
-def name_curves(axes: Axes, curves: Sequence[Curve], ends: Sequence[float] | None = None) -> None:
-    """Write the curves' names at their ends; called after the axes' limits are set.
+def name_curves(axes: Axes, curves: Sequence[Curve]) -> None:
+    """Write the curves' names at the right of the axes, near the heights of their last values;
+    called after the axes' limits are set.
 
-    `ends` are the heights of the names, by default the curves' last values.
+    Names are at least the height of a line apart, in the order of the values.
     """
-    ends = [float(curve.values[-1]) for curve in curves] if ends is None else ends
-    end_labels(axes, ends, [curve.name for curve in curves], [curve.color for curve in curves])
+    ends = np.array([curve.values[-1] for curve in curves])
+    size = 6.5 if len(curves) < NUMBERED else 5.5
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    style.lay_out(figure)  # computes the height of the axes
+    low, high = axes.get_ylim()
+    line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
+    order = np.argsort(ends, kind="stable")
+    wanted = np.clip((ends[order] - low) / (high - low), 0.0, 1.0)
+    for which, height, place in zip(order, wanted, separated(wanted, line), strict=True):
+        color = curves[which].color
+        axes.annotate(
+            curves[which].name, (1.0, float(height)), (1.025, float(place)), color=color,
+            xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
+            annotation_clip=False,
+            arrowprops={
+                "arrowstyle": "-", "color": color, "lw": 0.4,
+                "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5),
+            },
+        )  # fmt: skip
 
 
 def robot_curves(
     setup: Setup,
     values: Floats,
-    low: Floats | None = None,
-    high: Floats | None = None,
+    band: Floats | None = None,
     show: Callable[[float], str] | None = None,
 ) -> list[Curve]:
-    """Return a curve for each of N robots from values (M, N), with a band from `low` to `high`;
-    NUMBERED or more robots have no bands. A curve is named after its robot, followed by the last
-    value if `show` formats it.
+    """Return a curve for each of N robots from values (M, N), with a `band` (2, M, N); NUMBERED or
+    more robots have no bands. A curve is named after its robot, followed by the last value if
+    `show` formats it.
     """
     colors, names = robot_colors(setup.names, setup.colors), robot_labels(setup.names)
-    banded = low is not None and high is not None and len(names) < NUMBERED
+    bands = [None] * len(names)
+    if band is not None and len(names) < NUMBERED:
+        bands = list(np.moveaxis(band, -1, 0))
     return [
-        Curve(
-            values[:, i],
-            color,
-            f"{name} {show(values[-1, i])}" if show else name,
-            f"robot-{i}",
-            low[:, i] if banded and low is not None else None,
-            high[:, i] if banded and high is not None else None,
-        )
-        for i, (name, color) in enumerate(zip(names, colors, strict=True))
+        Curve(one, color, f"{name} {show(one[-1])}" if show else name, f"robot-{i}", of)
+        for i, (one, color, name, of) in enumerate(zip(values.T, colors, names, bands, strict=True))
     ]
 
 
@@ -107,45 +116,47 @@ def errors_at(log: TrialLog, time_s: Floats) -> Floats:
     gaps = log.start.setup.distances(tracked(log.mocap, log.valid))
     rows = np.arange(len(gaps))[:, None] * np.isfinite(gaps)
     held = np.take_along_axis(gaps, np.maximum.accumulate(rows, axis=0), axis=0)
-    sampled_s = (log.mocap_ns - log.began_ns) / SECOND
+    sampled_s = _since(log)
     found = held[np.maximum(np.searchsorted(sampled_s, time_s, side="right") - 1, 0)]
     if log.result is not None:  # the robots stand still after the trial
         found[time_s >= sampled_s[-1]] = log.result.robot_errors
     return found
 
 
+@style.styled()
 def error_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the total error, and below it the distance of each robot to its target, over time."""
     log = one_trial(logs)
-    _need_frames(logs)
+    time_s = _since(log)
     setup = log.start.setup
     unit = unit_of(setup.unit)
-    time_s = (log.mocap_ns - log.began_ns) / SECOND
     gaps = setup.distances(tracked(log.mocap, log.valid))
     ends = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
+    # only the names show the last values, which are the result's
+    gaps = np.vstack([gaps, ends])
     show = lengths(float(ends.sum()))
-    with style.styled():
-        figure, [(total, each)] = _panels([setup], 1.9, 1.6, max(float(time_s[-1]), 1e-9))
-        whole = Curve(gaps.sum(axis=1), style.INK, f"{show(ends.sum())} {unit}", "total", width=1.4)
-        robots = robot_curves(setup, np.vstack([gaps, ends]), show=show)
-        draw_curves(total, time_s, [whole])
-        for curve in robots:  # the last value is the result's: only the curve's name shows it
-            each.plot(time_s, curve.values[:-1], color=curve.color, lw=curve.width, gid=curve.gid)
-        if tolerance := log.experiment.controller.arrival_tolerance:
-            label = f"arrival within {tolerance:g} {unit}"
-            each.axhline(tolerance, color=style.GREY, lw=0.8, ls="--", label=label)
-        _mark_steps(each, log)
-        since = time_s >= 0
-        for axes, values in ((total, whole.values), (each, gaps)):
-            axes.set_ylim(0, float(np.nanmax(values[since], initial=1e-9)) * 1.04)
-        style.panel(total, "a", "total error, the sum over the robots")
-        style.panel(each, "b", "distance of each robot to its target")
-        figure.legend(loc="outside lower center", ncols=3)
-        name_curves(total, [whole], [float(ends.sum())])
-        name_curves(each, robots)
+    figure, [(total, each)] = _panels([setup], 1.9, 1.6, max(float(time_s[-1]), 1e-9))
+    name = f"{show(ends.sum())} {unit}"
+    whole = [Curve(gaps.sum(axis=1), style.INK, name, "total", width=1.4)]
+    robots = robot_curves(setup, gaps, show=show)
+    panels = (total, whole, gaps.sum(axis=1)), (each, robots, gaps)
+    for axes, curves, values in panels:
+        draw_curves(axes, time_s, curves)
+        seen = values[:-1][time_s >= 0]
+        axes.set_ylim(0, float(np.nanmax(seen, initial=1e-9)) * 1.04)
+    if tolerance := log.experiment.controller.arrival_tolerance:
+        label = f"arrival within {tolerance:g} {unit}"
+        each.axhline(tolerance, color=style.GREY, lw=0.8, ls="--", label=label)
+    _mark_steps(each, log)
+    total.set_title("(a) total error, the sum over the robots", loc="left")
+    each.set_title("(b) distance of each robot to its target", loc="left")
+    style.legend(figure, each.get_legend_handles_labels()[0])
+    for axes, curves, _ in panels:
+        name_curves(axes, curves)
     return figure
 
 
+@style.styled()
 def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the total error of every trial over time, and the median of each robot's error, in two
     panels for each folder.
@@ -155,62 +166,62 @@ def errors_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     arms = panels_of(logs)
     time_s = _common_times(logs)
-    with style.styled():
-        setups = [found[0].start.setup for found in arms.values()]
-        figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
-        signs: dict[str, Artist] = {}
-        drawn = list[tuple[Axes, list[Curve]]]()
-        for (name, found), pair in zip(arms.items(), panels, strict=True):
-            median, robots, more = _arm_errors(found, time_s, *pair)
-            drawn += [(pair[0], [median]), (pair[1], robots)]
-            signs |= more
-            trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
-            what = f"total error of {trials}, the sum over the robots"
-            each = "distance of each robot to its target, median of the trials"
-            for axes, text in zip(pair, (what, each), strict=True):
-                letter = chr(ord("a") + list(figure.axes).index(axes))
-                style.panel(axes, letter, f"{name}: {text}" if name else text)
-                axes.set_ylim(bottom=0)
-        figure.legend(handles=list(signs.values()), loc="outside lower center", ncols=5)
-        for axes, curves in drawn:  # the limits are set
-            name_curves(axes, curves)
+    setups = [found[0].start.setup for found in arms.values()]
+    figure, panels = _panels(setups, 2.4, 1.8, time_s[-1])
+    signs: dict[str, Artist] = {}
+    drawn = list[tuple[Axes, list[Curve]]]()
+    letters = iter("abcdefghijklmnopqrstuvwxyz")
+    for (name, found), pair in zip(arms.items(), panels, strict=True):
+        curves, more = _arm_errors(found, time_s, *pair)
+        drawn += zip(pair, curves, strict=True)
+        signs |= {str(sign.get_label()): sign for sign in more}
+        trials = f"{len(found)} trial{'s' * (len(found) > 1)}"
+        total = f"total error of {trials}, the sum over the robots"
+        each = "distance of each robot to its target, median of the trials"
+        for axes, text in zip(pair, (total, each), strict=True):
+            what = f"{name}: {text}" if name else text
+            axes.set_title(f"({next(letters)}) {what}", loc="left")
+            axes.set_ylim(bottom=0)
+    style.legend(figure, list(signs.values()), 5)
+    for axes, curves in drawn:  # the limits are set
+        name_curves(axes, curves)
     return figure
 
 
 def _arm_errors(
     logs: Sequence[TrialLog], time_s: Floats, total: Axes, each: Axes
-) -> tuple[Curve, list[Curve], dict[str, Artist]]:
-    """Draw the errors of one folder's trials; return the median of the total error, those of the
-    robots, and the signs of the legend by their texts.
+) -> tuple[tuple[list[Curve], list[Curve]], list[Artist]]:
+    """Draw the errors of one folder's trials; return the medians of the total error and of the
+    robots' errors, and the signs of the legend.
     """
     setup = logs[0].start.setup
-    errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, POINTS, N)
+    errors = np.array([errors_at(log, time_s) for log in logs])  # (trials, M, N)
     whole = np.array([not unfinished(log) for log in logs])
     counted = errors[whole] if whole.any() else errors
     for values, complete in zip(errors.sum(axis=2), whole, strict=True):
         color = style.GREY if complete else style.ALARM
         total.plot(time_s, values, color=color, lw=0.5, alpha=0.6, zorder=1, gid="trial")
-    low, middle, high = np.nanpercentile(counted.sum(axis=2), QUARTILES, axis=0)
+    middle, band = _quartiles(counted.sum(axis=2))
     name = f"median {middle[-1]:.3g} {unit_of(setup.unit)}"
-    median = Curve(middle, BLUE, name, "median", low, high, "median", 1.5)
-    draw_curves(total, time_s, [median])
-    low, middle, high = np.nanpercentile(counted, QUARTILES, axis=0)
-    robots = robot_curves(setup, middle, low, high, "{:.3g}".format)
+    median = [Curve(middle, BLUE, name, "median", band, "median", 1.5)]
+    draw_curves(total, time_s, median)
+    robots = robot_curves(setup, *_quartiles(counted), "{:.3g}".format)
     draw_curves(each, time_s, robots)
     signs: list[Artist] = [
-        Line2D([], [], color=style.GREY, lw=0.5, label="one trial"),
+        style.sign("one trial", ls="-", lw=0.5),
         *total.get_legend_handles_labels()[0],
         _middle_half(BLUE),
     ]
     if not whole.all():
         label = f"{(~whole).sum()} of {len(logs)} did not run to their end"
-        signs.append(Line2D([], [], color=style.ALARM, lw=0.5, label=label))
+        signs.append(style.sign(label, color=style.ALARM, ls="-", lw=0.5))
     if reference := logs[0].experiment.reference:
         label = "published mean at the end"
         signs.append(total.axhline(reference.mean, color=RED, lw=0.8, ls="--", label=label))
-    return median, robots, {str(sign.get_label()): sign for sign in signs}
+    return (median, robots), signs
 
 
+@style.styled()
 def arms_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the median total error of each folder's trials over time, with a band that contains the
     middle half of the trials.
@@ -219,26 +230,28 @@ def arms_figure(logs: Sequence[TrialLog]) -> Figure:
     in robots, arena and controller, but not in the length unit.
     """
     batches = by_folder(logs)
-    _need_frames(logs)
     time_s = _common_times([log for found in batches.values() for log in found])
     curves: list[Curve] = []
     for i, (label, found) in enumerate(batches.items()):
         totals = np.array([errors_at(log, time_s).sum(axis=1) for log in found])
-        low, middle, high = np.nanpercentile(totals, QUARTILES, axis=0)
+        middle, band = _quartiles(totals)
         key, color = f"{label}, n = {len(found)}", PALETTE[i % len(PALETTE)]
-        curves.append(Curve(middle, color, f"{middle[-1]:.3g}", f"arm-{i}", low, high, key, 1.3))
-    with style.styled():
-        figure = style.figure(style.PAGE_IN, 3.3)
-        axes = figure.subplots()
-        draw_curves(axes, time_s, curves)
-        axes.set_xlim(0, time_s[-1])
-        axes.set_ylim(bottom=0)
-        axes.set_xlabel(SINCE)
-        axes.set_ylabel(f"total error, median [{unit_of(logs[0].start.setup.unit)}]")
-        name_curves(axes, curves)
-        handles = [*axes.get_legend_handles_labels()[0], _middle_half(style.GREY)]
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+        curves.append(Curve(middle, color, f"{middle[-1]:.3g}", f"arm-{i}", band, key, 1.3))
+    figure = style.figure(style.PAGE_IN, 3.3)
+    axes = figure.subplots()
+    draw_curves(axes, time_s, curves)
+    unit = unit_of(logs[0].start.setup.unit)
+    axes.set(xlim=(0, time_s[-1]), xlabel=SINCE, ylabel=f"total error, median [{unit}]")
+    axes.set_ylim(bottom=0)
+    name_curves(axes, curves)
+    style.legend(figure, [*axes.get_legend_handles_labels()[0], _middle_half(style.GREY)])
     return figure
+
+
+def _quartiles(values: Floats) -> tuple[Floats, Floats]:
+    """Return the median over the first axis, and the first and third quartiles (2, ...)."""
+    low, middle, high = np.nanpercentile(values, (25, 50, 75), axis=0)
+    return middle, np.stack([low, high])
 
 
 def _panels(
@@ -253,23 +266,22 @@ def _panels(
     panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
     for i, axes in enumerate(panels):
         axes.sharey(panels[i % 2])
-        axes.set_ylabel(f"error [{unit_of(setups[0].unit)}]")
-        axes.set_xlim(0, end_s)
+        axes.set(ylabel=f"error [{unit_of(setups[0].unit)}]", xlim=(0, end_s))
     panels[-1].set_xlabel(SINCE)
     return figure, list(zip(panels[::2], panels[1::2], strict=True))
 
 
-def _need_frames(logs: Sequence[TrialLog]) -> None:
-    for log in logs:
-        if not len(log.mocap_ns):
-            raise LogError(f"{log.path}: contains no camera frames to plot")
+def _since(log: TrialLog) -> Floats:
+    """Return the times of the camera frames since the first command [s]; LogError if there are
+    none."""
+    if not len(log.mocap_ns):
+        raise LogError(f"{log.path}: contains no camera frames to plot")
+    return (log.mocap_ns - log.began_ns) / SECOND
 
 
 def _common_times(logs: Sequence[TrialLog]) -> Floats:
-    """Return times since the first command (POINTS,) until the end of the longest trial [s]."""
-    _need_frames(logs)
-    end_s = max(1e-9, *(float(log.mocap_ns[-1] - log.began_ns) / SECOND for log in logs))
-    return np.linspace(0, end_s, POINTS)
+    """Return times since the first command (M,) until the end of the longest trial [s]."""
+    return np.linspace(0, max(1e-9, *(float(_since(log)[-1]) for log in logs)), 400)
 
 
 def _middle_half(color: str) -> Patch:

@@ -9,7 +9,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
@@ -21,8 +20,6 @@ from tetractl.results.describe import Group
 from tetractl.results.estimate import CONFIDENCE
 from tetractl.view import style
 from tetractl.view.figures.axes import by_folder
-
-_BANDS = 4  # largest number of batches whose bands are shaded
 
 
 def band(n: int) -> float:
@@ -49,37 +46,28 @@ def distributions_figure(groups: Sequence[Group]) -> Figure:
     return figure
 
 
+@style.styled()
 def _drawn(labels: Sequence[str], errors: Sequence[Floats], unit: str) -> Figure:
     every = zip(labels, errors, strict=True)
     drawn = [(label, np.sort(values)) for label, values in every if len(values)]
     if not drawn:
         raise LogError("no complete trial to plot")
-    with style.styled():
-        figure = style.figure(style.PAGE_IN, 3.3)
-        axes = figure.subplots()
-        end = max(float(values[-1]) for _, values in drawn)
-        for i, (label, values) in enumerate(drawn):
-            color = PALETTE[i % len(PALETTE)]
-            _curve(axes, f"{label}, n = {len(values)}", values, color, end, len(drawn) <= _BANDS)
-        axes.set_xlim(0, 1.02 * end or 1.0)
-        axes.set_ylim(0, 1.02)
-        axes.set_xlabel(f"total error [{unit_of(unit)}]")
-        axes.set_ylabel("fraction of trials")
-        handles, _ = axes.get_legend_handles_labels()
-        handles.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve"))
-        figure.legend(handles=handles, loc="outside lower center", ncols=3)
+    figure = style.figure(style.PAGE_IN, 3.3)
+    axes = figure.subplots()
+    end = max(float(values[-1]) for _, values in drawn)
+    for i, (label, values) in enumerate(drawn):
+        color, n = PALETTE[i % len(PALETTE)], len(values)
+        x = np.concatenate([[0.0], values, [1.02 * end]])
+        share = np.append(np.arange(n + 1), n) / n
+        low, high = np.clip(share - band(n), 0, 1), np.clip(share + band(n), 0, 1)
+        if len(drawn) <= 4:
+            axes.fill_between(x, low, high, step="post", color=color, alpha=0.15, lw=0)
+        else:  # shaded bands would hide one another
+            for edge in (low, high):
+                axes.step(x, edge, where="post", color=color, lw=0.4, ls=":")
+        axes.step(x, share, where="post", color=color, lw=1.3, label=f"{label}, n = {n}")
+    axes.set(xlim=(0, 1.02 * end or 1.0), ylim=(0, 1.02))
+    axes.set(xlabel=f"total error [{unit_of(unit)}]", ylabel="fraction of trials")
+    whole = Patch(color=style.GREY, alpha=0.3, lw=0, label="95 % band of a whole curve")
+    style.legend(figure, [*axes.get_legend_handles_labels()[0], whole])
     return figure
-
-
-def _curve(axes: Axes, label: str, values: Floats, color: str, end: float, shaded: bool) -> None:
-    """Draw one curve; its band is shaded, or only outlined if there are many curves."""
-    x = np.concatenate([[0.0], values, [1.02 * end]])
-    share = np.concatenate([np.arange(len(values) + 1), [len(values)]]) / len(values)
-    half = band(len(values))
-    low, high = np.clip(share - half, 0, 1), np.clip(share + half, 0, 1)
-    if shaded:
-        axes.fill_between(x, low, high, step="post", color=color, alpha=0.15, lw=0)
-    else:
-        for edge in (low, high):
-            axes.step(x, edge, where="post", color=color, lw=0.4, ls=":")
-    axes.step(x, share, where="post", color=color, lw=1.3, label=label)

@@ -3,17 +3,16 @@ trial.
 """
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import LogError, unit_of
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
@@ -30,9 +29,25 @@ from tetractl.view.figures.curves import (
     robot_curves,
 )
 
-TO_MS = SECOND / MILLISECOND
+
+@dataclass(frozen=True, slots=True)
+class _Quantity:
+    """A panel: title, label of its axis, what an estimate states of the quantity and of its
+    standard deviation, and the factor from that to what is drawn.
+
+    For a quantity that the spec states too, `spec` (N,), the difference from it is drawn, and a
+    cross at the `true` value (N,) of a simulation.
+    """
+
+    title: str
+    label: str
+    of: Callable[[Estimate], tuple[Floats | float | None, Floats | float | None]]
+    factor: Floats | float = 1.0
+    spec: Floats | None = None
+    true: Floats | None = None
 
 
+@style.styled()
 def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw the estimates of a trial over time, each with a band of +- one standard deviation.
 
@@ -41,97 +56,109 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
     [ms]. NUMBERED or more robots have no bands.
     """
     log = one_trial(logs)
-    steps = [step for step in log.steps if step.plan.estimate is not None]
-    known = [step.plan.estimate for step in steps if step.plan.estimate is not None]
-    if not known:
+    steps = [(step, one) for step in log.steps if (one := step.plan.estimate) is not None]
+    if not steps:
         raise LogError(
             f"{log.path}: contains no estimates to plot",
             "run the trial with --set controller.estimate=true",
         )
-    setup = log.start.setup
-    unit = unit_of(setup.unit)
-    time_s = np.array([log.elapsed_s(step.command.sent_ns) for step in steps])
-    shown = [(_relative, "a", "turning rate a, at the end in rad/s")]
-    shown += [(_relative, "speed", f"speed, at the end in {unit}/s")]
-    shown += [(_bias, "heading_bias", "heading bias")] * (known[-1].heading_bias is not None)
-    shown += [(_dead_time, "dead_time", "dead time")] * (known[-1].dead_time is not None)
-    with style.styled():
-        rows = -(-len(shown) // 2)
-        row_in = max(2.3, 0.7 + LINE_IN * len(setup.names))
-        figure = style.figure(style.PAGE_IN, rows * row_in)
-        panels = [*figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()]
-        for spare in panels[len(shown) :]:
-            spare.set_axis_off()
-        named: list[tuple[Axes, list[Curve]]] = []
-        for axes, letter, (draw, what, title) in zip(panels, "abcd", shown, strict=False):
-            style.panel(axes, letter, title)
-            axes.set_xlabel(SINCE)
-            axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
-            values, stds = _stack(known, what), _stack(known, f"{what}_std")
-            named.append((axes, draw(axes, what, time_s, values, stds, log)))
-        figure.legend(handles=_key(log), loc="outside lower center", ncols=3)
-        for axes, curves in named:
-            if curves:
-                name_curves(axes, curves)
+    setup, last = log.start.setup, steps[-1][1]
+    time_s = np.array([log.elapsed_s(step.command.sent_ns) for step, _ in steps])
+    estimates = [estimate for _, estimate in steps]
+    shown = _quantities(log, last)
+    rows = -(-len(shown) // 2)
+    figure = style.figure(style.PAGE_IN, rows * max(2.3, 0.7 + LINE_IN * len(setup.names)))
+    panels = [*figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()]
+    for spare in panels[len(shown) :]:
+        spare.set_axis_off()
+    named: list[tuple[Axes, list[Curve]]] = []
+    for axes, letter, quantity in zip(panels, "abcd", shown, strict=False):
+        style.panel(axes, letter, quantity.title, SINCE, quantity.label)
+        axes.set_xlim(0, max(float(time_s[-1]), 1e-9))
+        named.append((axes, _draw(axes, quantity, time_s, estimates, log)))
+    signs: list[Artist] = []
+    if len(setup.names) < NUMBERED:
+        signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))
+    if shown[0].true is not None:
+        signs.append(style.sign("true value", marker="x", ms=4))
+    style.legend(figure, signs)
+    for axes, curves in named:
+        if curves:
+            name_curves(axes, curves)
     return figure
 
 
-def _relative(
-    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
+def _quantities(log: TrialLog, last: Estimate) -> list[_Quantity]:
+    """Return the panels for what the last estimate states."""
+    setup = log.start.setup
+    unit, off = unit_of(setup.unit), "difference from the spec [%]"
+    a, speed, rate = setup.a, setup.speed, "turning rate a, at the end in rad/s"
+    shown = [
+        _Quantity(rate, off, lambda e: (e.a, e.a_std), 100 / a, a, _true(log, "a")),
+        _Quantity(
+            f"speed, at the end in {unit}/s", off, lambda e: (e.speed, e.speed_std), 100 / speed,
+            speed, _true(log, "speed"),
+        ),
+    ]  # fmt: skip
+    if last.heading_bias is not None:
+        bias = "heading bias"
+        shown.append(
+            _Quantity(bias, f"{bias} [rad]", lambda e: (e.heading_bias, e.heading_bias_std))
+        )
+    if last.dead_time is not None:
+        dead = "dead time"
+        shown.append(_Quantity(dead, f"{dead} [ms]", lambda e: (e.dead_time, e.dead_time_std), 1e3))
+    return shown
+
+
+def _draw(
+    axes: Axes,
+    quantity: _Quantity,
+    time_s: Floats,
+    estimates: Sequence[Estimate],
+    log: TrialLog,
 ) -> list[Curve]:
-    """Draw the difference of turning rate a or speed from the spec's value [%]; labels state the
-    last values.
+    """Draw a quantity over time, and return the curves to name at their ends: those of robots.
+
+    The axis shows the range from the 1st to the 99th percentile and every last value, so that one
+    outlier does not hide the rest.
     """
-    spec = getattr(log.start.setup, what)
-    percent = 100 / spec
-    axes.axhline(0, color=style.GREY, lw=0.6)
-    axes.set_ylabel("difference from the spec [%]")
-    curves = _robots(axes, time_s, (values - spec) * percent, stds * percent, log)
-    if (true := _true(log, what)) is not None:
-        true = (true - spec) * percent
+    found = [quantity.of(estimate) for estimate in estimates]
+    ends, stds = (_stack([pair[i] for pair in found]) for i in (0, 1))
+    spec, factor = 0.0 if quantity.spec is None else quantity.spec, quantity.factor
+    values, stds = (ends - spec) * factor, stds * factor
+    band = np.stack([values - stds, values + stds])
+    if values.ndim == 1:
+        draw_curves(axes, time_s, [Curve(values, style.INK, "", "all", band, width=1.2)])
+        return []
+    if quantity.spec is not None:
+        axes.axhline(0, color=style.GREY, lw=0.6)
+    curves = robot_curves(log.start.setup, values, band)
+    draw_curves(axes, time_s, curves)
+    low, high = np.nanpercentile(band if curves[0].band is not None else values, [1, 99])
+    low, high = min(low, values[-1].min()), max(high, values[-1].max())
+    margin = max(0.08 * (high - low), 1e-6)
+    low, high = low - margin, high + margin
+    if quantity.spec is not None:
+        texts = [f"{curve.name} {end:.3g}" for curve, end in zip(curves, ends[-1], strict=True)]
+        curves = [replace(one, name=text) for one, text in zip(curves, texts, strict=True)]
+    if quantity.true is not None:
+        true = (quantity.true - spec) * factor
         for value, curve in zip(true, curves, strict=True):
             axes.plot(
                 1, value, "x", color=curve.color, ms=4, mew=1.0, clip_on=False, zorder=5,
                 transform=axes.get_yaxis_transform(),
             )  # fmt: skip
-        low, high = axes.get_ylim()
-        axes.set_ylim(min(low, true.min() - 1), max(high, true.max() + 1))
-    return [
-        replace(curve, name=f"{curve.name} {value:.3g}")
-        for curve, value in zip(curves, values[-1], strict=True)
-    ]
-
-
-def _bias(
-    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
-) -> list[Curve]:
-    axes.set_ylabel("heading bias [rad]")
-    return _robots(axes, time_s, values, stds, log)
-
-
-def _dead_time(
-    axes: Axes, what: str, time_s: Floats, values: Floats, stds: Floats, log: TrialLog
-) -> list[Curve]:
-    low, high = TO_MS * (values - stds), TO_MS * (values + stds)
-    draw_curves(axes, time_s, [Curve(TO_MS * values, style.INK, "", what, low, high, width=1.2)])
-    axes.set_ylabel("dead time [ms]")
-    return []
-
-
-def _robots(axes: Axes, time_s: Floats, values: Floats, stds: Floats, log: TrialLog) -> list[Curve]:
-    """Draw values (K, N) of the robots with their bands, and return the curves.
-
-    The axis shows the range from the 1st to the 99th percentile and every last value, so that one
-    outlier does not hide the rest.
-    """
-    curves = robot_curves(log.start.setup, values, values - stds, values + stds)
-    draw_curves(axes, time_s, curves)
-    spread = stds if len(curves) < NUMBERED else np.zeros_like(stds)
-    shown = np.nanpercentile(np.concatenate([values - spread, values + spread]), [1, 99])
-    low, high = min(shown[0], values[-1].min()), max(shown[1], values[-1].max())
-    margin = max(0.08 * (high - low), 1e-6)
-    axes.set_ylim(low - margin, high + margin)
+        low, high = min(low, true.min() - 1), max(high, true.max() + 1)
+    axes.set_ylim(low, high)
     return curves
+
+
+def _stack(values: Sequence[Floats | float | None]) -> Floats:
+    """Return the values of all estimates, NaN where an estimate lacks them, but the last does
+    not."""
+    unknown = np.full_like(values[-1], np.nan, dtype=np.float64)
+    return np.array([unknown if one is None else one for one in values], dtype=np.float64)
 
 
 def _true(log: TrialLog, what: str) -> Floats | None:
@@ -147,21 +174,3 @@ def _true(log: TrialLog, what: str) -> Floats | None:
         if found.shape == log.start.setup.a.shape and (np.abs(found) <= LENGTH_MAX).all():
             return found
     raise LogError(f"{log.path}: the fact true_{what} is not a number for each robot")
-
-
-def _key(log: TrialLog) -> list[Line2D | Patch]:
-    """Return the entries of the legend."""
-    signs: list[Line2D | Patch] = []
-    if len(log.start.setup.names) < NUMBERED:
-        signs.append(Patch(color=style.GREY, alpha=0.3, lw=0, label="one standard deviation"))
-    if _true(log, "a") is not None:
-        look = {"marker": "x", "markersize": 4.0, "linestyle": "none", "color": style.GREY}
-        signs.append(Line2D([], [], label="true value", **look))
-    return signs
-
-
-def _stack(known: Sequence[Estimate], name: str) -> Floats:
-    """Return a value of every estimate, NaN where an estimate lacks it."""
-    unknown = np.full_like(getattr(known[-1], name), np.nan, dtype=np.float64)
-    values = (getattr(estimate, name) for estimate in known)
-    return np.array([unknown if value is None else value for value in values], dtype=np.float64)

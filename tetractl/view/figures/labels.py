@@ -1,7 +1,5 @@
 """Places text next to trails and curves, away from other marks."""
 
-from collections.abc import Sequence
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patheffects import withStroke
@@ -11,33 +9,6 @@ from tetractl.core.setup import Bounds
 from tetractl.view import style
 
 HALO = [withStroke(linewidth=1.6, foreground="white")]
-
-
-def end_labels(
-    axes: Axes, ends: Sequence[float], texts: Sequence[str], colors: Sequence[str]
-) -> None:
-    """Write each curve's name at the right of the axes, near the height of the curve's end.
-
-    Labels are at least the height of a line apart, in the order of the ends.
-    """
-    size = 6.5 if len(texts) < 8 else 5.5
-    figure = axes.get_figure(root=True)
-    assert figure is not None
-    style.lay_out(figure)  # computes the height of the axes
-    low, high = axes.get_ylim()
-    line = 1.3 * size / (72 * axes.get_window_extent().height / figure.dpi)
-    order = np.argsort(ends, kind="stable")
-    wanted = np.clip((np.asarray(ends)[order] - low) / (high - low), 0.0, 1.0)
-    for label, height, place in zip(order, wanted, separated(wanted, line), strict=True):
-        axes.annotate(
-            texts[int(label)], (1.0, float(height)), (1.025, float(place)),
-            xycoords="axes fraction", textcoords="axes fraction", va="center", fontsize=size,
-            color=colors[label], annotation_clip=False,
-            arrowprops={
-                "arrowstyle": "-", "color": colors[label], "lw": 0.4,
-                "shrinkA": 0, "shrinkB": 0, "relpos": (0.0, 0.5),
-            },
-        )  # fmt: skip
 
 
 def separated(wanted: Floats, gap: float) -> Floats:
@@ -92,14 +63,6 @@ class Labels:
         label = np.column_stack([spots[best, 0] + width, np.full(5, spots[best, 1])])
         self._taken = np.concatenate([self._taken, label])
         self._axes.annotate(
-            text,
-            (float(xy[0]), float(xy[1])),
-            xytext=tuple(aside[best]),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=5.5,
-            color=style.INK,
-            path_effects=HALO,
-            zorder=5,
-        )
+            text, (float(xy[0]), float(xy[1])), tuple(aside[best]), textcoords="offset points",
+            ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
+        )  # fmt: skip

@@ -3,13 +3,12 @@ microscope's picture.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Affine2D
@@ -34,8 +33,6 @@ from tetractl.view.figures.axes import (
 )
 from tetractl.view.figures.labels import HALO, Labels, edge
 
-FAINT = 0.55  # opacity of the picture, so that paths and marks stand out
-
 
 class DishGround:
     """Shows a microscope's pictures behind the axes of a trial; nothing if its log has none."""
@@ -48,7 +45,7 @@ class DishGround:
         place = Affine2D(np.vstack([np.column_stack([right - low, up - low, low]), [0, 0, 1]]))
         limits = axes.axis()
         self._image = axes.imshow(
-            self._pictures.grey(0), cmap="gray", vmin=0, vmax=255, alpha=FAINT, zorder=0,
+            self._pictures.grey(0), cmap="gray", vmin=0, vmax=255, alpha=0.55, zorder=0,
             extent=(0, 1, 0, 1), interpolation="bilinear", transform=place + axes.transData,
         )  # fmt: skip
         axes.axis(limits)
@@ -66,13 +63,10 @@ class DishGround:
         return True
 
 
-FAR = 2.0  # largest distance from the arena that a figure shows, in arena sizes
 LINE_IN = 0.156  # height of a line of the legend [in]
-CHARACTER_PT, BETWEEN_PT = 3.9, 20.0  # widths of a character, and of a marker with gaps [pt]
-KEYED = 30  # largest number of robots with entries in the legend
-MARKS = 5  # largest number of times marked along a trail
 
 
+@style.styled()
 def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     """Draw one trial with times, headings and errors, or several trials together in lighter
     colours.
@@ -82,27 +76,38 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     setup = logs[0].start.setup
     check_alike(logs)
-    with style.styled():
-        colors = robot_colors(setup.names, setup.colors)
-        ends = np.array([final_poses(log)[:, :2] for log in logs])
-        key = _errors(logs, colors, setup.distances(ends))
-        width = style.COLUMN_IN
-        shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
-        figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * key.rows)
-        axes = figure.subplots()
-        key.draw(figure)
-        trails = [tracked(log.mocap, log.valid) for log in logs]
-        draw_scene(axes, setup, colors, trails)
-        if len(logs) == 1:
-            last = int(logs[0].mocap_ns.max(initial=0))
-            DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
-            _one(axes, logs[0], colors)
-        else:
-            _many(axes, logs, colors)
-        for robot, color in enumerate(colors):
-            _end_marks(axes, ends[:, robot], color, alone=len(logs) == 1)
-        beyond = _limits(axes, setup.arena, [ends, *trails])
-        _signs(figure, logs, beyond)
+    colors = robot_colors(setup.names, setup.colors)
+    ends = np.array([final_poses(log)[:, :2] for log in logs])
+    title, names = _errors(logs, setup.distances(ends))
+    columns = _columns(names)
+    rows = title.count("\n") + 1 + -(-len(names) // columns)
+    width = style.COLUMN_IN
+    shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
+    figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * rows)
+    axes = figure.subplots()
+    named = zip(names, colors, strict=False)  # there may be no names
+    figure.legend(
+        handles=[style.sign(name, color=color, ls="-") for name, color in named],
+        title=title, title_fontsize=7, loc="outside upper center", ncols=columns,
+        columnspacing=1.2, handlelength=1.2, handletextpad=0.5,
+    )  # fmt: skip
+    trails = [tracked(log.mocap, log.valid) for log in logs]
+    draw_scene(axes, setup, colors, trails)
+    truth = _visible_truth(logs[0]) if len(logs) == 1 else None
+    if len(logs) == 1:
+        last = int(logs[0].mocap_ns.max(initial=0))
+        DishGround(axes, logs[0]).show(logs[0].stop.sent_ns if logs[0].stop else last)
+        _one(axes, logs[0], colors, truth)
+    else:
+        alpha = max(0.75 / len(logs) ** 0.25, 0.1)
+        for trail in trails:
+            for robot, color in enumerate(colors):
+                axes.plot(*trail[:, robot].T, color=color, lw=0.6, alpha=alpha, zorder=3)
+    size = 5 if len(logs) == 1 else 3
+    for robot, color in enumerate(colors):
+        axes.plot(*ends[:, robot].T, "D", ms=size, color=color, mec="white", mew=0.5, zorder=6)
+    beyond = _limits(axes, setup.arena, [ends, *trails])
+    _signs(figure, logs, beyond, truth is not None)
     return figure
 
 
@@ -111,31 +116,22 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str], trails: Sequence[Flo
     or more robots have numbered starts and targets.
     """
     unit = unit_of(setup.unit)
-    axes.set_aspect("equal")
-    axes.set_xlabel(f"x [{unit}]")
-    axes.set_ylabel(f"y [{unit}]")
+    axes.set(aspect="equal", xlabel=f"x [{unit}]", ylabel=f"y [{unit}]")
     ticks = _nice_step(max(setup.arena.width, setup.arena.height), 9)
-    axes.xaxis.set_major_locator(MultipleLocator(ticks))
-    axes.yaxis.set_major_locator(MultipleLocator(ticks))
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MultipleLocator(ticks))
     for side in ("top", "right"):
         axes.spines[side].set_visible(True)
     for obstacle in setup.obstacles:
-        patch = Polygon(obstacle.outline(), closed=True)
-        patch.set(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, linewidth=0.6, zorder=1)
-        axes.add_patch(patch)
+        axes.add_patch(Polygon(obstacle.outline(), zorder=1, **style.OBSTACLE))
     starts = np.array([first_seen(trail, setup.starts.xy) for trail in trails])
     hold = setup.hold
     for robot, (target, color) in enumerate(zip(setup.targets, colors, strict=True)):
-        look: dict[str, Any] = {
-            "markeredgecolor": color,
-            "linestyle": "none",
-            "zorder": 4,
-            "clip_on": False,
-        }
-        axes.plot(*starts[:, robot].T, marker="o", markersize=6, markerfacecolor="white", **look)
-        axes.plot(*target, marker="s", markersize=7, markerfacecolor="none", **look)
+        look: dict[str, Any] = {"mec": color, "zorder": 4, "clip_on": False}
+        axes.plot(*starts[:, robot].T, "o", ms=6, mfc="white", **look)
+        axes.plot(*target, "s", ms=7, mfc="none", **look)
         for point in setup.legs[:-1, robot]:
-            axes.plot(*point, marker="s", ms=4, markerfacecolor="none", **look)
+            axes.plot(*point, "s", ms=4, mfc="none", **look)
         if hold is not None:
             axes.add_patch(Circle(tuple(target), hold.radius, fill=False, ec=color, lw=0.6))
     if len(setup.names) >= NUMBERED:
@@ -147,9 +143,9 @@ def draw_scene(axes: Axes, setup: Setup, colors: list[str], trails: Sequence[Flo
                 )  # fmt: skip
 
 
-def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
+def _one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> None:
+    """Draw trails with times and headings, the `truth` (M, N, 2) if it is given, and the errors."""
     trail = tracked(log.mocap, log.valid)
-    truth = _visible_truth(log)
     times = _marked_times(log)
     final, setup = final_poses(log)[:, :2], log.start.setup
     ahead = 0.028 * max(setup.arena.width, setup.arena.height)
@@ -177,42 +173,21 @@ def _one(axes: Axes, log: TrialLog, colors: list[str]) -> None:
         axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
 
 
-def _many(axes: Axes, logs: Sequence[TrialLog], colors: list[str]) -> None:
-    alpha = max(0.75 / len(logs) ** 0.25, 0.1)
-    for log in logs:
-        trail = tracked(log.mocap, log.valid)
-        for robot, color in enumerate(colors):
-            xy = trail[:, robot]
-            axes.plot(xy[:, 0], xy[:, 1], color=color, lw=0.6, alpha=alpha, zorder=3)
-
-
-def _end_marks(axes: Axes, ends: Floats, color: str, alone: bool) -> None:
-    size = 6 if alone else 4
-    look: dict[str, Any] = {
-        "markeredgecolor": "white",
-        "markeredgewidth": 0.5,
-        "linestyle": "none",
-        "zorder": 6,
-    }
-    axes.plot(ends[:, 0], ends[:, 1], marker="D", markersize=size - 1, color=color, **look)
-
-
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
     """Show the whole arena and all paths; dash the arena's edge if a path leaves it.
 
-    Points further from the arena than FAR times its longer side are cut off, so that one outlier
-    does not hide the rest.
+    Points further from the arena than twice its longer side are cut off, so that one outlier does
+    not hide the rest.
     """
     corners = np.array([[arena.left, arena.bottom], [arena.right, arena.top]])
     points = np.concatenate([path.reshape(-1, 2) for path in paths])
     points = points[np.isfinite(points).all(axis=1)]
     margin = 0.02 * max(arena.width, arena.height)
     least, most = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-    far = FAR * max(arena.width, arena.height)
+    far = 2.0 * max(arena.width, arena.height)
     low = np.where(least < corners[0], np.maximum(least - margin, corners[0] - far), corners[0])
     high = np.where(most > corners[1], np.minimum(most + margin, corners[1] + far), corners[1])
-    axes.set_xlim(low[0], high[0])
-    axes.set_ylim(low[1], high[1])
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     beyond = bool((low < corners[0]).any() or (high > corners[1]).any())
     if beyond:
         frame = Rectangle(tuple(corners[0]), arena.width, arena.height)
@@ -221,59 +196,34 @@ def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:
     return beyond
 
 
-@dataclass(frozen=True, slots=True)
-class _Key:
-    """The legend of the robots: a title, and entries in `columns` columns."""
-
-    title: str
-    handles: list[Line2D]
-    columns: int
-
-    @property
-    def rows(self) -> int:
-        """The number of lines, including the title's."""
-        return self.title.count("\n") + 1 + -(-len(self.handles) // self.columns)
-
-    def draw(self, figure: Figure) -> None:
-        """Put the legend above the axes."""
-        figure.legend(
-            handles=self.handles,
-            title=self.title,
-            title_fontsize=7,
-            loc="outside upper center",
-            ncols=self.columns,
-            columnspacing=1.2,
-            handlelength=1.2,
-            handletextpad=0.5,
-        )
-
-
-def _errors(logs: Sequence[TrialLog], colors: list[str], errors: Floats) -> _Key:
-    """Return the legend of the robots' names and their `errors` (trials, N).
+def _errors(logs: Sequence[TrialLog], errors: Floats) -> tuple[str, list[str]]:
+    """Return the title of the robots' legend, and its entries: names and `errors` (trials, N); no
+    entries for more than 30 robots.
 
     Means over several trials leave out incomplete ones; trials of several folders have no means.
     """
     setup = logs[0].start.setup
-    unit = unit_of(setup.unit)
+    unit, names = unit_of(setup.unit), robot_labels(setup.names)
     if len(logs) == 1:
         show = lengths(float(errors.sum()))
         words = [show(error) for error in errors[0]]
         title = f"error at the end [{unit}], total {show(errors.sum())}"
     elif (folders := len({log.path.rpartition("/")[0] for log in logs})) > 1:
-        title, words = f"{len(logs)} trials of {folders} folders", [""] * len(colors)
+        title, words = f"{len(logs)} trials of {folders} folders", []
     else:
         whole = np.array([not unfinished(log) for log in logs])
         counted = errors[whole] if whole.any() else errors
         words = [_spread(robot) for robot in counted.T]
         title = f"{len(logs)} trials, error at the end [{unit}], total "
         title += _spread(counted.sum(axis=1))
-    handles = [
-        Line2D([], [], color=color, label=": ".join(filter(None, (name, word))))
-        for name, color, word in zip(robot_labels(setup.names), colors, words, strict=True)
-    ][: KEYED if len(colors) <= KEYED else 0]
-    longest = max((len(str(handle.get_label())) for handle in handles), default=0)
-    fitting = int((72 * style.COLUMN_IN + 1) // (CHARACTER_PT * longest + BETWEEN_PT))
-    return _Key(title, handles, max(min(len(handles), fitting, 6), 1))
+    texts = [f"{name}: {word}" for name, word in zip(names, words, strict=True)] if words else names
+    return title, texts if len(texts) <= 30 else []
+
+
+def _columns(texts: Sequence[str]) -> int:
+    """Return the number of columns in which the entries of a legend fit."""
+    width_pt = 3.9 * max(map(len, texts), default=0) + 20.0  # of the text, and of a sign with gaps
+    return max(min(len(texts), int((72 * style.COLUMN_IN + 1) // width_pt), 6), 1)
 
 
 def _spread(errors: Floats) -> str:
@@ -286,38 +236,29 @@ def _spread(errors: Floats) -> str:
     return f"{mean:.{digits}f} ± {std:.{digits}f}"
 
 
-def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool) -> None:
+def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool, truth: bool) -> None:
     """Draw the legend of the markers below the axes."""
-    grey: dict[str, Any] = {"color": style.GREY, "linestyle": "none"}
+    alone, setup = len(logs) == 1, logs[0].start.setup
     dashed: dict[str, Any] = {"lw": 0.6, "ls": (0, (3, 2))}
-    signs: list[Line2D | Patch] = [
-        Line2D([], [], marker="o", markerfacecolor="white", markersize=5, label="start", **grey),
-        Line2D([], [], marker="s", markerfacecolor="none", markersize=5, label="target", **grey),
-        Line2D([], [], marker="D", markersize=4, label="end", **grey),
+    signs: list[Artist] = [
+        style.sign("start", marker="o", mfc="white", ms=5),
+        style.sign("target", marker="s", mfc="none", ms=5),
+        style.sign("end", marker="D", ms=4),
     ]
-    if len(logs) == 1:
-        signs.append(Line2D([], [], color=style.GREY, lw=0.6, ls=":", label="error"))
-    if logs[0].start.setup.obstacles:
-        signs.append(
-            Patch(facecolor=style.OBSTACLE, edgecolor=style.OBSTACLE_EDGE, lw=0.6, label="obstacle")
-        )
-    many = len(logs) == 1 and len(logs[0].start.setup.names) >= NUMBERED
-    if many and (times := _marked_times(logs[0])):
-        label = f"every {times[0]:g} s"
-        signs.append(Line2D([], [], marker=".", markersize=4, label=label, **grey))
+    if alone:
+        signs.append(style.sign("error", lw=0.6, ls=":"))
+    if setup.obstacles:
+        signs.append(Patch(label="obstacle", **style.OBSTACLE))
+    if alone and len(setup.names) >= NUMBERED and (times := _marked_times(logs[0])):
+        signs.append(style.sign(f"every {times[0]:g} s", marker=".", ms=4))
     if beyond:
-        signs.append(Line2D([], [], color=style.GREY, label="arena", **dashed))
-    if len(logs) == 1 and _visible_truth(logs[0]) is not None:
-        signs.append(Line2D([], [], color=style.INK, label="true path", **dashed))
+        signs.append(style.sign("arena", **dashed))
+    if truth:
+        signs.append(style.sign("true path", color=style.INK, **dashed))
     if len(signs) > 5:  # two lines are needed
         figure.set_figheight(figure.get_figheight() + LINE_IN)
-    figure.legend(
-        handles=signs,
-        loc="outside lower center",
-        ncols=len(signs) if len(signs) < 6 else 3,
-        fontsize=6,
-        columnspacing=1.2,
-    )
+    columns = len(signs) if len(signs) < 6 else 3
+    style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
 
 
 def _visible_truth(log: TrialLog) -> Floats | None:
@@ -333,13 +274,13 @@ def _visible_truth(log: TrialLog) -> Floats | None:
 
 
 def _marked_times(log: TrialLog) -> list[float]:
-    """Return at most MARKS times to mark [s since the first direction]: multiples of 1, 2 or 5
+    """Return at most five times to mark [s since the first direction]: multiples of 1, 2 or 5
     times 10^n.
     """
     end_s = log.elapsed_s(int(log.mocap_ns[-1])) if len(log.mocap_ns) else 0.0
     if end_s <= 0:
         return []
-    step = _nice_step(end_s, MARKS)
+    step = _nice_step(end_s, 5)
     return [float(t) for t in np.arange(step, end_s * 0.92, step)]
 
 
@@ -351,6 +292,7 @@ def _nice_step(length: float, most: int) -> float:
     return float(next(n * power for n in (1, 2, 5, 10) if length / (n * power) <= most))
 
 
+@style.styled()
 def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure:
     """Draw the recorded path (solid) and the new path of each robot, and the distance between them
     over time.
@@ -358,28 +300,22 @@ def redriven_figure(recorded: TrialLog, again: TrialLog, apart: Apart) -> Figure
     setup = recorded.start.setup
     unit = unit_of(setup.unit)
     colors = robot_colors(setup.names, setup.colors)
-    with style.styled():
-        figure = style.figure(style.PAGE_IN, 3.4)
-        paths, over_time = figure.subplots(1, 2)
-        for log, line, what in ((recorded, "-", "recorded"), (again, "--", "driven again")):
-            since = log.mocap_ns >= log.began_ns
-            xy = tracked(log.mocap, log.valid)[since]
-            for robot, color in enumerate(colors):
-                paths.plot(*xy[:, robot].T, line, color=color, lw=1.1)
-            label = f"{what}, {log.origin.value}"
-            paths.plot([], [], line, color=style.INK, lw=1.1, label=label)
-        for shape in setup.obstacles:
-            paths.fill(*shape.outline().T, fc=style.OBSTACLE, ec=style.OBSTACLE_EDGE, lw=0.6)
-        paths.set_aspect("equal", adjustable="datalim")
-        paths.set_xlabel(f"x [{unit}]")
-        paths.set_ylabel(f"y [{unit}]")
-        for robot, (name, color) in enumerate(zip(setup.names, colors, strict=True)):
-            values = apart.distance[:, robot]
-            over_time.plot(apart.time_s, values, color=color, lw=1.1, label=name)
-        over_time.set_ylim(0, max(float(np.nanmax(apart.distance, initial=0.0)) * 1.04, 1e-9))
-        over_time.set_xlabel("time since the first command [s]")
-        over_time.set_ylabel(f"distance [{unit}]")
-        style.panel(paths, "a", "paths")
-        style.panel(over_time, "b", "distance between each robot's two paths")
-        figure.legend(loc="outside lower center", ncols=6)
+    figure = style.figure(style.PAGE_IN, 3.4)
+    paths, over_time = figure.subplots(1, 2)
+    signs = list[Artist]()
+    for log, line, what in ((recorded, "-", "recorded"), (again, "--", "driven again")):
+        xy = tracked(log.mocap, log.valid)[log.mocap_ns >= log.began_ns]
+        for robot, color in enumerate(colors):
+            paths.plot(*xy[:, robot].T, line, color=color, lw=1.1)
+        signs.append(style.sign(f"{what}, {log.origin.value}", color=style.INK, ls=line, lw=1.1))
+    for shape in setup.obstacles:
+        paths.add_patch(Polygon(shape.outline(), **style.OBSTACLE))
+    paths.set_aspect("equal", adjustable="datalim")
+    for name, color, values in zip(setup.names, colors, apart.distance.T, strict=True):
+        signs += over_time.plot(apart.time_s, values, color=color, lw=1.1, label=name)
+    over_time.set_ylim(0, max(float(np.nanmax(apart.distance, initial=0.0)) * 1.04, 1e-9))
+    style.panel(paths, "a", "paths", f"x [{unit}]", f"y [{unit}]")
+    gap = "distance between each robot's two paths"
+    style.panel(over_time, "b", gap, "time since the first command [s]", f"distance [{unit}]")
+    style.legend(figure, signs, 6)
     return figure

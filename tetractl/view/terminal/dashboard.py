@@ -2,7 +2,9 @@
 
 import math
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from rich.console import Console, ConsoleOptions, RenderResult
@@ -46,6 +48,23 @@ class Footer:
         return line
 
 
+def fitted(
+    console: Console, text: Text, width: int, overflow: Literal["crop", "ellipsis"] = "crop"
+) -> list[Segment]:
+    """Return a line of text as segments, cut at a width."""
+    text.no_wrap = True
+    text.truncate(width, overflow=overflow)
+    return list(text.render(console))
+
+
+def printed(rows: Sequence[list[Segment]], width: int) -> RenderResult:
+    """Yield rows for rich, each exactly as wide as the screen."""
+    for number, row in enumerate(rows):
+        if number:
+            yield Segment.line()
+        yield from Segment.adjust_line_length(row, width)
+
+
 def _length(hints: list[str]) -> int:
     return sum(len(hint) + 2 for hint in hints)
 
@@ -75,31 +94,21 @@ class Dashboard:
         width, height = options.max_width, (options.height or console.height)
         events = self._events(height)
         body = max(height - 1 - len(events), 1)
-        arena = self._frame.setup.arena
+        arena, unit = self._frame.setup.arena, self._frame.setup.unit
         most = max(min(width - SIDE_MIN - 1, max(round(ARENA_SHARE * width), width - 38)), 3)
         view = Projection.fit(arena, most - 2, body - 2)
-        unit = self._frame.setup.unit
         canvas = draw(self._frame, self._colors, glyphs, view.width, view.height)
         label = f"{arena.width:g} {glyphs.times} {arena.height:g} {unit}"
-        left = list(framed(canvas, label, glyphs))
+        rows = [*framed(canvas, label, glyphs)]
         across = view.width + 2
+        rows = [*rows, *([Segment(" " * across)] for _ in range(body - len(rows)))][:body]
         room = min(width - across - 2, SIDE_MAX)
         side = self.side(glyphs, room, body) if room >= 8 else []
-        for row in range(body):
-            line = list(left[row]) if row < len(left) else [Segment(" " * across)]
-            if row < len(side):
-                text = side[row]
-                text.truncate(room)
-                line += [Segment("  "), *text.render(console)]
-            yield from Segment.adjust_line_length(line, width)
-            yield Segment.line()
-        for event in events:
-            event.truncate(width, overflow="ellipsis" if not glyphs.ascii else "crop")
-            yield from Segment.adjust_line_length(list(event.render(console)), width)
-            yield Segment.line()
-        footer = self._footer.text(glyphs, width)
-        footer.truncate(width)
-        yield from Segment.adjust_line_length(list(footer.render(console)), width)
+        for row, text in zip(rows, side, strict=False):
+            row += [Segment("  "), *fitted(console, text, room)]
+        cut = "ellipsis" if not glyphs.ascii else "crop"
+        rows += [fitted(console, event, width, cut) for event in events]
+        yield from printed([*rows, fitted(console, self._footer.text(glyphs, width), width)], width)
 
     def side(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
         """Return the numbers in at most `height` lines; if these are too few, the least important

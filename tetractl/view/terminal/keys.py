@@ -3,6 +3,7 @@ terminal's settings at the end.
 """
 
 import os
+import re
 import select
 import signal
 import sys
@@ -10,26 +11,25 @@ import termios
 import threading
 import tty
 from collections.abc import Callable
+from contextlib import suppress
 from types import FrameType
 from typing import Self
 
 from tetractl.run.interrupt import SIGNALS
 
 _SEQUENCES = {
-    b"\x1b[C": "right",
-    b"\x1b[D": "left",
-    b"\x1bOC": "right",
-    b"\x1bOD": "left",
-    b"\x1b[H": "home",
-    b"\x1bOH": "home",
-    b"\x1b[1~": "home",
-    b"\x1b[7~": "home",
-    b"\x1b[F": "end",
-    b"\x1bOF": "end",
-    b"\x1b[4~": "end",
-    b"\x1b[8~": "end",
+    "right": ("[C", "OC"),
+    "left": ("[D", "OD"),
+    "home": ("[H", "OH", "[1~", "[7~"),
+    "end": ("[F", "OF", "[4~", "[8~"),
 }
-_NAMES = {" ": "space", "=": "+", "_": "-", "Q": "q"}
+"""Keys by name, as the sequences after the escape character that terminals send for them."""
+_NAMES = {f"\x1b{code}": name for name, codes in _SEQUENCES.items() for code in codes}
+_NAMES |= {" ": "space", "=": "+", "_": "-", "Q": "q"}
+_KEY = re.compile(
+    r"(?P<unfinished>\x1b(O|\[[ -?]*)?\Z)|\x1b(O.|\[[ -?]*[@-~]?)?|(?P<printable>[ -~])|.",
+    re.DOTALL,
+)
 
 
 def decode(data: bytes) -> tuple[list[str], bytes]:
@@ -40,36 +40,40 @@ def decode(data: bytes) -> tuple[list[str], bytes]:
     dropped.
     """
     keys: list[str] = []
-    while data:
-        if data[0] != 0x1B:
-            char = chr(data[0])
-            if char.isascii() and char.isprintable():
-                keys.append(_NAMES.get(char, char))
-            data = data[1:]
-            continue
-        length = _sequence_length(data)
-        if length is None:
-            return keys, data
-        if name := _SEQUENCES.get(data[:length]):
-            keys.append(name)
-        data = data[length:]
+    for found in _KEY.finditer(data.decode("latin-1")):
+        if found["unfinished"]:
+            return keys, data[found.start() :]
+        if found[0] in _NAMES or found["printable"]:
+            keys.append(_NAMES.get(found[0], found[0]))
     return keys, b""
 
 
-def _sequence_length(data: bytes) -> int | None:
-    """Return the length of the escape sequence at the start of `data`; None if it is incomplete."""
-    if len(data) < 2:
-        return None
-    if data[1] == ord("O"):
-        return 3 if len(data) >= 3 else None
-    if data[1] != ord("["):
-        return 1
-    for index in range(2, len(data)):
-        if 0x40 <= data[index] <= 0x7E:
-            return index + 1
-        if not 0x20 <= data[index] <= 0x3F:
-            return index  # an incomplete sequence
-    return None
+class _Unbuffered:
+    """The terminal's input without buffer and echo, until `restore`."""
+
+    def __init__(self) -> None:
+        self.fd = sys.stdin.fileno()
+        self._before = termios.tcgetattr(self.fd)
+        self.set()
+
+    def set(self) -> None:
+        """Set the terminal so; TCSANOW does not wait for pending output."""
+        tty.setcbreak(self.fd, termios.TCSANOW)
+
+    def restore(self) -> None:
+        """Set the terminal as it was; does nothing if it was closed."""
+        with suppress(termios.error):
+            termios.tcsetattr(self.fd, termios.TCSANOW, self._before)
+
+    def wait(self, timeout_s: float, count: int) -> bytes | None:
+        """Return the bytes that come within `timeout_s`, at most `count`: None if there are none,
+        b"" if the terminal was closed.
+        """
+        try:
+            ready, _, _ = select.select([self.fd], [], [], timeout_s)
+            return os.read(self.fd, count) if ready else None
+        except OSError:
+            return b""
 
 
 class Keyboard:
@@ -81,21 +85,19 @@ class Keyboard:
     """
 
     def __init__(self, leave: Callable[[], None], back: Callable[[], None]) -> None:
-        self._fd = sys.stdin.fileno()
         self._leave, self._back = leave, back
         self._rest = b""
         self._stop_wanted = False
         self.interrupted = False
 
     def __enter__(self) -> Self:
-        self._before = termios.tcgetattr(self._fd)
         handlers = {signal.SIGTSTP: self._note_stop} | dict.fromkeys(SIGNALS, self._interrupt)
         self._handlers = {n: signal.signal(n, handler) for n, handler in handlers.items()}
-        tty.setcbreak(self._fd, termios.TCSANOW)
+        self._input = _Unbuffered()
         return self
 
     def __exit__(self, *error: object) -> None:
-        termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+        self._input.restore()
         for number, handler in self._handlers.items():
             signal.signal(number, handler)
 
@@ -105,18 +107,12 @@ class Keyboard:
         """
         if self._stop_wanted:
             self._suspend()
-        try:
-            ready, _, _ = select.select([self._fd], [], [], timeout_s)
-            if self.interrupted:
-                return ["q"]
-            if not ready:
-                self._rest = b""  # it was the Esc key alone
-                return []
-            data = os.read(self._fd, 1024)
-        except OSError:
+        data = self._input.wait(timeout_s, 1024)
+        if self.interrupted or data == b"":
             return ["q"]
-        if not data:
-            return ["q"]
+        if data is None:
+            self._rest = b""  # it was the Esc key alone
+            return []
         keys, self._rest = decode(self._rest + data)
         return keys
 
@@ -126,20 +122,18 @@ class Keyboard:
     def _suspend(self) -> None:
         self._stop_wanted = False
         self._leave()
-        termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
+        self._input.restore()
         signal.signal(signal.SIGTSTP, signal.SIG_DFL)
         os.kill(os.getpid(), signal.SIGTSTP)  # suspends the process until SIGCONT
         signal.signal(signal.SIGTSTP, self._note_stop)
-        tty.setcbreak(self._fd, termios.TCSANOW)
+        self._input.set()
         self._back()
 
     def _interrupt(self, number: int, frame: FrameType | None) -> None:
         self.interrupted = True
 
 
-STOP_KEYS = b" \x1b"
 SAYS = "SPACE or ESC: EMERGENCY STOP"
-POLL_S = 0.2
 
 
 class StopKey:
@@ -159,9 +153,7 @@ class StopKey:
 
     def __enter__(self) -> Self:
         if self.listening:
-            self._fd = sys.stdin.fileno()
-            self._before = termios.tcgetattr(self._fd)
-            tty.setcbreak(self._fd, termios.TCSANOW)  # TCSANOW does not wait for pending output
+            self._input = _Unbuffered()
             self._thread.start()
         return self
 
@@ -169,21 +161,14 @@ class StopKey:
         if self.listening:
             self._closing.set()
             self._thread.join(1.0)
-            try:
-                termios.tcsetattr(self._fd, termios.TCSANOW, self._before)
-            except termios.error:
-                return  # the terminal was closed
+            self._input.restore()
 
     def _listen(self) -> None:
         while not self._closing.is_set():
-            try:
-                ready, _, _ = select.select([self._fd], [], [], POLL_S)
-                if not ready:
-                    continue
-                keys = os.read(self._fd, 64)
-            except OSError:
-                keys = b""
-            if any(key in STOP_KEYS for key in keys) or not (keys or self._unattended):
+            keys = self._input.wait(0.2, 64)
+            if keys is None:
+                continue
+            if b" " in keys or b"\x1b" in keys or not (keys or self._unattended):
                 self._stop()
             if not keys:
                 return

@@ -16,6 +16,7 @@ from tetractl.core.clock import seconds
 from tetractl.core.colors import robot_colors
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.poses import Floats
+from tetractl.core.protocols import Observer
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Moment, tracked
@@ -24,14 +25,13 @@ from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
 from tetractl.view.terminal.progress import Tally, duration, trial_line
 
-FRAME_S = 1 / 12  # least wall time between two pictures [s]
 
-
-class LiveView:
+class LiveView(Observer):
     """Shows one trial after another on the alternate screen: an `Observer` of each trial and a
     `RunObserver`; a context manager.
 
-    It draws at most 12 pictures per second; `wall` returns the wall time [s].
+    It draws at most 12 pictures per second; `wall` returns the wall time [s]. While its screen is
+    closed, it draws nothing.
     """
 
     def __init__(self, console: Console, wall: Callable[[], float] = time.monotonic) -> None:
@@ -43,6 +43,7 @@ class LiveView:
         self._index, self._count = 0, 1
         self._began: float | None = None
         self._drawn = -np.inf
+        self._notes: list[Note] = []
 
     def __enter__(self) -> Self:
         self._live.start()
@@ -76,7 +77,7 @@ class LiveView:
         self._result: Result | None = None
         self._time_ns = 0
         self._first_ns: int | None = None  # when the first direction was sent
-        self._notes: list[Note] = []
+        self._notes = []
         self._draw()
 
     def on_samples(self, samples: list[Sample]) -> None:
@@ -113,10 +114,12 @@ class LiveView:
         self._draw()
 
     def _draw_in_time(self) -> None:
-        if self._wall() - self._drawn >= FRAME_S:
+        if self._wall() - self._drawn >= 1 / 12:
             self._draw()
 
     def _draw(self) -> None:
+        if not self._live.is_started:
+            return
         self._drawn = self._wall()
         self._live.update(self._dashboard(), refresh=True)
 
@@ -180,71 +183,44 @@ class TerminalPrompt:
         return True
 
 
-class LabWatch:
-    """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial; an
-    `Observer` and a `RunObserver`.
+class LabWatch(LiveView):
+    """Shows a batch in the lab: a line per trial and, if `live`, a live view of each trial.
 
     Notes are printed on `console`, a line per trial on `quiet`, which may be silent; `unit` is the
     length unit. Between trials, while robots are placed, the live view is closed.
     """
 
     def __init__(self, console: Console, quiet: Console, unit: str, live: bool) -> None:
+        super().__init__(console)
         self._console, self._quiet = console, quiet
-        self._unit, self._live = unit, live
-        self._view: LiveView | None = None
-        self._notes: list[Note] = []
-
-    def trial_started(self, task: Task) -> None:
-        """Store the number of the next trial."""
-        self._task = task
+        self._unit, self._wanted = unit, live
+        self._unprinted: list[Note] = []
 
     def trial_ended(self, ending: Ending) -> None:
-        """Print the trial's line."""
-        self._close()
+        """Close the live view, and print the notes and the trial's line."""
+        super().trial_ended(ending)
+        self._live.stop()
+        self._print_notes()
         if ending.result:
             text = trial_line(ending.task, ending.result, self._unit)
             self._quiet.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def on_start(self, start: Start) -> None:
         """Open the live view."""
-        if self._live:
-            self._view = LiveView(self._console)
-            self._view.__enter__()
-            self._view.trial_started(self._task)
-            self._view.on_start(start)
-
-    def on_samples(self, samples: list[Sample]) -> None:
-        """Show camera frames in the live view."""
-        if self._view:
-            self._view.on_samples(samples)
-
-    def on_step(self, step: Step) -> None:
-        """Show a control step in the live view."""
-        if self._view:
-            self._view.on_step(step)
-
-    def on_command(self, command: Command) -> None:
-        """Do nothing, since the robots' motion shows a command."""
+        if self._wanted:
+            self._live.start()
+        super().on_start(start)
 
     def on_note(self, note: Note) -> None:
         """Print a note, or keep it until the live view is closed."""
-        self._notes.append(note)
-        if not self._view:
+        self._unprinted.append(note)
+        if self._live.is_started:
+            super().on_note(note)
+        else:
             self._print_notes()
 
-    def on_stop(self, stop: Command, result: Result) -> None:
-        """Show how the trial ended."""
-        if self._view:
-            self._view.on_stop(stop, result)
-
-    def _close(self) -> None:
-        if self._view:
-            self._view.__exit__(None, None, None)
-            self._view = None
-        self._print_notes()
-
     def _print_notes(self) -> None:
-        notes, self._notes = self._notes, []
+        notes, self._unprinted = self._unprinted, []
         for note in notes:
             text = f"{note.level}: {note.text}"
             self._console.print(text, highlight=False, markup=False, soft_wrap=True)

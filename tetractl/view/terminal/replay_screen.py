@@ -7,7 +7,6 @@ from collections.abc import Callable
 
 from rich.console import Console, ConsoleOptions, RenderResult
 from rich.live import Live
-from rich.segment import Segment
 from rich.text import Text
 
 from tetractl.core.clock import Clock
@@ -15,7 +14,7 @@ from tetractl.core.colors import robot_colors
 from tetractl.core.plan import State
 from tetractl.log.read.trial_log import Event
 from tetractl.replay.player import Playback, Player, PlayerClock, Recording
-from tetractl.view.terminal.dashboard import Dashboard, Footer
+from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
 
@@ -97,40 +96,31 @@ def dashboard(
     return Dashboard(recording.at(now_ns), colors, heading, footer, notes, aside=note)
 
 
-def keys(glyphs: Glyphs) -> tuple[tuple[str, str], ...]:
-    """Return each key or group of keys with its action."""
-    return (
-        ("space", "pause or continue; at the end: play again from the start"),
-        (glyphs.left_right, "1 s back or forward"),
-        (", .", "previous or next control step, and pause"),
-        ("E e", "previous or next event, and pause"),
-        ("Home End", "start or end"),
-        ("+ -", "double or halve the rate"),
-        ("p n", "previous or next trial, if several logs are given"),
-        ("?", "show or hide this list"),
-        ("q", "quit"),
-    )
-
-
 class Help:
     """Shows the list of keys, on all the space available; the library rich prints it."""
 
     def __init__(self, glyphs: Glyphs) -> None:
-        self._glyphs = glyphs
+        self._keys = {
+            "space": "pause or continue; at the end: play again from the start",
+            glyphs.left_right: "1 s back or forward",
+            ", .": "previous or next control step, and pause",
+            "E e": "previous or next event, and pause",
+            "Home End": "start or end",
+            "+ -": "double or halve the rate",
+            "p n": "previous or next trial, if several logs are given",
+            "?": "show or hide this list",
+            "q": "quit",
+        }
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        width, height = options.max_width, options.height or console.height
-        rows = keys(self._glyphs)
-        wide = max(len(key) for key, _ in rows)
-        lines = [Text("Keys of the player", "bold"), Text()] if height > len(rows) + 2 else []
-        lines += [Text.assemble((f" {key:<{wide}}", "bold"), f"  {does}") for key, does in rows]
-        for row in range(height):
-            line = lines[row] if row < len(lines) else Text()
-            line.no_wrap = True
-            line.truncate(width)
-            yield from Segment.adjust_line_length(list(line.render(console)), width)
-            if row < height - 1:
-                yield Segment.line()
+        height, wide = options.height or console.height, max(map(len, self._keys))
+        lines = [Text("Keys of the player", "bold"), Text()]
+        lines = lines if height > len(self._keys) + 2 else []
+        for key, does in self._keys.items():
+            lines.append(Text.assemble((f" {key:<{wide}}", "bold"), f"  {does}"))
+        lines = [*lines, *[Text()] * height][:height]
+        width = options.max_width
+        yield from printed([fitted(console, line, width) for line in lines], width)
 
 
 def print_lines(

@@ -8,7 +8,7 @@ import pytest
 from support import cli
 from support.paths import ROOT
 
-from tetractl.cli.init import example_names
+from tetractl.cli.specs import example_names
 from tetractl.experiment.load import load_spec
 from tetractl.study.load_study import load_study
 

@@ -11,7 +11,7 @@ import pytest
 from pydantic import PrivateAttr
 from support.cli import tetractl
 
-from tetractl.cli.init import template
+from tetractl.cli.specs import template
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.sequence import SequenceSection
 from tetractl.core.plan import Plan

@@ -15,32 +15,24 @@ from typer.exceptions import TyperException
 
 from tetractl import __version__
 from tetractl.cli import (
-    analyze,
-    design,
-    export,
+    again,
     identify,
-    info,
-    init,
     kinds,
     lab,
-    plot,
-    recover,
-    redrive,
+    lab_emulate,
+    lab_survey,
+    logs,
+    outputs,
     replay,
-    report,
-    rerun,
     run,
-    schema,
     serve,
+    specs,
     stats,
     study,
     track,
-    validate,
-    verify,
-    warm,
-    what_if,
 )
-from tetractl.core.errors import Exit, TetractlError, printable
+from tetractl.cli.options import tell
+from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 
 PLAIN = (  # typer's wording of a bad value, and the wording in errors of specs
@@ -71,31 +63,27 @@ EXTRAS = {
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
 
 
-class _Plain:
-    """A command whose help joins the lines of each paragraph, and shows choices or placeholders in
-    place of Python types.
-    """
+def _joined(text: str | None) -> str:
+    """Return a docstring as help: the lines of each paragraph joined."""
+    return _BREAK.sub(" ", inspect.cleandoc(text or ""))
 
-    def __init__(self, *args: Any, **options: Any) -> None:
-        super().__init__(*args, **options)
-        self.help = _BREAK.sub(" ", inspect.cleandoc(self.help or ""))
 
+def _placeholders(params: Any) -> Any:
+    """Let the help show an option's placeholder, and nothing for arguments, in place of types."""
+    for one in params:
+        text = one.metavar if one.param_type_name == "option" else ""
+        one.display_type_rich = lambda ctx, text=text or "": text
+    return params
+
+
+class _Command(TyperCommand):
     def get_params(self, ctx: Any) -> Any:
-        found = super().get_params(ctx)  # type: ignore[misc]
-        for one in found:
-            choices = getattr(one.type_descriptor, "choices", None)
-            shown = one.metavar if one.param_type_name == "option" else ""
-            text = shown or ("|".join(map(str, choices)) if choices else "")
-            one.display_type_rich = lambda ctx, text=text: text
-        return found
+        return _placeholders(super().get_params(ctx))
 
 
-class _Command(_Plain, TyperCommand):
-    pass
-
-
-class _Group(_Plain, TyperGroup):
-    pass
+class _Group(TyperGroup):
+    def get_params(self, ctx: Any) -> Any:
+        return _placeholders(super().get_params(ctx))
 
 
 app = typer.Typer(
@@ -127,38 +115,39 @@ def _root(
     """
 
 
-COMMANDS = {
-    "init": init.init,
-    "run": run.run,
-    "rerun": rerun.rerun,
-    "validate": validate.validate,
-    "warm": warm.warm,
-    "schema": schema.schema,
-    "kinds": kinds.kinds,
-    "info": info.info,
-    "recover": recover.recover,
-    "replay": replay.replay,
-    "plot": plot.plot,
-    "report": report.report,
-    "export": export.export,
-    "open": serve.open_logs,
-    "serve": serve.serve,
-    "verify": verify.verify,
-    "what-if": what_if.what_if,
-    "redrive": redrive.redrive,
-    "stats": stats.stats,
-    "analyze": analyze.analyze,
-    "study": study.study,
-    "design": design.design,
-    "identify": identify.identify,
-    "track": track.track,
-}
-for name, function in COMMANDS.items():
-    app.command(name, cls=_Command)(function)
+COMMANDS = (
+    specs.init,
+    run.run,
+    again.rerun,
+    specs.validate,
+    specs.warm,
+    specs.schema,
+    kinds.kinds,
+    logs.info,
+    logs.recover,
+    replay.replay,
+    outputs.plot,
+    outputs.report,
+    outputs.export,
+    serve.open_,
+    serve.serve,
+    logs.verify,
+    again.what_if,
+    again.redrive,
+    stats.stats,
+    stats.analyze,
+    study.study,
+    identify.design,
+    identify.identify,
+    track.track,
+)
+LAB_COMMANDS = (lab_emulate.emulate, lab.check, lab.stop, lab.calibrate, lab_survey.survey)
 lab_app = typer.Typer(name="lab", no_args_is_help=True, help=lab.HELP, cls=_Group)
-for name, function in lab.COMMANDS.items():
-    lab_app.command(name, cls=_Command)(function)
 app.add_typer(lab_app)
+for group, functions in ((app, COMMANDS), (lab_app, LAB_COMMANDS)):
+    for function in functions:
+        name = function.__name__.strip("_").replace("_", "-")
+        group.command(name, cls=_Command, help=_joined(function.__doc__))(function)
 
 
 def run_app() -> int:
@@ -170,24 +159,20 @@ def run_app() -> int:
     except TetractlError as error:
         if isinstance(error, FaultyPluginError) and sys.flags.dev_mode:
             raise
-        complain(str(error), error.hint)
-        return error.exit
+        return complain(error.exit, str(error), error.hint)
     except TyperException as error:
-        if error.format_message():  # empty if help was printed because no command was given
-            complain(_plainly(error.format_message()), _usage_hint(error))
-        return Exit.USAGE
+        if not error.format_message():  # help was printed because no command was given
+            return Exit.USAGE
+        return complain(Exit.USAGE, _plainly(error.format_message()), _usage_hint(error))
     except (typer.Abort, KeyboardInterrupt):
-        complain("interrupted")
-        return Exit.INTERRUPTED
+        return complain(Exit.INTERRUPTED, "interrupted")
     except ModuleNotFoundError as error:
         module = (error.name or "").partition(".")[0]
         if module not in EXTRAS:
             raise
         package, extra = EXTRAS[module]
-        complain(
-            f"this needs {package}, which is not installed", f"pip install 'tetractl[{extra}]'"
-        )
-        return Exit.USAGE
+        missing = f"this needs {package}, which is not installed"
+        return complain(Exit.USAGE, missing, f"pip install 'tetractl[{extra}]'")
     except BrokenPipeError:  # the reader of the output has ended, as in `tetractl stats | head`
         return Exit.DONE
     except SystemExit as end:
@@ -195,12 +180,10 @@ def run_app() -> int:
             raise
         return Exit.DONE  # typer also reports a closed pipe in this way
     except FileNotFoundError as error:
-        complain(f"{error.filename}: no such file or folder")
-        return Exit.USAGE
+        return complain(Exit.USAGE, f"{error.filename}: no such file or folder")
     except OSError as error:
         where = f"{error.filename}: " if error.filename else ""
-        complain(f"{where}{error.strerror or error}")
-        return Exit.FAILED
+        return complain(Exit.FAILED, f"{where}{error.strerror or error}")
     return code if isinstance(code, int) else Exit.DONE
 
 
@@ -212,12 +195,13 @@ def _plainly(message: str) -> str:
 
 
 def _usage_hint(error: TyperException) -> str | None:
-    context = getattr(error, "ctx", None)
-    return f"try '{context.command_path} --help'" if context else None
+    match error:
+        case object(ctx=context) if context:  # typer's UsageError, which has no public name
+            return f"try '{context.command_path} --help'"
+    return None
 
 
-def complain(message: str, hint: str | None = None) -> None:
-    """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one."""
-    lines = [f"error: {message}", *([f"hint: {hint}"] if hint else [])]
-    for line in "\n".join(lines).split("\n"):
-        print(printable(line), file=sys.stderr)
+def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
+    """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one; return `code`."""
+    tell(*f"error: {message}".split("\n"), *(f"hint: {hint}".split("\n") if hint else ()))
+    return code

@@ -1,40 +1,151 @@
-"""`tetractl identify`: estimates turning rate, speed, heading bias, dead time, noise from logs."""
+"""`tetractl design` and `identify`: propose and drive a motion that identifies robots; estimate
+turning rate, speed, heading bias, dead time and noise from logs.
+"""
 
-import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from tetractl.cli.options import AsJson, open_trial, refuse_existing
+from tetractl.cli.options import (
+    PLANTS,
+    AsJson,
+    PlantChoice,
+    Sets,
+    Spec,
+    Yes,
+    argument,
+    load,
+    open_trial,
+    option,
+    output,
+    refuse_existing,
+    require_confirmation,
+    show,
+    tell,
+)
+from tetractl.cli.trials import drive
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.replay.identification.design import Design
     from tetractl.replay.identification.identify import IdentifiedRobots
     from tetractl.replay.identification.tracks import Track
 
-NewFile = Annotated[
-    Path | None,
-    typer.Option(
-        "-o",
-        "--out",
-        metavar="FILE",
-        help="YAML file to write the values to; a spec names it in its field `identified`.",
-    ),
-]
+
+def design(
+    spec: Spec,
+    sets: Sets = None,
+    seconds: Annotated[float, option("S", "Duration of the motion [s].", min=1, max=120)] = 10.0,
+    plant: Annotated[
+        PlantChoice | None,
+        option(PLANTS, "Drive the proposed motion, and identify the robots from it."),
+    ] = None,
+    logs: Annotated[
+        Path | None,
+        option("DIR", "With --plant: folder for the log.  \\[logs/<spec name>-design-<UTC time>]"),
+    ] = None,
+    yes: Yes = False,
+    out: Annotated[
+        Path | None,
+        output(
+            "FILE",
+            "YAML file to write: a spec of the motion; with --plant, the identified values, for "
+            "the field `identified` of a spec.",
+        ),
+    ] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Propose a motion from which the robots can be identified well.
+
+    With the spec's values, the robots stay inside the arena and away from obstacles. With --plant
+    sim or lab the motion is driven, in the lab with all checks of a run, and the robots are
+    identified from its log.
+
+    Example: tetractl design experiments/three_m3pi.yaml --plant sim
+    """
+    from tetractl.experiment.plants import on_plant
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.identification.design import propose
+    from tetractl.replay.identification.identify import identify as found_in
+    from tetractl.replay.identification.tracks import track_of
+    from tetractl.replay.redrive import sequence_spec
+    from tetractl.run.store import default_folder
+
+    if plant is None and (logs is not None or yes):
+        raise UsageError("--logs and --yes need --plant")
+    refuse_existing(out)
+    loaded = load(spec, sets)
+    if plant is not None:
+        loaded = on_plant(loaded, plant)
+        if loaded.experiment.plant.real_time:
+            require_confirmation(yes)
+    proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
+    motion = sequence_spec(loaded, proposed.directions, 0.0)
+    if plant is None:
+        _print_design(loaded, proposed, as_json)
+        if out is not None:
+            save_whole(out, motion.text.encode())
+        return Exit.DONE
+    if not as_json:
+        _print_design(loaded, proposed, False)
+        print(flush=True)
+    default = default_folder(f"{loaded.experiment.name}-design", datetime.now(UTC))
+    log = read_trial(drive(motion, logs or default, 0, yes))
+    controller = loaded.experiment.controller
+    found = found_in([track_of(log)], loaded.experiment.setup.a, controller.dead_time)
+    _show_found(found, out, as_json)
+    return Exit.DONE
+
+
+def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None:
+    """Print the directions of a proposed motion, and the predicted standard deviations of the
+    values that will be identified from it.
+    """
+    from tetractl.core.table.table_files import json_text
+
+    setup = loaded.experiment.setup
+    if as_json:
+        plain = {
+            "directions": design.directions,
+            "period": design.period_s,
+            "clearance": design.clearance,
+            "predicted": {
+                "dead_time_std": design.dead_time_std,
+                "a_std": dict(zip(setup.names, design.a_std, strict=True)),
+                "heading_bias_std": dict(zip(setup.names, design.heading_bias_std, strict=True)),
+            },
+        }
+        print(json_text(plain))
+        return
+    u = design.directions
+    knots = [0, *(i for i in range(1, len(u)) if u[i] != u[i - 1])]
+    print(
+        f"{len(knots)} directions in {design.seconds:g} s, {design.clearance:.1f} {setup.unit} "
+        "or more from edges and obstacles, computed with the spec's values"
+    )
+    print("  " + ", ".join(f"{design.directions[i]:.3f}" for i in knots) + " rad")
+    print("predicted standard deviations of the values identified from this motion:")
+    print(f"  dead time {design.dead_time_std:.5f} s")
+    for name, a, bias in zip(setup.names, design.a_std, design.heading_bias_std, strict=True):
+        print(f"  {name}: a {100 * a:.2f} %, heading bias {bias:.4f} rad")
 
 
 def identify(
     logs: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="LOG...",
-            help="Logs of the same robots, folders or globs; or CSV files of poses and commands.",
+        argument(
+            "LOG...",
+            "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
         ),
     ],
-    out: NewFile = None,
+    out: Annotated[
+        Path | None,
+        output(
+            "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
+        ),
+    ] = None,
     as_json: AsJson = False,
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
@@ -55,7 +166,7 @@ def identify(
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
     if tables:
-        show_found(found_in(csv_tracks(tables), None), out, as_json)
+        _show_found(found_in(csv_tracks(tables), None), out, as_json)
         return Exit.DONE
     tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False
@@ -63,28 +174,23 @@ def identify(
         log = open_trial(path)
         damaged |= log.damage is not None
         if not any(command.direction is not None for command in log.commands):
-            print(f"warning: {path}: no direction was sent in this log", file=sys.stderr)
+            tell(f"warning: {path}: no direction was sent in this log")
             continue
         tracks.append(track_of(log))
         if expected is None:
             expected, dead_time = log.start.setup.a, log.experiment.controller.dead_time
     if not tracks:
         raise UsageError("no direction was sent in any of the logs")
-    show_found(found_in(tracks, expected, dead_time), out, as_json)
+    _show_found(found_in(tracks, expected, dead_time), out, as_json)
     return Exit.FAILED if damaged else Exit.DONE
 
 
-def show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
+def _show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
-    from tetractl.core.table.table_files import json_text
-    from tetractl.core.table.terminal_table import print_tables
     from tetractl.experiment.identified import identified_yaml
     from tetractl.replay.identification.identify import identified, tables
 
-    if as_json:
-        print(json_text(found))
-    else:
-        print_tables(tables(found))
+    show(as_json, found, tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         save_whole(out, identified_yaml(identified(found, when)).encode())

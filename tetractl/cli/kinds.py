@@ -3,28 +3,22 @@
 import sys
 from typing import Annotated, Any
 
-import typer
-
-from tetractl.cli.options import AsJson
-from tetractl.core.errors import Exit, UsageError
+from tetractl.cli.options import AsJson, option, tell
+from tetractl.core.errors import Exit, UsageError, printable
 
 
 def kinds(
     check: Annotated[
         str | None,
-        typer.Option(
-            metavar="MODULE:NAME",
-            help="Check your own motion, or section of a shape, optimiser, controller, "
-            "disturbance, camera or actuator, given as module:NAME.",
+        option(
+            "MODULE:NAME",
+            "Check your own motion, or section of a shape, optimiser, controller, disturbance, "
+            "camera or actuator, given as module:NAME.",
         ),
     ] = None,
     sets: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="FIELD=VALUE",
-            help="With --check: set a field of the kind; may be repeated.",
-        ),
+        option("FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"),
     ] = None,
     as_json: AsJson = False,
 ) -> int:
@@ -75,14 +69,12 @@ def _list(as_json: bool) -> int:
         for registry, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
             print(f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}")
-        for problem in problems.values():
-            print(f"error: {problem}", file=sys.stderr)
+        tell(*(f"error: {problem}" for problem in problems.values()))
     return Exit.USAGE if problems else Exit.DONE
 
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
-    from tetractl.cli.init import template
-    from tetractl.core.errors import printable
+    from tetractl.cli.specs import template
     from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value

@@ -1,28 +1,34 @@
 """`tetractl lab`: checks, calibrates, surveys, stops or emulates a lab."""
 
 import math
+import sys
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tetractl.cli import lab_emulate, lab_survey
+from tetractl.cli.lab_survey import rig_of
 from tetractl.cli.options import (
     AsJson,
     LabChoice,
     Sets,
     Spec,
     Yes,
+    argument,
+    load,
+    option,
+    output,
     refuse_existing,
     require_confirmation,
+    switch,
+    tell,
 )
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.lab_section import LabSection, Measured
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
@@ -35,7 +41,7 @@ def check(
     sets: Sets = None,
     plant: LabChoice = "lab",
     as_json: AsJson = False,
-    yes: Annotated[bool, typer.Option("--yes", help="Answer yes to every question.")] = False,
+    yes: Annotated[bool, switch("--yes", "Answer yes to every question.")] = False,
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
@@ -46,13 +52,11 @@ def check(
     """
     from json import dumps
 
-    from tetractl.cli.lab_survey import rig_of
-    from tetractl.cli.options import load
     from tetractl.experiment.plants import on_plant
     from tetractl.lab.preflight import inspect
     from tetractl.view.terminal import findings
 
-    experiment = on_plant(load(spec, sets or []), plant).experiment
+    experiment = on_plant(load(spec, sets), plant).experiment
     rig = rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
@@ -65,31 +69,23 @@ def check(
     return Exit.DONE if found.ready and (yes or _agreed(found.questions)) else Exit.FAILED
 
 
-def _agreed(questions: "Sequence[str]") -> bool:
+def _agreed(questions: Sequence[str]) -> bool:
     """Return whether the operator at the terminal answers yes to every question."""
-    import sys
-
     if questions and not sys.stdin.isatty():
-        typer.echo("questions not answered: add --yes if there is no terminal", err=True)
+        tell("questions not answered: add --yes if there is no terminal")
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
 
 def stop(
-    spec: Annotated[
-        Path | None, typer.Argument(metavar="SPEC", help="Spec file; only its actuator is used.")
-    ] = None,
+    spec: Annotated[Path | None, argument("SPEC", "Spec file; only its actuator is used.")] = None,
     sets: Sets = None,
     port: Annotated[
-        str | None,
-        typer.Option(metavar="PORT", help="Serial port of an m3pi radio, in place of a spec."),
+        str | None, option("PORT", "Serial port of an m3pi radio, in place of a spec.")
     ] = None,
-    baud: Annotated[int, typer.Option(metavar="N", help="With --port: baud rate.")] = 57600,
+    baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
     mode: Annotated[
-        str,
-        typer.Option(
-            metavar="MODE", help="With --port: mode of the radio, api2, api1 or transparent."
-        ),
+        str, option("MODE", "With --port: mode of the radio, api2, api1 or transparent.")
     ] = "api2",
 ) -> int:
     """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
@@ -124,29 +120,28 @@ def stop(
 def calibrate(
     spec: Spec,
     sets: Sets = None,
-    output: Annotated[
-        Path,
-        typer.Option("-o", "--out", metavar="FILE", help="YAML file to write the calibration to."),
-    ] = Path("calibration.yaml"),
+    out: Annotated[Path, output("FILE", "YAML file to write the calibration to.")] = Path(
+        "calibration.yaml"
+    ),
     robot: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Calibrate only this robot; may be repeated.  [all]"),
+        option("NAME", "Calibrate only this robot; may be repeated.  [all]"),
     ] = None,
     limit: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Largest output that the calibration sends; for m3pi robots a wheel count.",
             min=10,
             max=80,
-            metavar="N",
-            help="Largest output that the calibration sends; for m3pi robots a wheel count.",
         ),
     ] = 45,
     micrometer: Annotated[
         str | None,
-        typer.Option(
-            metavar="C,R,C,R,UM",
-            help="Column and row of two places in a microscope's picture (px), and their "
-            "distance along the spec's x axis (um).",
+        option(
+            "C,R,C,R,UM",
+            "Column and row of two places in a microscope's picture (px), and their distance along "
+            "the spec's x axis (um).",
         ),
     ] = None,
     yes: Yes = False,
@@ -167,10 +162,10 @@ def calibrate(
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.keys import SAYS, StopKey
 
-    refuse_existing(output)
+    refuse_existing(out)
     lab, experiment = _lab(spec, sets)
     if micrometer is not None:
-        return _save(output, lab.camera.measured_by(*_places(micrometer)))
+        return _save(out, lab.camera.measured_by(*_places(micrometer)))
     setup = experiment.setup
     names = robot or list(setup.names)
     for name in names:
@@ -183,11 +178,9 @@ def calibrate(
     stop_key = StopKey(emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
-            typer.echo(SAYS, err=True)
-        found = lab.actuator.calibrate(
-            lab, setup, names, limit, emergency, lambda line: typer.echo(line, err=True)
-        )
-    return _save(output, found)
+            tell(SAYS)
+        found = lab.actuator.calibrate(lab, setup, names, limit, emergency, tell)
+    return _save(out, found)
 
 
 def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]:
@@ -203,7 +196,7 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
     return (a, b), (c, d), um
 
 
-def _save(output: Path, found: "Measured") -> int:
+def _save(out: Path, found: "Measured") -> int:
     from datetime import UTC, datetime
 
     from tetractl.experiment.plants import Calibration, calibration_yaml
@@ -213,18 +206,16 @@ def _save(output: Path, found: "Measured") -> int:
         camera=dict(found.camera),
         actuator=dict(found.actuator),
     )
-    save_whole(output, calibration_yaml(calibration).encode())
-    for line in found.lines:
-        typer.echo(line)
-    typer.echo(f"wrote {output}; name it in the spec: lab.calibration", err=True)
+    save_whole(out, calibration_yaml(calibration).encode())
+    print(*found.lines, sep="\n")
+    tell(f"wrote {out}; name it in the spec: lab.calibration")
     return Exit.DONE
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
-    from tetractl.cli.options import load
     from tetractl.experiment.plants import lab_of, on_plant
 
-    loaded = load(spec, sets or [])
+    loaded = load(spec, sets)
     experiment = on_plant(loaded, "lab").experiment
     return lab_of(experiment, loaded.name), experiment
 
@@ -241,12 +232,3 @@ def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":
         details = error.errors()[0]
         message = words(details, details["input"])
         raise UsageError(f"--{details['loc'][0]}: {message}") from None
-
-
-COMMANDS = {
-    "emulate": lab_emulate.emulate,
-    "check": check,
-    "stop": stop,
-    "calibrate": calibrate,
-    "survey": lab_survey.survey,
-}

@@ -1,13 +1,18 @@
 """`tetractl lab emulate`: runs an emulated lab, to which another process connects."""
 
-import sys
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from tetractl.cli.options import Sets, Spec
+from tetractl.cli.options import Sets, Spec, load, option, switch, tell
 from tetractl.core.errors import Exit
+
+ROBOTS = {
+    "run": "first command of a run",
+    "moving": "moving",
+    "rest": "standing still",
+    "placed": "put back on their starts",
+}
+"""For each event of the robots, what is printed."""
 
 
 def emulate(
@@ -15,54 +20,39 @@ def emulate(
     sets: Sets = None,
     script: Annotated[
         Path | None,
-        typer.Option(
-            metavar="FILE", help="YAML file of scripted faults and of the devices' true properties."
-        ),
+        option("FILE", "YAML file of scripted faults and of the devices' true properties."),
     ] = None,
-    address: Annotated[
-        str, typer.Option(metavar="IP", help="Address at which the camera serves.")
-    ] = "127.0.0.1",
+    address: Annotated[str, option("IP", "Address at which the camera serves.")] = "127.0.0.1",
     command_port: Annotated[
         int | None,
-        typer.Option(
+        option(
+            "N",
+            "The camera server's UDP port for commands; 0 for any free port.  [spec]",
             min=0,
             max=65535,
-            metavar="N",
-            help="The camera server's UDP port for commands; 0 for any free port.  [spec]",
         ),
     ] = None,
     data_port: Annotated[
         int | None,
-        typer.Option(
-            min=0,
-            max=65535,
-            metavar="N",
-            help="UDP port to send frames to; 0 for any free port.  [spec]",
-        ),
+        option("N", "UDP port to send frames to; 0 for any free port.  [spec]", min=0, max=65535),
     ] = None,
     port_link: Annotated[
         Path | None,
-        typer.Option(
-            metavar="PATH",
-            help="Path to create for the actuator's serial port.  [spec: lab.actuator.port]",
-        ),
+        option("PATH", "Path to create for the actuator's serial port.  [spec: lab.actuator.port]"),
     ] = None,
     record: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File for the true poses and events, as JSON lines."),
+        Path | None, option("FILE", "File for the true poses and events, as JSON lines.")
     ] = None,
     replace_after: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "S",
+            "Put robots back on their starts once they have stood still for S seconds.",
             min=0.1,
-            metavar="S",
-            help="Put robots back on their starts once they have stood still for S seconds.",
         ),
     ] = None,
-    seed: Annotated[
-        int, typer.Option(metavar="N", help="Seed of the emulation's random numbers.")
-    ] = 1,
-    json: Annotated[bool, typer.Option("--json", help="Print events as JSON lines.")] = False,
+    seed: Annotated[int, option("N", "Seed of the emulation's random numbers.")] = 1,
+    json: Annotated[bool, switch("--json", "Print events as JSON lines.")] = False,
 ) -> int:
     """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
 
@@ -74,14 +64,13 @@ def emulate(
     import gc
     import signal
 
-    from tetractl.cli.options import load
     from tetractl.emulate.emulated_lab import EmulatedLab
     from tetractl.emulate.script import NOTHING, load_script
     from tetractl.emulate.sides import Options
     from tetractl.experiment.plants import lab_of
     from tetractl.run.interrupt import SIGNALS
 
-    loaded = load(spec, sets or [])
+    loaded = load(spec, sets)
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
     chosen = loaded.experiment.open
@@ -99,7 +88,7 @@ def emulate(
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
-    print("the emulation has ended", file=sys.stderr)
+    tell("the emulation has ended")
     return Exit.DONE
 
 
@@ -116,14 +105,8 @@ def _report(event: str, facts: dict[str, Any]) -> None:
             line = f"ready: {where}; EMULATION, no hardware"
         case "client":
             line = f"emulated cameras: {facts['address']} connected"
-        case "run":
-            line = "emulated robots: first command of a run"
-        case "moving":
-            line = "emulated robots: moving"
-        case "rest":
-            line = "emulated robots: standing still"
-        case "placed":
-            line = "emulated robots: put back on their starts"
+        case "run" | "moving" | "rest" | "placed":
+            line = f"emulated robots: {ROBOTS[event]}"
         case _:
             what = " ".join(filter(None, (facts["name"], facts["robot"], facts["mark"])))
             line = f"emulated fault: {what}, {facts['phase']}"

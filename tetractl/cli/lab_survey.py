@@ -1,12 +1,9 @@
 """`tetractl lab survey`: finds the cells in a dish and proposes which cells to steer."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
-
-import typer
 
 from tetractl.cli.options import (
     AsJson,
@@ -14,8 +11,12 @@ from tetractl.cli.options import (
     Sets,
     Spec,
     Yes,
+    load,
+    option,
+    output,
     refuse_existing,
     require_confirmation,
+    tell,
 )
 from tetractl.core.errors import Exit, UsageError
 
@@ -30,19 +31,14 @@ NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
 def survey(
     spec: Spec,
     sets: Sets = None,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--out", metavar="FILE", help="YAML file to write a spec for trials to."
-        ),
-    ] = None,
+    out: Annotated[Path | None, output("FILE", "YAML file to write a spec for trials to.")] = None,
     plans: Annotated[
         int,
-        typer.Option(
+        option(
+            "N",
+            "Number of plans to search for each of the best choices of cells.",
             min=1,
             max=1000,
-            metavar="N",
-            help="Number of plans to search for each of the best choices of cells.",
         ),
     ] = 48,
     plant: LabChoice = "lab",
@@ -63,7 +59,6 @@ def survey(
     from tetractl.analysis.choices import alike, ranked
     from tetractl.analysis.closed_loop import Noise
     from tetractl.analysis.steering import planner, tolerance
-    from tetractl.cli.options import load
     from tetractl.core.files import save_whole
     from tetractl.core.protocols import LabSupervision
     from tetractl.core.table.table_files import json_text
@@ -73,7 +68,7 @@ def survey(
     from tetractl.lab.find_cells import turn_field
     from tetractl.run.interrupt import interrupted_once
 
-    loaded = load(spec, sets or [])
+    loaded = load(spec, sets)
     experiment = on_plant(loaded, plant).experiment
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
@@ -81,7 +76,7 @@ def survey(
             f"{spec}: the spec lists its robots, so a survey has no cells to choose",
             "a survey needs `robots: {choose: N, ...}` in the spec",
         )
-    refuse_existing(output)
+    refuse_existing(out)
     if experiment.plant.real_time:
         require_confirmation(yes)
     with interrupted_once(robots=True), rig_of(experiment) as rig:
@@ -92,7 +87,7 @@ def survey(
         _print_cells(cells, pairs, unit)
 
     def done(count: int, of: int) -> None:
-        print(f"prediction {count} of {of}", file=sys.stderr)
+        tell(f"prediction {count} of {of}")
 
     found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:
@@ -114,14 +109,14 @@ def survey(
             if found
             else f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
         )
-        print(f"no choice of these cells can be steered to the targets: {why}", file=sys.stderr)
+        tell(f"no choice of these cells can be steered to the targets: {why}")
         return Exit.FAILED
-    if output is not None:
+    if out is not None:
         data = document_of(loaded.text, str(spec), sets or []).data
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
         data["robots"]["wanted"] = wanted
-        save_whole(output, dump(data).encode())
-        print(f"wrote {output}: a trial of this spec finds these cells again", file=sys.stderr)
+        save_whole(out, dump(data).encode())
+        tell(f"wrote {out}: a trial of this spec finds these cells again")
     return Exit.DONE
 
 

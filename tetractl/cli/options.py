@@ -1,58 +1,117 @@
-"""Shared by several commands: options, loading of specs and logs, warnings, and a confirmation
-before robots move.
+"""Shared by several commands: options, loading of specs and logs, messages, results, and a
+confirmation before robots move.
 """
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, printable
 
 if TYPE_CHECKING:
+    from tetractl.core.table.table import Table
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.run.plausibility import PlacedWarning
 
-Spec = Annotated[Path, typer.Argument(metavar="SPEC", help="The experiment, a YAML file.")]
-Log = Annotated[Path, typer.Argument(metavar="LOG", help="The log of the trial.")]
-Logs = Annotated[
-    list[Path],
-    typer.Argument(metavar="LOG|FOLDER...", help="Trial logs: files, folders or globs."),
+
+def argument(metavar: str, text: str) -> Any:
+    """Return the declaration of an argument, shown as `metavar`."""
+    return typer.Argument(metavar=metavar, help=text)
+
+
+def option(
+    metavar: str,
+    text: str,
+    *names: str,
+    min: float | None = None,
+    max: float | None = None,
+) -> Any:
+    """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
+
+    `names` are needed if it is not named after its parameter.
+    """
+    return typer.Option(*names, metavar=metavar, help=text, min=min, max=max)
+
+
+def switch(name: str, text: str) -> Any:
+    """Return the declaration of an option without a value and without a `--no-` form."""
+    return option("", text, name)
+
+
+def output(metavar: str, text: str) -> Any:
+    """Return the declaration of -o/--out, which names what a command writes."""
+    return option(metavar, text, "-o", "--out")
+
+
+Log = Annotated[Path, argument("LOG", "The log of the trial.")]
+Logs = Annotated[list[Path], argument("LOG|FOLDER...", "Trial logs: files, folders or globs.")]
+Spec = Annotated[Path, argument("SPEC", "The experiment, a YAML file.")]
+SETS = "Replace a value of the spec, as field=value; may be repeated."
+Sets = Annotated[list[str] | None, option("PATH=VALUE", SETS, "--set")]
+AsJson = Annotated[bool, switch("--json", "Print one JSON object.")]
+LikeFormatJson = Annotated[bool, switch("--json", "The same as --format json.")]
+Strict = Annotated[bool, switch("--strict", "Exit with code 2 if a spec has warnings.")]
+Yes = Annotated[
+    bool, switch("--yes", "Move robots without asking; needed if there is no terminal.")
 ]
-AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON object.")]
-Sets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="PATH=VALUE",
-        help="Replace a value of the spec, as field=value; may be repeated.",
+PLANTS = "sim|lab|emulated"
+PlantChoice = Literal["sim", "lab", "emulated"]
+LabChoice = Annotated[
+    Literal["lab", "emulated"],
+    option(
+        "lab|emulated",
+        "lab: the spec's lab. emulated: emulate that lab in virtual time.",
+        "--plant",
     ),
 ]
-Yes = Annotated[
-    bool,
-    typer.Option("--yes", help="Move robots without asking; needed if there is no terminal."),
-]
-Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 2 if a spec has warnings.")]
 
 
-def load(path: Path, sets: Sequence[str]) -> "LoadedSpec":
+def load(path: Path, sets: Sequence[str] | None) -> "LoadedSpec":
     """Load a spec by its path, with `--set` applied."""
     from tetractl.experiment.load import load_spec
 
-    return load_spec(path, sets)
+    return load_spec(path, sets or [])
 
 
-def warn(loaded: "LoadedSpec", sets: Sequence[str]) -> "tuple[PlacedWarning, ...]":
-    """Print the warnings of a spec that was loaded with `sets`, and return them."""
+def tell(*lines: str) -> None:
+    """Print lines to stderr, safe for a terminal."""
+    for line in lines:
+        print(printable(line), file=sys.stderr, flush=True)
+
+
+def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
+    """Print results to stdout: as one JSON object of `items`, or as tables."""
+    from tetractl.core.table.table_files import json_text
+    from tetractl.core.table.terminal_table import print_tables
+
+    if as_json:
+        print(json_text(items))
+    else:
+        print_tables(tables)
+
+
+def warn(
+    loaded: "LoadedSpec", sets: Sequence[str] | None, strict: bool = False
+) -> "tuple[PlacedWarning, ...]":
+    """Print the warnings of a spec that was loaded with `sets`, and return them.
+
+    With `strict`, raise UsageError if there are any.
+    """
     from tetractl.run.plausibility import find_warnings
 
-    found = find_warnings(loaded, sets)
-    for warning in found:
-        print(f"warning: {warning}", file=sys.stderr)
+    found = find_warnings(loaded, sets or [])
+    tell(*(f"warning: {warning}" for warning in found))
+    if strict and found:
+        count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
+        raise UsageError(
+            f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
+        )
     return found
 
 
@@ -67,30 +126,9 @@ def open_trial(path: Path) -> "TrialLog":
 
 def warn_of_damage(log: "TrialLog") -> None:
     """Print a damaged log's problems and losses to stderr."""
-    from tetractl.core.errors import printable
-
     if log.damage:
-        for problem in log.damage.problems:
-            print(printable(f"damaged: {log.path}: {problem}"), file=sys.stderr)
-        for lost in log.damage.lost:
-            print(printable(f"lost: {log.path}: {lost}"), file=sys.stderr)
-
-
-def refuse(found: "Sequence[PlacedWarning]") -> None:
-    """Raise UsageError if a spec has warnings; called with `--strict`."""
-    if found:
-        count = "a warning" if len(found) == 1 else f"{len(found)} warnings"
-        raise UsageError(
-            f"the spec has {count}, and --strict treats warnings as errors; nothing was run"
-        )
-
-
-LabChoice = Annotated[
-    Literal["lab", "emulated"],
-    typer.Option(
-        "--plant", help="lab: the spec's lab. emulated: emulate that lab in virtual time."
-    ),
-]
+        tell(*(f"damaged: {log.path}: {problem}" for problem in log.damage.problems))
+        tell(*(f"lost: {log.path}: {lost}" for lost in log.damage.lost))
 
 
 def require_confirmation(yes: bool) -> None:
@@ -103,9 +141,10 @@ def require_confirmation(yes: bool) -> None:
         )
 
 
-def refuse_existing(out: Path | None) -> None:
-    """Raise UsageError if the output file exists already."""
-    if out is not None and out.exists():
+def refuse_existing(out: Path | None, folder: bool = False) -> None:
+    """Raise UsageError if the output exists already; with `folder`, an empty folder may exist."""
+    empty = folder and out is not None and out.is_dir() and not any(out.iterdir())
+    if out is not None and out.exists() and not empty:
         raise UsageError(f"{out}: exists already", "name another with --out")
 
 
@@ -120,14 +159,22 @@ def progress(what: str) -> "Iterator[Callable[[int, int | None], None]]":
     console = Console(stderr=True)
     with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None)
-
-        def advance(done: int, count: int | None) -> None:
-            bar.update(task, completed=done, total=count)
-
-        yield advance
+        yield lambda done, count: bar.update(task, completed=done, total=count)
 
 
 def announce_compiling(quiet: bool, text: str) -> None:
     """Print on stderr that code is being compiled; with `quiet`, only if stderr is a terminal."""
     if not quiet or sys.stderr.isatty():
-        print(text, file=sys.stderr, flush=True)
+        tell(text)
+
+
+def require_positive(rate: float | None) -> None:
+    """Raise UsageError for a --rate that is not above 0."""
+    if rate is not None and not 0 < rate < float("inf"):
+        raise UsageError(f"--rate must be above 0, not {rate:g}")
+
+
+def is_terminal() -> bool:
+    """Return whether stdin and stdout are a terminal that can show a screen."""
+    dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")
+    return sys.stdin.isatty() and sys.stdout.isatty() and not dumb

@@ -1,38 +1,33 @@
 """`tetractl replay`: play a trial back."""
 
-import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
-import typer
-
-from tetractl.cli.options import Logs, open_trial
-from tetractl.core.errors import Exit, UsageError
-
-if TYPE_CHECKING:
-    from tetractl.core.clock import Clock
+from tetractl.cli.options import (
+    Logs,
+    is_terminal,
+    open_trial,
+    option,
+    require_positive,
+    switch,
+)
+from tetractl.core.errors import Exit, UsageError, printable
 
 
 def replay(
     logs: Logs,
     rate: Annotated[
         float | None,
-        typer.Option(
-            metavar="R",
-            help="Speed: seconds of the trial per second (1). Without a terminal all lines "
-            "are printed at once unless --rate is given.",
+        option(
+            "R",
+            "Speed: seconds of the trial per second (1). Without a terminal all lines are printed "
+            "at once unless --rate is given.",
         ),
     ] = None,
-    start: Annotated[
-        float, typer.Option(metavar="S", help="Begin at this second of the trial.")
-    ] = 0.0,
-    until: Annotated[
-        float | None, typer.Option(metavar="S", help="Stop at this second of the trial.")
-    ] = None,
-    loop: Annotated[bool, typer.Option("--loop", help="At the end, start again.")] = False,
-    paused: Annotated[
-        bool, typer.Option("--paused", help="Start paused, until a key is pressed.")
-    ] = False,
+    start: Annotated[float, option("S", "Begin at this second of the trial.")] = 0.0,
+    until: Annotated[float | None, option("S", "Stop at this second of the trial.")] = None,
+    loop: Annotated[bool, switch("--loop", "At the end, start again.")] = False,
+    paused: Annotated[bool, switch("--paused", "Start paused, until a key is pressed.")] = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -47,92 +42,50 @@ def replay(
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
     """
+    from rich.console import Console
+
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_logs
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay.player import Playback, Player, Recording, span
+    from tetractl.view.terminal.replay_screen import play, print_lines
 
-    if rate is not None and not 0 < rate < float("inf"):
-        raise UsageError(f"--rate must be above 0, not {rate:g}")
-    paths, wall = find_logs(logs), MonotonicClock()
-    screen = is_terminal()
+    require_positive(rate)
+    paths, wall, screen = find_logs(logs), MonotonicClock(), is_terminal()
     if paused and not screen:
         raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not screen and len(paths) > 1:
         raise UsageError(
             "--loop without a terminal takes one log: other logs would never be played"
         )
-    try:
-        if screen:
-            return _on_screen(paths, wall, (start, until), rate or 1.0, loop, paused)
-        return _as_text(paths, wall, (start, until), rate, loop)
-    except KeyboardInterrupt:
-        return Exit.INTERRUPTED
+    damaged = False
 
-
-def _on_screen(
-    paths: list[Path],
-    wall: "Clock",
-    seconds: tuple[float, float | None],
-    rate: float,
-    loop: bool,
-    paused: bool,
-) -> int:
-    from rich.console import Console
-
-    from tetractl.log.read.reader import read_trial
-    from tetractl.replay.player import Playback, Player, Recording, span
-    from tetractl.view.terminal.replay_screen import play
-
-    def opened(index: int) -> Player:
-        """Return a player of trial `index`, with the rate of the previous player and paused like
-        it.
-        """
-        nonlocal player, damaged
-        recording = Recording(read_trial(paths[index]))
+    def opened(path: Path, again: bool = False) -> Recording:
+        nonlocal damaged
+        recording = Recording(read_trial(path) if again else open_trial(path))
         damaged |= recording.log.damage is not None
-        played = (recording.began_ns, recording.end_ns)
-        player = Player(
-            recording,
-            wall,
-            played,
-            rate=player.rate,
-            loop=loop,
-            paused=player.state is Playback.PAUSED,
-        )
+        return recording
+
+    def turn_to(index: int) -> Player:
+        """Return a player of another trial, with the rate of the last player and paused like it."""
+        nonlocal player
+        found, paused = opened(paths[index], again=True), player.state is Playback.PAUSED
+        whole = (found.began_ns, found.end_ns)
+        player = Player(found, wall, whole, rate=player.rate, loop=loop, paused=paused)
         return player
 
-    first = Recording(open_trial(paths[0]))
-    played = span(first, *seconds)
-    damaged = first.log.damage is not None
-    player = Player(first, wall, played, rate=rate, loop=loop, paused=paused)
-    if play(Console(), player, len(paths), opened):
+    try:
+        if screen:
+            first = opened(paths[0])
+            played = span(first, start, until)
+            player = Player(first, wall, played, rate=rate or 1.0, loop=loop, paused=paused)
+            if play(Console(), player, len(paths), turn_to):
+                return Exit.INTERRUPTED
+        for path in () if screen else paths:
+            recording = opened(path)
+            if len(paths) > 1:
+                print(printable(f"{path}:"))
+            print_lines(recording, wall, span(recording, start, until), rate=rate, loop=loop)
+    except KeyboardInterrupt:
         return Exit.INTERRUPTED
     return Exit.FAILED if damaged else Exit.DONE
-
-
-def _as_text(
-    paths: list[Path],
-    wall: "Clock",
-    seconds: tuple[float, float | None],
-    rate: float | None,
-    loop: bool,
-) -> int:
-    from tetractl.core.errors import printable
-    from tetractl.replay.player import Recording, span
-    from tetractl.view.terminal.replay_screen import print_lines
-
-    damaged = False
-    for path in paths:
-        recording = Recording(open_trial(path))
-        damaged |= recording.log.damage is not None
-        if len(paths) > 1:
-            print(printable(f"{path}:"))
-        print_lines(recording, wall, span(recording, *seconds), rate=rate, loop=loop)
-    return Exit.FAILED if damaged else Exit.DONE
-
-
-def is_terminal() -> bool:
-    """Return whether stdin and stdout are a terminal that can show a screen."""
-    import os
-
-    dumb = os.environ.get("TERM", "dumb") in ("dumb", "unknown", "")
-    return sys.stdin.isatty() and sys.stdout.isatty() and not dumb

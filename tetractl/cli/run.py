@@ -1,52 +1,68 @@
 """`tetractl run`: run the trials of an experiment."""
 
+from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from tetractl.cli.options import Sets, Spec, Strict, Yes, refuse, warn
-from tetractl.cli.serving import Port, Serve, wanted_port
-from tetractl.cli.trials import (
-    DryRun,
-    Json,
-    Out,
+from tetractl.cli.options import (
+    PLANTS,
     PlantChoice,
-    Quiet,
-    Unattended,
-    run_command,
+    Sets,
+    Spec,
+    Strict,
+    Yes,
+    load,
+    option,
+    output,
+    switch,
+    warn,
 )
+from tetractl.cli.serve import Port, Serve, wanted_port
+from tetractl.cli.trials import RunOptions, run_command
 from tetractl.core.errors import UsageError
+
+Out = Annotated[Path | None, output("DIR", "Folder for the logs.  \\[logs/<spec name>-<UTC time>]")]
+DryRun = Annotated[
+    bool, switch("--dry-run", "Run nothing: print the spec, its limits and what would be run.")
+]
+Quiet = Annotated[bool, option("", "Show neither a live view nor progress.", "--quiet", "-q")]
+Unattended = Annotated[
+    bool,
+    switch(
+        "--unattended",
+        "Lab only, with --yes: go on if the terminal closes or no process reads the output any "
+        "more, which otherwise stops the robots.",
+    ),
+]
+Json = Annotated[
+    bool, switch("--json", "Print the statistics as JSON, like `stats --format json`.")
+]
 
 
 def run(
     spec: Spec,
     trials: Annotated[
-        int | None,
-        typer.Option(min=1, metavar="N", help="Number of trials.  \\[spec: trials.count]"),
+        int | None, option("N", "Number of trials.  \\[spec: trials.count]", min=1)
     ] = None,
     seed: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="S", help="Seed of all random numbers.  \\[spec: trials.seed]"),
+        int | None, option("S", "Seed of all random numbers.  \\[spec: trials.seed]", min=0)
     ] = None,
     sets: Sets = None,
     plant: Annotated[
         PlantChoice | None,
-        typer.Option(
-            help="sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that "
-            "lab in virtual time.  \\[spec: plant.type]"
+        option(
+            PLANTS,
+            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab in "
+            "virtual time.  \\[spec: plant.type]",
         ),
     ] = None,
     yes: Yes = False,
     unattended: Unattended = False,
     out: Out = None,
     jobs: Annotated[
-        int,
-        typer.Option(
-            min=1, metavar="N", help="Number of trials run at a time, each in its own process."
-        ),
+        int, option("N", "Number of trials run at a time, each in its own process.", min=1)
     ] = 1,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Run only the trials without a complete log in DIR.")
+        bool, switch("--resume", "Run only the trials without a complete log in DIR.")
     ] = False,
     dry_run: DryRun = False,
     strict: Strict = False,
@@ -67,7 +83,6 @@ def run(
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
     """
-    from tetractl.cli.options import load
     from tetractl.experiment.plants import on_plant
 
     if resume and out is None:
@@ -76,21 +91,9 @@ def run(
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
     loaded = load(spec, settings)
-    cautions = warn(loaded, settings)
-    if strict:
-        refuse(cautions)
+    warn(loaded, settings, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
-    code, _ = run_command(
-        on_plant(loaded, plant.value if plant else None),
-        out,
-        jobs=jobs,
-        resume=resume,
-        dry_run=dry_run,
-        quiet=quiet,
-        yes=yes,
-        port=wanted_port(serve, port),
-        json=json,
-        unattended=unattended,
-    )
-    return code
+    served = wanted_port(serve, port)
+    options = RunOptions(out, jobs, resume, dry_run, quiet, yes, served, json, unattended)
+    return run_command(on_plant(loaded, plant), options)[0]

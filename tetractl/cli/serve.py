@@ -1,52 +1,60 @@
-"""`tetractl serve` and `tetractl open`: show a trial in a log viewer, or logs in the browser."""
+"""`tetractl serve` and `open`: show a trial in Foxglove or Lichtblick, or logs in the browser."""
 
-import sys
 import threading
 import webbrowser
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
+from urllib.parse import urlencode
 
-import typer
-
-from tetractl.cli.options import Logs, warn_of_damage
-from tetractl.cli.serving import (
-    LICHTBLICK,
-    PORT,
-    Browser,
-    ServerPort,
-    Viewer,
-    answers,
-    layout_of,
-    link,
-    print_forwarding,
+from tetractl.cli.options import (
+    Logs,
+    argument,
+    is_terminal,
+    option,
+    require_positive,
+    switch,
+    tell,
+    warn_of_damage,
 )
-from tetractl.core.errors import Exit, UsageError
+from tetractl.core.errors import Exit, LogError, UsageError
+
+if TYPE_CHECKING:
+    from tetractl.core.protocols import Observer
+    from tetractl.serve.server import LoopbackServer
 
 SPECS = (".yaml", ".yml")
+PORT = 8765
+"""TCP port at which Foxglove and Lichtblick look for a WebSocket by default."""
+LICHTBLICK = "http://localhost:8080"
+"""Default address of Lichtblick on this machine."""
+
+SHOW = "Print a link that shows the trial in Foxglove or Lichtblick as it runs."
+Serve = Annotated[bool, switch("--serve", SHOW)]
+FREE = "0 for any free port."
+Port = Annotated[
+    int | None,
+    option("N", f"With --serve: TCP port of the server; {FREE}  \\[{PORT}]", min=0, max=65535),
+]
+ServerPort = Annotated[int, option("N", f"TCP port to serve at; {FREE}", min=0, max=65535)]
+Browser = Annotated[bool, option("", "Open the browser; otherwise only print the address.")]
+Viewer = Annotated[str, option("URL", "Address at which Lichtblick runs.", "--lichtblick")]
 
 
 def serve(
-    what: Annotated[
-        Path,
-        typer.Argument(metavar="LOG|SPEC", help="The log of a trial to play, or a spec to run."),
-    ],
+    what: Annotated[Path, argument("LOG|SPEC", "The log of a trial to play, or a spec to run.")],
     rate: Annotated[
-        float,
-        typer.Option(metavar="R", help="With a LOG: speed, in seconds of the trial per second."),
+        float, option("R", "With a LOG: speed, in seconds of the trial per second.")
     ] = 1.0,
-    start: Annotated[
-        float, typer.Option(metavar="S", help="With a LOG: begin at this second of the trial.")
-    ] = 0.0,
+    start: Annotated[float, option("S", "With a LOG: begin at this second of the trial.")] = 0.0,
     until: Annotated[
-        float | None, typer.Option(metavar="S", help="With a LOG: end at this second of the trial.")
+        float | None, option("S", "With a LOG: end at this second of the trial.")
     ] = None,
-    loop: Annotated[bool, typer.Option(help="With a LOG: at its end, start again.")] = True,
+    loop: Annotated[bool, option("", "With a LOG: at its end, start again.")] = True,
     paused: Annotated[
         bool,
-        typer.Option(
-            "--paused", help="With a LOG: start paused, until the viewer or a key plays it."
-        ),
+        switch("--paused", "With a LOG: start paused, until the viewer or a key starts it."),
     ] = False,
     port: ServerPort = PORT,
     browser: Browser = True,
@@ -74,9 +82,7 @@ def serve(
                 "leave out the options for playback, or give a LOG in place of the SPEC",
             )
         return run(what, serve=True, port=port)
-    if not 0 < rate < float("inf"):
-        raise UsageError(f"--rate must be above 0, not {rate:g}")
-    from tetractl.cli.replay import is_terminal
+    require_positive(rate)
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import trial_of
@@ -93,14 +99,14 @@ def serve(
     warn_of_damage(recording.log)
     player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
     served = ServedReplay(contents, player)
-    server = LoopbackServer(port, layout=layout_of([path]), live=served.viewers, viewer=viewer)
+    server = LoopbackServer(port, layout=_layout_of([path]), live=served.viewers, viewer=viewer)
     with suppress(KeyboardInterrupt), interrupted_once(), server:
-        print_forwarding(server)
+        _print_forwarding(server)
         print(f"served at {server.live_url}", flush=True)
-        shown = link(FOXGLOVE, "foxglove-websocket", server.live_url)
+        shown = _link(FOXGLOVE, "foxglove-websocket", server.live_url)
         print(f"in Foxglove: {shown}")
-        if answers(viewer):
-            shown = link(viewer, "foxglove-websocket", server.live_url)
+        if _answers(viewer):
+            shown = _link(viewer, "foxglove-websocket", server.live_url)
             print(f"in Lichtblick: {shown}")
         print(f"  its layout: {server.layout_url}", flush=True)
         if browser:
@@ -117,7 +123,7 @@ def serve(
     return Exit.FAILED if recording.log.damage else Exit.DONE
 
 
-def open_logs(
+def open_(
     logs: Logs,
     port: ServerPort = 0,
     browser: Browser = True,
@@ -127,8 +133,8 @@ def open_logs(
 
     The page and the logs named, and nothing else, are served on this machine's loopback address
     under a random path; nothing is uploaded. If Lichtblick runs on this machine, two more addresses
-    are printed: one opens the first log in Lichtblick, the other is a layout for its menu
-    "Layouts", "Import from file", which frames the arena, shows the scene and plots error, J, solve
+    are printed: one opens the first log in Lichtblick, the other is a layout file (menu
+    "Layouts", "Import from file") that frames the arena, shows the scene and plots error, J, solve
     time and estimate.
 
     Example: tetractl open trial-000.mcap
@@ -140,18 +146,75 @@ def open_logs(
 
     found = find_logs(logs)
     html, unread = report(logs, None, lambda done, total: None)
-    for problem in unread:
-        print(f"warning: {problem}", file=sys.stderr)
+    tell(*(f"warning: {problem}" for problem in unread))
     named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
-    server = LoopbackServer(port, html.encode(), layout_of(found), named)
-    in_viewer = answers(viewer)  # imported first: Ctrl-C during an import would be lost
+    server = LoopbackServer(port, html.encode(), _layout_of(found), named)
+    in_viewer = _answers(viewer)  # imported first: Ctrl-C during an import would be lost
     with suppress(KeyboardInterrupt), interrupted_once(), server:
-        print_forwarding(server)
+        _print_forwarding(server)
         print(server.page_url, flush=True)
         if in_viewer:
-            first = link(viewer, "remote-file", server.log_url(next(iter(named))))
+            first = _link(viewer, "remote-file", server.log_url(next(iter(named))))
             print(f"in Lichtblick: {first}\n  its layout: {server.layout_url}", flush=True)
         if browser:
             webbrowser.open(server.page_url)
         threading.Event().wait()
     return Exit.FAILED if unread else Exit.DONE
+
+
+def wanted_port(serve: bool, port: int | None) -> int | None:
+    """Return the port to serve at, None without --serve; UsageError for a port without --serve."""
+    if port is not None and not serve:
+        raise UsageError("--port needs --serve")
+    return PORT if serve and port is None else port
+
+
+@contextmanager
+def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
+    """Yield the observers that send the trials of a `with` block to viewers; none if `port` is
+    None."""
+    if port is None:
+        yield []
+        return
+    from tetractl.core.clock import MonotonicClock
+    from tetractl.serve.live import ServedRun, Viewers
+    from tetractl.serve.server import LoopbackServer
+
+    viewers = Viewers(name)
+    with LoopbackServer(port, live=viewers) as server:
+        tell(f"served at {server.live_url}")
+        yield [ServedRun(viewers, MonotonicClock())]
+
+
+def _print_forwarding(server: "LoopbackServer") -> None:
+    """Print how to end a server, and how to reach it from another machine."""
+    tell("Ctrl-C ends the server; over ssh, forward the port:")
+    tell(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST")
+
+
+def _link(viewer: str, kind: str, address: str) -> str:
+    """Return the link with which `viewer` opens a data source of the given kind at `address`."""
+    return f"{viewer.rstrip('/')}/?{urlencode({'ds': kind, 'ds.url': address})}"
+
+
+def _layout_of(logs: list[Path]) -> bytes:
+    """Return the viewer's layout for the first log that can be read."""
+    from tetractl.log.format.layout import layout
+    from tetractl.log.read.reader import read_result
+
+    for log in logs:
+        with suppress(LogError):
+            return layout(read_result(log).experiment.setup).encode()
+    return b"{}"
+
+
+def _answers(url: str) -> bool:
+    """Return whether a web server answers at an address within a second."""
+    from http.client import HTTPException
+    from urllib.request import urlopen
+
+    try:
+        with urlopen(url, timeout=1):
+            return True
+    except (OSError, ValueError, HTTPException):
+        return False

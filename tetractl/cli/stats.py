@@ -1,46 +1,52 @@
-"""`tetractl stats`: prints statistics of batches, and comparisons between them."""
+"""`tetractl stats` and `analyze`: statistics of trials, and predictions without any trial."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-import typer
-
-from tetractl.cli.options import progress
-from tetractl.core.errors import Exit
+from tetractl.cli.options import (
+    LikeFormatJson,
+    Sets,
+    argument,
+    load,
+    option,
+    output,
+    progress,
+    tell,
+)
+from tetractl.core.errors import Exit, LogError, printable
 
 if TYPE_CHECKING:
     from tetractl.results.contrast import GroupComparison
     from tetractl.results.describe import Group
     from tetractl.results.open_batch import Source
 
+PICTURE = "File of {}: .png, .svg or .pdf."
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
 
 def stats(
     paths: Annotated[
         list[str],
-        typer.Argument(
-            metavar="PATH",
-            help="Logs, folders or globs: one batch. Several folders, or one of several"
-            " folders such as a study, are several batches.",
+        argument(
+            "PATH",
+            "Logs, folders or globs: one batch. Several folders, or one of several folders such as "
+            "a study, are several batches.",
         ),
     ],
-    form: Annotated[Format, typer.Option("--format", help="Output format.")] = "table",
-    as_json: Annotated[bool, typer.Option("--json", help="The same as --format json.")] = False,
+    form: Annotated[
+        Format, option("table|json|csv|markdown|latex|html", "Output format.", "--format")
+    ] = "table",
+    as_json: LikeFormatJson = False,
     against: Annotated[
         list[str] | None,
-        typer.Option(
-            metavar="PATH",
-            help="Log, folder or quoted glob of a baseline batch: the others are compared "
-            "with this batch only; may be repeated.",
+        option(
+            "PATH",
+            "Log, folder or quoted glob of a baseline batch: the others are compared with this "
+            "batch only; may be repeated.",
         ),
     ] = None,
-    plot: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File of a figure of the batches: .png, .svg or .pdf."),
-    ] = None,
+    plot: Annotated[Path | None, option("FILE", PICTURE.format("a figure of the batches"))] = None,
 ) -> int:
     """Print statistics of batches: errors with intervals, the published result, comparisons.
 
@@ -91,7 +97,6 @@ def show(found: "GroupComparison", form: str) -> None:
 
 def _described(listed: "Sequence[Source]") -> "list[Group]":
     """Read and describe batches; print damaged logs and rows on stderr."""
-    from tetractl.core.errors import LogError, printable
     from tetractl.results.describe import describe
 
     groups = []
@@ -100,9 +105,8 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
-                print(f"damaged: {printable(trial.path)}: read as far as possible", file=sys.stderr)
-        for log in batch.lost:
-            print(f"damaged: {printable(log.path)}: {printable(log.problem)}", file=sys.stderr)
+                tell(f"damaged: {trial.path}: read as far as possible")
+        tell(*(f"damaged: {log.path}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
         groups.append(describe(batch, source.name))
@@ -117,4 +121,54 @@ def _draw(found: "GroupComparison", file: Path) -> None:
 
     few = len(found.groups) <= 2
     save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
-    print(f"wrote {file}", file=sys.stderr)
+    tell(f"wrote {file}")
+
+
+def analyze(
+    spec: Annotated[Path, argument("SPEC", "Spec file of the experiment to analyse.")],
+    sets: Sets = None,
+    plans: Annotated[
+        int, option("N", "Number of plans to search for each result.", min=1, max=1000)
+    ] = 5,
+    form: Annotated[
+        Literal["text", "json"], option("text|json", "Output format.", "--format")
+    ] = "text",
+    as_json: LikeFormatJson = False,
+    out: Annotated[Path | None, output("FILE", PICTURE.format("the figure to draw"))] = None,
+) -> int:
+    """Predict how well the robots of a spec can be steered together; no trial is run.
+
+    Searches good plans with the multistart optimiser. Along them, predicts the mean total error
+    under the noise of the spec's simulated plant (errors of turning rate a and speed, random walk
+    of the headings, measurement noise), the shortest plan that reaches the targets, the ellipse of
+    each robot's end position, and the error of robots whose turning rates a differ more or less, or
+    of fewer robots. If the turning rates a of two robots are too similar, searches for a better
+    value of one of them.
+
+    Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
+    """
+    from tetractl.analysis.analysis_text import advice, tables
+    from tetractl.analysis.analysis_text import as_json as items
+    from tetractl.analysis.analyze import analyze as found_of
+    from tetractl.core.table.table_files import json_text
+    from tetractl.core.table.terminal_table import print_tables
+
+    if out:
+        from tetractl.view.style import file_format
+
+        file_format(out)  # checked before the search, which takes some seconds
+    experiment = load(spec, sets).experiment
+    with progress("Planning") as planned:
+        found = found_of(experiment, plans, planned)
+    if as_json or form == "json":
+        print(json_text(items(found)))
+    else:
+        print_tables(tables(found))
+        print(printable(advice(found)), flush=True)
+    if out:
+        from tetractl.view.figures.analysis import analysis_figure
+        from tetractl.view.style import save
+
+        save(analysis_figure(found), out)
+        tell(f"wrote {out}")
+    return Exit.DONE

@@ -30,7 +30,7 @@ POLL_S = 0.2  # time between two checks whether any process still reads the outp
 GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
-class PatientWriter(io.RawIOBase):
+class PatientWriter(io.FileIO):
     """Writes bytes to a file descriptor, and drops them if the descriptor is stuck.
 
     If the descriptor accepts nothing for `patience_s`, bytes are dropped without waiting until it
@@ -39,9 +39,8 @@ class PatientWriter(io.RawIOBase):
     """
 
     def __init__(self, descriptor: int, patience_s: float, tells: bool) -> None:
-        super().__init__()
-        self.patience_s = patience_s
-        self._descriptor, self._tells = descriptor, tells
+        super().__init__(descriptor, "w", closefd=False)
+        self.patience_s, self._tells = patience_s, tells
         self._pieces: queue.SimpleQueue[tuple[bytes, int]] = queue.SimpleQueue()
         self._changed = threading.Condition()
         self._put = self._done = 0  # bytes
@@ -50,18 +49,6 @@ class PatientWriter(io.RawIOBase):
         self._moved_s = 0.0  # when the descriptor last accepted bytes, or the queue was empty
         self._failure: OSError | None = None
         threading.Thread(target=self._work, name="output", daemon=True).start()
-
-    def fileno(self) -> int:
-        """Return the descriptor."""
-        return self._descriptor
-
-    def isatty(self) -> bool:
-        """Return whether the descriptor is a terminal."""
-        return os.isatty(self._descriptor)
-
-    def writable(self) -> bool:
-        """Return True: the stream can be written to."""
-        return True
 
     def write(self, data: "ReadableBuffer", /) -> int:
         """Write or drop bytes; return their number, as if all were written."""
@@ -73,7 +60,9 @@ class PatientWriter(io.RawIOBase):
             if self._done >= self._put or not self._stuck():
                 self._queue(new, len(new))
             self._queued = b""
-            self._tell()
+            if self._tells and self._failure is not None:
+                self._tells = False
+                raise self._failure
         return len(piece)
 
     def urge(self, data: bytes) -> None:
@@ -84,7 +73,6 @@ class PatientWriter(io.RawIOBase):
         """Wait until everything is written, or until nothing could be written for `patience_s`."""
         with self._changed:
             self._queue(b"", 1)
-            self._tell()
 
     def _queue(self, piece: bytes, count: int) -> None:
         """Queue a piece that counts as `count` bytes, and wait until it is written; the caller
@@ -99,11 +87,6 @@ class PatientWriter(io.RawIOBase):
         while self._done < put and not self._stuck():
             self._changed.wait(0.1)  # a short wait, because `patience_s` may be lowered meanwhile
 
-    def _tell(self) -> None:
-        if self._tells and self._failure is not None:
-            self._tells = False
-            raise self._failure
-
     def _stuck(self) -> bool:
         return time.monotonic() - self._moved_s >= self.patience_s
 
@@ -112,21 +95,16 @@ class PatientWriter(io.RawIOBase):
             piece, count = self._pieces.get()
             try:
                 while piece:
-                    piece = piece[self._taken(piece[:PIECE]) :]
+                    taken = super().write(piece[:PIECE])
+                    if taken is None:  # another program made the terminal non-blocking
+                        select.select([], [self], [], MESSAGES_S)
+                    piece = piece[taken or 0 :]
                     self._moved_s = time.monotonic()
             except OSError as error:
                 self._failure = error
             with self._changed:
                 self._done += count
                 self._changed.notify_all()
-
-    def _taken(self, piece: bytes) -> int:
-        """Write bytes; return how many the descriptor accepted."""
-        try:
-            return os.write(self._descriptor, piece)
-        except BlockingIOError:  # another program made the terminal non-blocking
-            select.select([], [self._descriptor], [], MESSAGES_S)
-            return 0
 
 
 class Output(io.TextIOWrapper):
@@ -142,11 +120,6 @@ class Output(io.TextIOWrapper):
             errors="backslashreplace",
             line_buffering=not tells or self.writer.isatty(),
         )
-
-    def finish(self) -> None:
-        """Write as much of the buffer as the descriptor accepts; raise OSError once if `tells`."""
-        self.flush()
-        self.writer.finish()
 
 
 def open_streams() -> Output:
@@ -197,36 +170,32 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
     If `unattended`, SIGHUP is ignored instead, as by `nohup`. To be called in the main thread,
     before `Interrupt.watch`.
     """
-    read = [] if unattended or not robots else [one for one in (1, 2) if _has_reader(one)]
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN) if unattended else None
-    main, closing = threading.get_ident(), threading.Event()
-
-    def watch() -> None:
-        poll = select.poll()
-        for one in read:
+    main, ended = threading.get_ident(), threading.Event()
+    poll, left = select.poll(), 0
+    for one in (1, 2) if robots and not unattended else ():
+        mode = os.fstat(one).st_mode
+        if stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(one):
             poll.register(one, 0)  # 0: report errors only
-        left = len(read)
-        while left and not closing.is_set():
+            left += 1
+
+    def watch(left: int) -> None:
+        while left and not ended.is_set():
             for one, event in poll.poll(1000 * POLL_S):
                 if event & GONE:
                     poll.unregister(one)
                     left -= 1
-        if not closing.is_set():
+        if not ended.is_set():
             signal.pthread_kill(main, signal.SIGHUP)
 
-    thread = threading.Thread(target=watch, name="readers", daemon=True)
+    thread = threading.Thread(target=watch, args=(left,), name="readers", daemon=True)
     try:
-        if read:
+        if left:
             thread.start()
         yield
     finally:
-        closing.set()
-        if read:
+        ended.set()
+        if left:
             thread.join()
         if before is not None:
             signal.signal(signal.SIGHUP, before)
-
-
-def _has_reader(descriptor: int) -> bool:
-    mode = os.fstat(descriptor).st_mode
-    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode) or os.isatty(descriptor)

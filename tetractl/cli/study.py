@@ -1,12 +1,17 @@
 """`tetractl study`: runs arms of trials with the same seeds: at once, in shares or on a cluster."""
 
 import os
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
+from tetractl.cli.options import (
+    announce_compiling,
+    argument,
+    option,
+    output,
+    switch,
+    tell,
+)
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -21,72 +26,55 @@ STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\
 
 
 def study(
-    file: Annotated[Path, typer.Argument(metavar="STUDY", help="The study, a YAML file.")],
+    file: Annotated[Path, argument("STUDY", "The study, a YAML file.")],
     folders: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[DIR]...", help="With --merge: folders of the study's shares."),
+        list[Path] | None, argument("[DIR]...", "With --merge: folders of the study's shares.")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o", "--out", metavar="DIR", help="Folder of the study.  \\[logs/<study name>]"
-        ),
+        Path | None, output("DIR", "Folder of the study.  \\[logs/<study name>]")
     ] = None,
     jobs: Annotated[
         int | None,
-        typer.Option(
+        option(
+            "N",
+            "Number of trials run at a time, each in its own process.  \\[processors]",
             min=1,
-            metavar="N",
-            help="Number of trials run at a time, each in its own process.  \\[processors]",
         ),
     ] = None,
-    logs: Annotated[
-        str,
-        typer.Option(metavar="all|failed|sample:N|none", help="Trials whose logs are kept."),
-    ] = "all",
+    logs: Annotated[str, option("all|failed|sample:N|none", "Trials whose logs are kept.")] = "all",
     fail_fast: Annotated[
-        bool, typer.Option("--fail-fast", help="Stop at the first trial that fails.")
+        bool, switch("--fail-fast", "Stop at the first trial that fails.")
     ] = False,
     rerun_outdated: Annotated[
         bool,
-        typer.Option(
+        switch(
             "--rerun-outdated",
-            help="Run again the trials whose rows were written by another version of the code.",
+            "Run again the trials whose rows were written by another version of the code.",
         ),
     ] = False,
     shard: Annotated[
         str | None,
-        typer.Option(
-            metavar="I/N",
-            help="Run only the I-th of N shares of the trials, in that share's own folder.",
-        ),
+        option("I/N", "Run only the I-th of N shares of the trials, in that share's own folder."),
     ] = None,
     merge: Annotated[
         bool,
-        typer.Option(
-            "--merge", help="Run nothing: merge the rows of the shares in the folders DIR."
-        ),
+        switch("--merge", "Run nothing: merge the rows of the shares in the folders DIR."),
     ] = False,
     cluster: Annotated[
         str | None,
-        typer.Option(
-            metavar="ADDRESS", help="Run on the Dask cluster with the scheduler at this address."
-        ),
+        option("ADDRESS", "Run on the Dask cluster with the scheduler at this address."),
     ] = None,
     trial: Annotated[
         str | None,
-        typer.Option(
-            metavar="ARM/N",
-            help="Run one trial again, write its log, and compare the log with the trial's row.",
+        option(
+            "ARM/N", "Run one trial again, write its log, and compare the log with the trial's row."
         ),
     ] = None,
     slurm: Annotated[
         int | None,
-        typer.Option(
-            min=1, metavar="N", help="Run nothing: print a Slurm job script that runs N shares."
-        ),
+        option("N", "Run nothing: print a Slurm job script that runs N shares.", min=1),
     ] = None,
-    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only failures.")] = False,
+    quiet: Annotated[bool, option("", "Print only failures.", "--quiet", "-q")] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 
@@ -96,7 +84,7 @@ def study(
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
     """
     from tetractl.study.load_study import load_study
-    from tetractl.study.options import Logs, Shard, job_script, lacking
+    from tetractl.study.options import Logs, Shard, job_script, lacking, repeat
     from tetractl.study.row_store import Store
 
     if cluster is not None and jobs is not None:
@@ -115,19 +103,16 @@ def study(
     store = Store(folder, loaded.arms)
     with store.opened():
         if trial is not None:
-            from tetractl.study.options import repeat
-
             print(repeat(loaded, store, trial))
             return Exit.DONE
         if merge:
-            print(f"{store.merge(folders or [])} trials added to {folder}", file=sys.stderr)
+            tell(f"{store.merge(folders or [])} trials added to {folder}")
             return _conclude(loaded, store, share, "the same command without --merge")
         tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
-            print(
+            tell(
                 f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
-                f" {_listed(outdated)}; run them again with --rerun-outdated",
-                file=sys.stderr,
+                f" {_listed(outdated)}; run them again with --rerun-outdated"
             )
         stopped = _run(loaded, store, tasks, fail_fast, cluster, jobs, quiet)
         return _conclude(loaded, store, share, "the same command", stopped)
@@ -148,7 +133,6 @@ def _run(
 
     from rich.console import Console
 
-    from tetractl.cli.options import announce_compiling
     from tetractl.cli.streams import first_signal_callback
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
@@ -169,10 +153,9 @@ def _run(
     with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
         if not quiet:
             arms, count = len(loaded.arms), loaded.study.trials.count
-            print(
+            tell(
                 f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
-                f" {arms * count} to run, {executor.workers} at a time",
-                file=sys.stderr,
+                f" {arms * count} to run, {executor.workers} at a time"
             )
         with interrupt.watch(), StudyProgress(console, len(tasks), quiet) as progress:
             run_batch(tasks, store, executor, progress, fail_fast)
@@ -202,11 +185,11 @@ def _conclude(
     wanted = sum(map(share.has, range(len(loaded.arms) * count)))
     lacking, aborted = wanted - len(rows), sum(not row.complete for row in rows)
     if aborted:
-        print(f"{aborted} trials aborted", file=sys.stderr)
+        tell(f"{aborted} trials aborted")
     if lacking > 0:
-        print(f"{lacking} of {wanted} trials are missing; continue with {how}", file=sys.stderr)
+        tell(f"{lacking} of {wanted} trials are missing; continue with {how}")
     if stopped:
-        print("interrupted", file=sys.stderr)
+        tell("interrupted")
         return Exit.INTERRUPTED
     return Exit.FAILED if lacking > 0 or aborted else Exit.DONE
 

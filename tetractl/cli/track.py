@@ -1,14 +1,21 @@
 """`tetractl track`: follows the cells of a film."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
-from tetractl.cli.options import AsJson, progress
-from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.cli.options import (
+    AsJson,
+    argument,
+    option,
+    output,
+    progress,
+    refuse_existing,
+    show,
+    switch,
+    tell,
+)
+from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
     from tetractl.film.fit_cell import CellSummary
@@ -17,47 +24,39 @@ if TYPE_CHECKING:
 
 
 def track(
-    film: Annotated[
-        Path, typer.Argument(metavar="FILM", help="A film, a TIFF stack or a folder of pictures.")
-    ],
+    film: Annotated[Path, argument("FILM", "A film, a TIFF stack or a folder of pictures.")],
     field: Annotated[
         Path | None,
-        typer.Option(
-            metavar="CSV",
-            help="CSV file of the field's direction over time, with columns time_s and "
-            "direction_rad.",
+        option(
+            "CSV",
+            "CSV file of the field's direction over time, with columns time_s and direction_rad.",
         ),
     ] = None,
     scale: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "UM",
+            "Micrometres per pixel; by default as the film states it, or else guessed from the "
+            "cells' size.",
             min=0.05,
             max=100,
-            metavar="UM",
-            help="Micrometres per pixel; by default as the film states it, or else guessed from "
-            "the cells' size.",
         ),
     ] = None,
     rate: Annotated[
         float | None,
-        typer.Option(
+        option(
+            "HZ",
+            "Pictures per second, if the rate that the film states is wrong or missing.",
             min=0.1,
             max=2000,
-            metavar="HZ",
-            help="Pictures per second, if the rate that the film states is wrong or missing.",
         ),
     ] = None,
     y_down: Annotated[
-        bool, typer.Option("--y-down", help="Directions in the --field file run clockwise.")
+        bool, switch("--y-down", "Directions in the --field file run clockwise.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="DIR",
-            help="Folder for the tables, a log and the film with the tracks drawn in.",
-        ),
+        output("DIR", "Folder for the tables, a log and the film with the tracks drawn in."),
     ] = None,
     as_json: AsJson = False,
 ) -> int:
@@ -68,8 +67,6 @@ def track(
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
     """
-    from tetractl.core.table.table_files import json_text
-    from tetractl.core.table.terminal_table import print_tables
     from tetractl.film.field_file import read_field
     from tetractl.film.film_tables import as_items, cell_table
     from tetractl.film.fit_cell import summarise
@@ -78,13 +75,10 @@ def track(
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
-    if out is not None and out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise UsageError(f"{out}: exists already", "name another with --out")
+    refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
     pictures = open_film(film, rate, scale)
-    name = printable(str(film))
-    for remark in pictures.remarks:
-        print(f"{name}: {remark}", file=sys.stderr)
+    tell(*(f"{film}: {remark}" for remark in pictures.remarks))
     with progress("Following") as on_picture:
         found = follow(
             pictures, pictures.um_px, directions, lambda number: on_picture(number, None)
@@ -93,18 +87,14 @@ def track(
         cells = summarise(found, directions)
     if out is not None:
         _write(out, pictures, found, cells)
-    if as_json:
-        print(json_text(as_items(found, cells)))
-    else:
-        print_tables([cell_table(found, cells)])
-        if out is not None:
-            print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
+    show(as_json, as_items(found, cells), [cell_table(found, cells)])
+    if out is not None and not as_json:
+        print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
     if not found.paths:
         read = found.pictures - found.damaged
-        print(
-            f"{name}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
-            f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px",
-            file=sys.stderr,
+        tell(
+            f"{film}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
+            f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
         )
     return Exit.DONE if found.paths else Exit.FAILED
 

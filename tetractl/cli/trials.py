@@ -1,162 +1,76 @@
 """Runs, displays and stops the trials of `run`, `rerun` and other commands that drive a plant."""
 
-import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import UTC, datetime
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
-import typer
-
-from tetractl.cli.options import announce_compiling, require_confirmation
-from tetractl.cli.serving import served_run
+from tetractl.cli.options import announce_compiling, require_confirmation, tell
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from rich.console import Console
-
-    from tetractl.core.protocols import LabSupervision, Observer
+    from tetractl.core.protocols import Observer
     from tetractl.experiment.experiment import Experiment
     from tetractl.experiment.load import LoadedSpec
-    from tetractl.run.batch import Report, TrialStore
+    from tetractl.run.batch import Report, RunObserver
+    from tetractl.run.executors import Executor
     from tetractl.run.interrupt import Interrupt
     from tetractl.run.store import LogStore
-    from tetractl.run.task import Task
-
-
-def run_in_lab(
-    tasks: "list[Task]",
-    store: "TrialStore",
-    unit: str,
-    console: "Console",
-    interrupt: "Interrupt",
-    live: bool,
-    yes: bool,
-    served: "Sequence[Observer]" = (),
-    unattended: bool = False,
-) -> "Report":
-    """Run trials in the lab; the terminal's space bar and Esc stop the robots at any time.
-
-    A person at the terminal starts each trial, unless `yes`. If `unattended`, the robots are not
-    stopped when the terminal closes.
-    """
-    from rich.console import Console
-
-    from tetractl.core.protocols import LabSupervision
-    from tetractl.run.batch import run_batch
-    from tetractl.run.executors import Here
-    from tetractl.view.terminal.keys import SAYS, StopKey
-    from tetractl.view.terminal.live_screen import LabWatch, TerminalPrompt
-
-    quiet, console = console, Console(stderr=True)  # messages on safety are always printed
-    emergency, entered = threading.Event(), threading.Event()
-    with StopKey(emergency.set, entered.set, unattended) as key:
-        says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
-        console.print(says, style="bold", highlight=False)
-        watch = LabWatch(console, quiet, unit, live and key.listening)
-        prompt = None if yes or not key.listening else TerminalPrompt(console, entered)
-
-        @contextmanager
-        def supervision(trial: int) -> "Iterator[LabSupervision]":
-            yield LabSupervision(emergency, prompt, lambda: interrupt.requested)
-
-        executor = Here(interrupt, [watch, *served], supervision)
-        return run_batch(tasks, store, executor, watch, fail_fast=True)
-
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
 
 
-class PlantChoice(StrEnum):
-    """A plant named by --plant: the simulation of a spec, its lab, or its lab emulated."""
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """How trials are run: the options of `run`. They are served at `port`, unless it is None."""
 
-    SIM = "sim"
-    LAB = "lab"
-    EMULATED = "emulated"
-
-
-Out = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--out", metavar="DIR", help="Folder for the logs.  \\[logs/<spec name>-<UTC time>]"
-    ),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option(
-        "--dry-run", help="Run nothing: print the spec, its limits and what would be run."
-    ),
-]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", help="Show neither a live view nor progress.")
-]
-Unattended = Annotated[
-    bool,
-    typer.Option(
-        "--unattended",
-        help="Lab only, with --yes: go on if the terminal closes or no process reads the output "
-        "any more, which otherwise stops the robots.",
-    ),
-]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print the statistics as JSON, like `stats --format json`.")
-]
+    out: Path | None = None
+    jobs: int = 1
+    resume: bool = False
+    dry_run: bool = False
+    quiet: bool = False
+    yes: bool = False
+    port: int | None = None
+    json: bool = False
+    unattended: bool = False
 
 
 def run_command(
-    loaded: "LoadedSpec",
-    out: Path | None,
-    only: int | None = None,
-    *,
-    jobs: int = 1,
-    resume: bool = False,
-    dry_run: bool,
-    quiet: bool,
-    yes: bool,
-    port: int | None,
-    json: bool,
-    unattended: bool,
+    loaded: "LoadedSpec", options: RunOptions, only: int | None = None
 ) -> tuple[int, Path]:
     """Run the trials of a spec, or only trial `only`, and print the statistics; with `dry_run`,
-    only print the spec.
-
-    Return the exit code and the logs' folder. Trials are served at `port`, unless it is None.
+    only print the spec. Return the exit code and the logs' folder.
     """
-    from rich.console import Console
-
+    from tetractl.cli.serve import served_run
     from tetractl.run.store import LogStore, default_folder
     from tetractl.run.trial_limits import check
 
-    experiment = loaded.experiment
-    in_lab = experiment.plant.real_time
-    if in_lab and jobs > 1:
+    experiment, lab = loaded.experiment, loaded.experiment.plant.real_time
+    if lab and options.jobs > 1:
         raise UsageError("--jobs is for virtual time: the lab runs one trial at a time")
-    if unattended and not (in_lab and yes):
+    if options.unattended and not (lab and options.yes):
         raise UsageError("--unattended is only for robots in the lab", "add --plant lab --yes")
     check(experiment)
-    folder = out or default_folder(experiment.name, datetime.now(UTC))
+    folder = options.out or default_folder(experiment.name, datetime.now(UTC))
     store = LogStore(folder, experiment)
-    if dry_run:
-        todo = store.lacking(resume)
-        _describe(loaded, folder, todo if only is None else [only])
+    if options.dry_run:
+        lacking = store.lacking(options.resume)
+        _describe(loaded, folder, lacking if only is None else [only])
         return Exit.DONE, folder
-    if in_lab:
-        require_confirmation(yes)
-    console = Console(stderr=True, quiet=quiet)
+    if lab:
+        require_confirmation(options.yes)
     with (
-        served_run(experiment.name, port) as served,
-        store.opened(resume) as todo,
-        stoppable(experiment, console, unattended) as interrupt,
+        served_run(experiment.name, options.port) as served,
+        store.opened(options.resume) as todo,
+        _stoppable(loaded, options) as interrupt,
     ):
         todo = todo if only is None else [only]
-        report = run_trials(loaded, store, todo, jobs, console, interrupt, yes, served, unattended)
-        return _conclude(report, todo, folder, interrupt.requested, json), folder
+        report = _run_trials(loaded, store, todo, options, interrupt, served)
+        return _conclude(report, todo, folder, interrupt.requested, options.json), folder
 
 
 def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
@@ -166,20 +80,18 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     a run have passed; the space bar and Esc stop them. Raises TetractlError for a trial that was
     aborted, KeyboardInterrupt for one that was interrupted.
     """
-    from rich.console import Console
-
     from tetractl.core.plan import Outcome
     from tetractl.run.store import LogStore
     from tetractl.run.task import log_path
     from tetractl.run.trial_limits import check
 
     check(loaded.experiment)
-    in_lab = loaded.experiment.plant.real_time
-    if in_lab:
+    lab, store = loaded.experiment.plant.real_time, LogStore(folder, loaded.experiment)
+    if lab:
         require_confirmation(yes)
-    console, store = Console(stderr=True, quiet=not in_lab), LogStore(folder, loaded.experiment)
-    with store.opened(False), stoppable(loaded.experiment, console) as interrupt:
-        report = run_trials(loaded, store, [trial], 1, console, interrupt, yes)
+    options = RunOptions(quiet=not lab, yes=yes)
+    with store.opened(False), _stoppable(loaded, options) as interrupt:
+        report = _run_trials(loaded, store, [trial], options, interrupt)
     for error in report.errors.values():
         raise error
     result = next(iter(report.results.values()), None)
@@ -191,9 +103,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
 
 
 @contextmanager
-def stoppable(
-    experiment: "Experiment", console: "Console", unattended: bool = False
-) -> "Iterator[Interrupt]":
+def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt]":
     """Compile the controller, then yield an `Interrupt` that counts each signal during the `with`
     block as a request to stop.
 
@@ -203,50 +113,73 @@ def stoppable(
     from tetractl.control.build import warm_up
     from tetractl.run.interrupt import Interrupt, leave_on_signals
 
-    experiment.plant.require_devices()  # before compiling, which may take a minute
-    warm_up(experiment, partial(announce_compiling, console.quiet))
+    lab = loaded.experiment.plant.real_time
+    loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
+    warm_up(loaded.experiment, partial(announce_compiling, options.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
-    in_lab = experiment.plant.real_time
-    with hung_up_unread(in_lab, unattended), interrupt.watch(robots=in_lab):
+    with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab):
         yield interrupt
 
 
-def run_trials(
+def _run_trials(
     loaded: "LoadedSpec",
     store: "LogStore",
     trials: list[int],
-    jobs: int,
-    console: "Console",
+    options: RunOptions,
     interrupt: "Interrupt",
-    yes: bool,
     served: "Sequence[Observer]" = (),
-    unattended: bool = False,
 ) -> "Report":
-    """Run trials with their displays and the `served` observers; in the lab, the operator can stop
-    the robots by a key.
-
-    The first trial that fails ends the run.
-    """
+    """Run trials with their display and the `served` observers, until the first that fails."""
     from tetractl.run.batch import run_batch
-    from tetractl.run.executors import Here, on_this_machine
     from tetractl.run.task import batch_tasks
 
-    tasks = batch_tasks(loaded, trials)
-    live = console.is_terminal and not console.is_dumb_terminal and jobs == 1 and not console.quiet
-    if loaded.experiment.plant.real_time:
-        unit = loaded.experiment.units.length
-        return run_in_lab(tasks, store, unit, console, interrupt, live, yes, served, unattended)
-    if live:
-        from tetractl.view.terminal.live_screen import LiveView
+    experiment, tasks = loaded.experiment, batch_tasks(loaded, trials)
+    with _display(experiment, len(tasks), options, interrupt, served) as (executor, observer):
+        return run_batch(tasks, store, executor, observer, fail_fast=True)
 
-        with LiveView(console) as view:
-            return run_batch(tasks, store, Here(interrupt, [view, *served]), view, fail_fast=True)
+
+@contextmanager
+def _display(
+    experiment: "Experiment",
+    count: int,
+    options: RunOptions,
+    interrupt: "Interrupt",
+    served: "Sequence[Observer]",
+) -> "Iterator[tuple[Executor, RunObserver]]":
+    """Yield what runs `count` trials and what shows them: a live view, or a line for each.
+
+    In the lab the terminal's space bar and Esc stop the robots at any time, and a person there
+    starts each trial, unless `yes`. If `unattended`, a closed terminal does not stop them.
+    """
+    from rich.console import Console
+
+    from tetractl.core.protocols import LabSupervision
+    from tetractl.run.executors import Here, on_this_machine
+    from tetractl.view.terminal.keys import SAYS, StopKey
+    from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
     from tetractl.view.terminal.progress import BatchProgress
 
-    executor = Here(interrupt, served) if served else on_this_machine(jobs, len(tasks), interrupt)
-    with BatchProgress(console, len(tasks), loaded.experiment.units.length) as progress:
-        return run_batch(tasks, store, executor, progress, fail_fast=True)
+    unit, console = experiment.units.length, Console(stderr=True, quiet=options.quiet)
+    live = console.is_terminal and not console.is_dumb_terminal and not options.quiet
+    if experiment.plant.real_time:
+        always = Console(stderr=True)  # messages on safety are always printed
+        emergency, entered = threading.Event(), threading.Event()
+        with StopKey(emergency.set, entered.set, options.unattended) as key:
+            says = SAYS if key.listening else "no terminal: there is no key to stop the robots"
+            always.print(says, style="bold", highlight=False)
+            asks = key.listening and not options.yes
+            prompt = TerminalPrompt(always, entered) if asks else None
+            supervision = LabSupervision(emergency, prompt, lambda: interrupt.requested)
+            watch = LabWatch(always, console, unit, live and key.listening)
+            yield Here(interrupt, [watch, *served], supervision), watch
+    elif live and options.jobs == 1:
+        with LiveView(console) as view:
+            yield Here(interrupt, [view, *served]), view
+    else:
+        here = on_this_machine(options.jobs, count, interrupt)
+        with BatchProgress(console, count, unit) as progress:
+            yield Here(interrupt, served) if served else here, progress
 
 
 def _describe(loaded: "LoadedSpec", folder: Path, trials: list[int]) -> None:
@@ -285,7 +218,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
             _print_statistics(folder, json)
     except KeyboardInterrupt:
         first_signal_callback(b"")()
-        print("the statistics were left out", file=sys.stderr)
+        tell("the statistics were left out")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass
     except OSError as failed:
@@ -294,19 +227,18 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         if not report.aborted:  # an aborted trial may leave no log, or one without poses
             raise
     for (_, trial), result in report.aborted.items():
-        print(f"error: trial {trial + 1}: {result.reason}", file=sys.stderr)
+        tell(f"error: trial {trial + 1}: {result.reason}")
     left = f"; {lacking} trials were not run" if lacking else ""
-    print(f"logs in {folder}{left}", file=sys.stderr)
+    tell(f"logs in {folder}{left}")
     if error:
         raise error
     if report.aborted:
         return Exit.FAILED
     if report.interrupted or (stopped and lacking):
-        again = f"the same command and --out {folder} --resume"
-        print(f"interrupted; continue with {again}", file=sys.stderr)
+        tell(f"interrupted; continue with the same command and --out {folder} --resume")
         return Exit.INTERRUPTED
     first = min((trial for _, trial in report.results), default=0)
-    print(f"look at one with: tetractl replay {log_path(folder, first)}", file=sys.stderr)
+    tell(f"look at one with: tetractl replay {log_path(folder, first)}")
     if unprinted:
         raise unprinted
     return Exit.DONE

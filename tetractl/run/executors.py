@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from contextlib import contextmanager
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import Protocol
@@ -29,9 +29,6 @@ Ended = tuple[Task, Finished | Exception]
 
 Ready = Callable[[Task], Path]
 """Called in this process before a task starts; returns the folder for its log."""
-
-InLab = Callable[[int], AbstractContextManager[LabSupervision | None]]
-"""Returns the context manager that supervises a lab trial, from the trial's number."""
 
 
 class Executor(Protocol):
@@ -59,7 +56,9 @@ def on_this_machine(jobs: int, tasks: int, interrupt: Interrupt) -> Executor:
 
 
 class Here:
-    """Runs one trial after another in this process. `observers` are called in every trial."""
+    """Runs one trial after another in this process. `observers` are called in every trial; trials
+    in a lab are supervised by `supervision`.
+    """
 
     workers = 1
 
@@ -67,9 +66,10 @@ class Here:
         self,
         interrupt: Interrupt,
         observers: Sequence[Observer] = (),
-        in_lab: InLab = lambda trial: nullcontext(),
+        supervision: LabSupervision | None = None,
     ) -> None:
-        self._interrupt, self._observers, self._in_lab = interrupt, observers, in_lab
+        self._interrupt, self._observers = interrupt, observers
+        self._supervision = supervision
         self._ended = False
 
     def run(self, tasks: Sequence[Task], ready: Ready) -> Generator[Ended]:
@@ -79,8 +79,7 @@ class Here:
                 return
             folder = ready(task)
             try:
-                with self._in_lab(task.trial) as supervision:
-                    found = run_task(task, folder, self._interrupt, self._observers, supervision)
+                found = run_task(task, folder, self._interrupt, self._observers, self._supervision)
             except Exception as error:
                 found = error
             yield task, found

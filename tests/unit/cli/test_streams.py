@@ -33,7 +33,7 @@ def test_what_is_written_has_arrived_when_it_returns(pipe):
     print("first", file=output, flush=True)
     assert os.read(reading, 100) == b"first\n"
     output.write("\udcff\n")
-    output.finish()
+    output.flush()
     assert os.read(reading, 100) == b"\\udcff\n"
 
 

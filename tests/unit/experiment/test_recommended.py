@@ -3,7 +3,7 @@
 import pytest
 from support.paths import ROOT
 
-from tetractl.cli.init import template
+from tetractl.cli.specs import template
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 

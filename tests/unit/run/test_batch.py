@@ -1,4 +1,3 @@
-from contextlib import contextmanager
 from dataclasses import replace
 
 import pytest
@@ -14,7 +13,7 @@ from tetractl.experiment.plants import on_plant
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.run import executors, task
 from tetractl.run.batch import TimeLeft, run_batch
-from tetractl.run.executors import Here, on_this_machine
+from tetractl.run.executors import on_this_machine
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.store import LogStore
 from tetractl.run.task import Finished, Task, batch_tasks, log_path, run_trial, trial_seeds
@@ -116,21 +115,6 @@ def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupt
     scripted(monkeypatch, outcomes, lambda trial: trial == 1 and interrupt.request())
     report = run(tmp_path, interrupt=interrupt, fail_fast=False)
     assert (ran_of(report), report.left, report.interrupted) == ([0, 1], 2, interrupted)
-
-
-def test_what_a_trial_in_the_lab_needs_is_there_while_it_runs(monkeypatch, tmp_path):
-    events = []
-    scripted(monkeypatch, {}, lambda trial: events.append(trial))
-
-    @contextmanager
-    def in_lab(trial):
-        events.append(f"open {trial}")
-        yield
-        events.append(f"close {trial}")
-
-    tasks, store = batch_tasks(SPEC, [0, 1]), LogStore(tmp_path, SPEC.experiment)
-    run_batch(tasks, store, Here(Interrupt(), (), in_lab), Watcher())
-    assert events == ["open 0", 0, "close 0", "open 1", 1, "close 1"]
 
 
 def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):

@@ -1,25 +1,25 @@
-"""`tetractl info`: prints the contents of a log."""
+"""`tetractl info`, `recover` and `verify`: what is in a log, what is left of it, is it right."""
 
 import json
 import math
+from collections.abc import Iterator
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
-
-from tetractl.cli.options import AsJson
-from tetractl.core.errors import Exit
-
-SHOWN = 240  # largest number of characters shown of a line; --json prints the whole line
+from tetractl.cli.options import AsJson, Logs, argument, output, tell
+from tetractl.core.errors import Exit, LogError, printable
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
     from tetractl.log.read.overview import Overview
+    from tetractl.replay.verify import Verification
+
+LINE = 240  # largest number of characters shown of a line of `info`; --json prints the whole line
+PROBLEMS = 20  # largest number of problems that `verify` prints per log
 
 
 def info(
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Log of a trial, finished or not.")],
+    log: Annotated[Path, argument("LOG", "Log of a trial, finished or not.")],
     as_json: AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
@@ -30,7 +30,6 @@ def info(
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
-    from tetractl.core.errors import printable
     from tetractl.log.read.find import find_log
     from tetractl.log.read.overview import overview
 
@@ -39,7 +38,7 @@ def info(
         print(found.as_json())
     else:
         for line in _lines(found):
-            print(printable(line, SHOWN).rstrip())
+            print(printable(line, LINE).rstrip())
     return Exit.FAILED if found.damage else Exit.DONE
 
 
@@ -141,3 +140,86 @@ def _digest(found: "Overview") -> dict[str, str]:
     if found.stated_digest == found.digest:
         return {"stated and computed": found.digest}
     return {"stated": found.stated_digest, "computed": found.digest}
+
+
+def recover(
+    log: Annotated[Path, argument("LOG", "Log of a trial, or a .part file.")],
+    out: Annotated[Path | None, output("FILE", "File to write.  [NAME.recovered.mcap]")] = None,
+    as_json: AsJson = False,
+) -> int:
+    """Copy the intact records of a damaged log to a complete file, and print what is lost.
+
+    Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
+
+    Example: tetractl recover logs/batch/trial-003.mcap.part
+    """
+    from tetractl.log.read.find import find_log
+    from tetractl.log.read.recover import recover as save
+
+    log = find_log(log)
+    done = save(log, out)
+    if as_json:
+        print(json.dumps({**asdict(done), "whole": done.whole}, indent=2))
+    elif done.path is None:
+        print(printable(f"{log}: complete; there is nothing to recover"))
+    else:
+        tell(*(f"damaged: {problem}" for problem in done.damage.problems))
+        kept = (
+            f"{done.chunks} chunks with {done.messages} messages, {done.metadata} metadata records"
+        )
+        print(printable(f"{done.path}: {kept}, {done.attachments} attachments"))
+        for lost in done.damage.lost:
+            print(printable(f"lost: {lost}"))
+        if done.whole:
+            print("nothing is lost: the content digest matches")
+    return Exit.DONE if done.whole else Exit.LOSSY
+
+
+def verify(logs: Logs, as_json: AsJson = False) -> int:
+    """Compute every control decision of a log again and compare it with the logged decision.
+
+    A simulation is run again as well, and the messages for viewers are compared with the records.
+
+    On the machine that wrote a log, every number must be the same to the last bit. On another
+    machine, only the costs of the logged plans are evaluated again; the output names the check that
+    was made. If anything differs, exits with 1 and names the first step and field that differ.
+
+    Example: tetractl verify logs/batch
+    """
+    from tetractl.log.read.find import find_logs
+    from tetractl.replay.verify import verify as check
+
+    done: list[dict[str, Any]] = []
+    good = True
+    for path in find_logs(logs):
+        try:
+            found = check(path)
+        except LogError as error:
+            good = False
+            done.append({"path": str(path), "ok": False, "error": str(error)})
+            lines = iter([f"{path}: FAILED: {str(error).removeprefix(f'{path}: ')}"])
+        else:
+            good &= found.ok
+            done.append({**asdict(found), "ok": found.ok})
+            lines = _verdict(found)
+        if not as_json:
+            for line in lines:
+                print(printable(line))
+    if as_json:
+        print(json.dumps({"ok": good, "logs": done}, indent=2))
+    return Exit.DONE if good else Exit.FAILED
+
+
+def _verdict(found: "Verification") -> "Iterator[str]":
+    from tetractl.replay.verify import Method
+
+    verdict = "ok" if found.ok else "FAILED"
+    text = f"{found.checked} of {found.steps} decisions {found.method}"
+    yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
+    if found.method is Method.REEVALUATED:
+        yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
+    for problem in found.problems[:PROBLEMS]:
+        yield f"  {problem}"
+    if len(found.problems) > PROBLEMS:
+        yield f"  and {len(found.problems) - PROBLEMS} more"
+    yield from (f"  note: {note}" for note in found.notes)

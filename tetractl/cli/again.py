@@ -1,0 +1,282 @@
+"""`tetractl rerun`, `redrive` and `what-if`: a recorded trial again; the same spec and seed, the
+same commands, or another controller.
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tetractl.cli.options import (
+    PLANTS,
+    AsJson,
+    Log,
+    Logs,
+    PlantChoice,
+    Yes,
+    open_trial,
+    option,
+    output,
+    tell,
+)
+from tetractl.cli.run import DryRun, Json, Out, Quiet, Unattended
+from tetractl.cli.serve import Port, Serve, wanted_port
+from tetractl.cli.trials import RunOptions, drive, run_command
+from tetractl.core.errors import Exit, printable
+
+if TYPE_CHECKING:
+    from tetractl.core.table.table import Table
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.log.read.trial_log import TrialLog
+    from tetractl.replay.redrive import Apart
+    from tetractl.replay.what_if import WhatIf
+
+DISTANCES = 12  # number of times in the table of distances
+PREDICTION = (
+    "a prediction on the recorded observations, not closed loop: the robots followed the recorded "
+    "directions"
+)
+
+
+def rerun(
+    log: Log,
+    plant: Annotated[
+        PlantChoice,
+        option(
+            PLANTS,
+            "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab in "
+            "virtual time.",
+        ),
+    ] = "sim",
+    yes: Yes = False,
+    unattended: Unattended = False,
+    out: Out = None,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    serve: Serve = False,
+    port: Port = None,
+    json: Json = False,
+) -> int:
+    """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
+
+    A trial in virtual time repeats exactly on its plant: the exit code is 1 if the two logs differ
+    in content. The trial of a log from a lab is simulated too; robots move only with --plant lab.
+
+    Example: tetractl rerun logs/demo/trial-003.mcap
+    """
+    from tetractl.log.read.find import find_log
+    from tetractl.log.read.reader import read_trial
+    from tetractl.run.task import log_path
+
+    log = find_log(log)
+    trial = read_trial(log)
+    options = RunOptions(
+        out, 1, False, dry_run, quiet, yes, wanted_port(serve, port), json, unattended
+    )
+    number = trial.start.trial
+    code, folder = run_command(_recorded(trial, plant), options, number)
+    if code == Exit.DONE and not dry_run:
+        return _compare(log, log_path(folder, number))
+    return code
+
+
+def _recorded(trial: "TrialLog", plant: PlantChoice) -> "LoadedSpec":
+    """Return the spec of a log, changed to the given plant.
+
+    No calibration file is read: the spec in a log of the lab has the calibration's values.
+    """
+    from tetractl.experiment.lab_section import LabSection
+    from tetractl.experiment.load import LoadedSpec
+    from tetractl.experiment.plants import lab_as, on_plant
+
+    start, lab = trial.start, trial.experiment.plant
+    spec = LoadedSpec(trial.experiment, start.spec_text, start.spec_name, attached=start.attached)
+    if plant == "sim" or not isinstance(lab, LabSection):
+        return on_plant(spec, plant)
+    changed: dict[str, Any] = {"plant": lab_as(plant, lab)}
+    if (choice := trial.experiment.chosen) is not None:  # no cell is where the log's trial began
+        changed["chosen"] = choice.model_copy(update={"found": False})
+    return replace(spec, experiment=trial.experiment.model_copy(update=changed))
+
+
+def _compare(log: Path, again: Path) -> int:
+    """Print whether two logs of a trial have the same content; return FAILED if they differ."""
+    from tetractl.log.read.reader import content_digest, read_result, read_trial
+    from tetractl.replay.difference import trial_difference
+    from tetractl.replay.verify import host_differences
+
+    first, second = read_result(log), read_result(again)
+    plants = [one.experiment.plant for one in (first, second)]
+    if plants[0].type != plants[1].type or plants[0].real_time:
+        names = {"sim": "simulated", "lab": "of the lab"}
+        one, two = (names.get(plant.type, plant.type) for plant in plants)
+        tell(f"the log is {one}, the new one {two}: the two are not compared")
+        return Exit.DONE
+    one, two = (content_digest(path) for path in (log, again))
+    if one == two:
+        tell(f"the content digests agree: {one}")
+        return Exit.DONE
+    tell(f"the content digests differ: {one} in {log}, {two} in {again}")
+    was, is_now = read_trial(log), read_trial(again)
+    if difference := trial_difference(is_now, was):
+        tell(f"  {difference}")
+    if first.recovered or not first.outcome.complete:
+        tell(f"  {log} is damaged, or its trial did not run to its end")
+    if was.start.resolved != is_now.start.resolved:
+        tell("  the log's spec lacks fields of this tetractl")
+    tell(*(f"  {line}" for line in host_differences(was)))
+    return Exit.FAILED
+
+
+def redrive(
+    log: Log,
+    plant: Annotated[
+        PlantChoice,
+        option(
+            PLANTS,
+            "sim: drive a simulation. lab: drive the robots of the log's lab. emulated: emulate "
+            "that lab in virtual time.",
+        ),
+    ] = "sim",
+    out: Annotated[Path | None, output("DIR", "Folder for the log of the new trial.")] = None,
+    picture: Annotated[
+        Path | None,
+        option("FILE", "File of a figure of both paths: .png, .svg or .pdf.", "--plot"),
+    ] = None,
+    yes: Yes = False,
+) -> int:
+    """Drive a plant with the recorded commands of a log, open loop, in a new trial.
+
+    Prints the distance between the recorded and the new path of each robot. In the lab the robots
+    have to stand on their starts, and all checks of a run apply.
+
+    Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
+    """
+    from tetractl.core.table.terminal_table import print_tables
+    from tetractl.log.read.find import find_log
+    from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
+    from tetractl.run.store import default_folder
+    from tetractl.view.figures.trajectory import redriven_figure
+    from tetractl.view.style import file_format, save
+
+    if picture is not None:
+        file_format(picture)
+    log = find_log(log)
+    was = open_trial(log)
+    spec = sequence_spec(_recorded(was, plant), *recorded_directions(was))
+    folder = out or default_folder(f"{spec.experiment.name}-again", datetime.now(UTC))
+    path = drive(spec, folder, was.start.trial, yes)
+    again = open_trial(path)
+    apart = paths_apart(was, again)
+    print(f"{log} ({was.origin.value}) and {path} ({again.origin.value}), open loop")
+    print_tables([_distances(apart)])
+    print(f"log in {path}")
+    if picture is not None:
+        save(redriven_figure(was, again, apart), picture)
+        print(picture)
+    return Exit.FAILED if was.damage else Exit.DONE
+
+
+def _distances(apart: "Apart") -> "Table":
+    """Return a table of distances between two paths: at a few times, the largest, and the last."""
+    import numpy as np
+
+    from tetractl.core.table.table import Column, Table, fixed
+
+    last = max(len(apart.time_s) - 1, 0)
+    rows = np.unique(np.linspace(0, last, DISTANCES).astype(int))[: len(apart.time_s)]
+    known = np.nan_to_num(apart.distance, nan=-1.0).max(axis=0, initial=-1.0)
+    most = np.where(known >= 0, known, np.nan)
+    times = [*(f"{apart.time_s[i]:.2f}" for i in rows), "at most", "at last"]
+    distances = np.vstack([apart.distance[rows], most, apart.final])
+    columns = (
+        Column(name, values, apart.unit, fixed(2))
+        for name, values in zip(apart.names, distances.T, strict=True)
+    )
+    return Table(
+        "The same directions at the same times: distance between each robot's two paths",
+        (Column("time", times, "s"), *columns),
+    )
+
+
+def what_if(
+    logs: Logs,
+    sets: Annotated[
+        list[str],
+        option(
+            "PATH=VALUE",
+            "Replace a value of the controller, as field=value; may be repeated.",
+            "--set",
+        ),
+    ],
+    as_json: AsJson = False,
+) -> int:
+    """Print what another controller would have decided on the recorded observations.
+
+    For each control step it prints the recorded and the other direction, their difference, and the
+    largest distance between a robot's ends as predicted by the two plans. This is an open-loop
+    prediction: the robots do not follow the other controller.
+
+    Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
+    """
+    from tetractl.core.table.table_files import json_text
+    from tetractl.core.table.terminal_table import print_tables
+    from tetractl.log.read.find import find_logs
+    from tetractl.log.read.reader import read_trial
+    from tetractl.replay import what_if as replay
+
+    done: list[dict[str, Any]] = []
+    for path in find_logs(logs):
+        log = read_trial(path)
+        other = replay.other_experiment(log, sets)
+        other.controller.warm_up(other.setup)
+        found = replay.what_if(log, other)
+        if as_json:
+            items = {**asdict(found), "changed": found.changed}
+            done.append({"path": str(path), "origin": log.origin.value, **items})
+            continue
+        print(printable(f"{path} ({log.origin.value}), with {', '.join(sets)}:"))
+        print_tables([_decisions(found)])
+    if as_json:
+        print(json_text({"prediction": PREDICTION, "set": list(sets), "logs": done}))
+    return Exit.DONE
+
+
+def _decisions(found: "WhatIf") -> "Table":
+    """Return a table of the predicted decisions next to the recorded ones."""
+    from tetractl.core.table.table import Column, Table, fixed
+
+    unit, steps, three = found.unit, found.steps, fixed(3)
+    columns = (
+        Column("k", [step.k for step in steps]),
+        Column("time", [step.time_s for step in steps], "s", fixed(2)),
+        Column("sent", [step.recorded for step in steps], "rad", fixed(4)),
+        Column("other", [step.other for step in steps], "rad", fixed(4)),
+        Column("change", [step.difference for step in steps], "rad", "{:+.4f}".format),
+        Column("signals", [f"{step.recorded_length}/{step.other_length}" for step in steps]),
+        Column("predicted error", [step.recorded_error for step in steps], unit, three),
+        Column("with other", [step.other_error for step in steps], unit, three),
+        Column("ends differ", [step.apart.max() for step in steps], unit, three),
+    )
+    return Table(PREDICTION, columns, "\n".join(_summary(found)))
+
+
+def _summary(found: "WhatIf") -> Iterator[str]:
+    import numpy as np
+
+    if found.ended:
+        yield found.ended
+    if not found.steps:
+        return
+    unit = found.unit
+    apart = np.array([step.apart for step in found.steps])
+    turned = np.abs([step.difference for step in found.steps])
+    yield (
+        f"{found.changed} of {len(found.steps)} steps would have sent another direction; over all "
+        f"steps, it differs by {turned.mean():.4f} rad on average and {turned.max():.4f} at most"
+    )
+    yield (
+        f"the predicted ends of a robot differ by {apart.mean():.3f} {unit} on average and "
+        f"{apart.max():.3f} at most"
+    )

@@ -1,0 +1,182 @@
+"""`tetractl plot`, `report` and `export`: write figures, a page or tables of logs."""
+
+from os.path import commonpath
+from pathlib import Path
+from typing import Annotated
+
+from tetractl.cli.options import Logs, open_trial, option, output, progress, tell
+from tetractl.core.errors import Exit, LogError, UsageError, printable
+
+VIDEO = "video"
+
+
+def plot(
+    logs: Logs,
+    out: Annotated[
+        Path | None,
+        output(
+            "FILE",
+            "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. "
+            "A film: .mp4, .gif or .webp, by default LOG-video.gif.",
+        ),
+    ] = None,
+    kind: Annotated[
+        str, option("NAME", "The figure to draw, a name from the list above.")
+    ] = "trajectory",
+) -> int:
+    """Draw a figure of a trial and print the name of its file.
+
+    trajectory: paths in one trial or several, the paper's Figure 5.
+    convergence: cost over the iterations, the paper's Figure 3.
+    swarm: particles of the first search, the paper's Figure 2.
+    error: distances to the targets over time.
+    errors: errors of several trials over time, with their median, by folder.
+    arms: the median error of each of several folders over time.
+    ecdf: fraction of each folder's trials that ended with an error up to a value.
+    scatter: where the robots of several trials ended, by folder.
+    estimate: the controller's estimates of turning rate a, speed and so on over time.
+    timing: solve time of each control step.
+    video: a film of the trial.
+    Installed packages may add figures.
+
+    The same log gives the same bytes. MP4 films need ffmpeg.
+
+    Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
+    """
+    from tetractl.log.read.find import find_logs
+    from tetractl.view.figures.draw import check_kind, draw
+    from tetractl.view.style import file_format, save
+
+    if kind == VIDEO:
+        return _film(find_logs(logs), out)
+    check_kind(kind)
+    logs = find_logs(logs)
+    path = out or _default_name(logs, kind)
+    file_format(path)
+    trials = [open_trial(log) for log in logs]
+    save(draw(kind, trials), path)
+    print(printable(str(path)))
+    return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
+
+
+def _film(logs: list[Path], out: Path | None) -> int:
+    from tetractl.view.film import check_file, write_video
+
+    if len(logs) > 1:
+        raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")
+    path = out or _default_name(logs, VIDEO).with_suffix(".gif")
+    check_file(path)
+    log = open_trial(logs[0])
+    with progress("Drawing") as on_picture:
+        speed = write_video(log, path, on_picture)
+    if speed > 1:
+        tell(f"plays {speed} times faster than the trial")
+    print(path)
+    return Exit.FAILED if log.damage else Exit.DONE
+
+
+def _default_name(logs: list[Path], kind: str) -> Path:
+    common = Path(commonpath([log.absolute().parent for log in logs]))
+    name = logs[0].name if len(logs) == 1 else common.name or "trials"
+    return Path(f"{name.partition('.mcap')[0]}-{kind}.png")
+
+
+def report(
+    logs: Logs,
+    out: Annotated[
+        Path, output("FILE", "HTML file to write; an existing file is overwritten.")
+    ] = Path("report.html"),
+    title: Annotated[
+        str | None, option("TEXT", "Title of the page.  \\[experiment's name]")
+    ] = None,
+) -> int:
+    """Write one HTML page that shows trials and their statistics, and needs no network.
+
+    The page holds a player of every trial, the tables of `tetractl stats`, the distribution of the
+    errors, figures of each batch and of the first trial, and where the numbers come from. Each
+    folder is a batch; several batches are shown side by side.
+
+    Example: tetractl report logs/three-m3pi -o report.html
+    """
+    from tetractl.core.files import save_whole
+    from tetractl.report import page
+
+    if not out.parent.is_dir():  # checked before the logs are read
+        raise UsageError(f"{out}: there is no folder {out.parent}")
+
+    with progress("Reading logs") as on_log:
+        html, unread = page.report(logs, title, on_log)
+    save_whole(out, html.encode())
+    tell(*(f"warning: {problem}" for problem in unread))
+    print(out)
+    return Exit.FAILED if unread else Exit.DONE
+
+
+def export(
+    logs: Logs,
+    out: Annotated[
+        Path,
+        output(
+            "DIR|FILE",
+            "Folder for all tables; or a .csv or .parquet file for the one named by --table.",
+        ),
+    ],
+    table: Annotated[
+        str | None,
+        option(
+            "NAME", "Write only this table: trials, steps, poses, estimates or events.  \\[all]"
+        ),
+    ] = None,
+    form: Annotated[
+        str | None, option("NAME", "File format: csv or parquet.  \\[csv]", "--format")
+    ] = None,
+) -> int:
+    """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
+
+    The names of columns end in their units. Each table has the columns `log` and `trial`, by which
+    tables can be joined. Existing files of these names are overwritten.
+
+    Example: tetractl export logs/three-m3pi -o tables --format parquet
+    """
+    from tetractl.core.table.table_files import TableFiles
+    from tetractl.log.read.find import find_logs
+    from tetractl.results.trial_tables import of_log
+
+    paths, kind = _files(out, table, form)
+    found, unread = find_logs(logs), 0
+    with TableFiles(paths, kind) as files, progress("Reading logs") as on_log:
+        for number, path in enumerate(found):
+            on_log(number, len(found))
+            try:
+                added = of_log(path, paths)
+            except LogError as error:
+                tell(f"warning: {error}")
+                unread += 1
+                continue
+            for name, rows in added.items():
+                files.add(name, rows, str(path))
+    if unread == len(found):
+        raise LogError("none of the logs can be read")
+    print(*paths.values(), sep="\n")
+    return Exit.FAILED if unread else Exit.DONE
+
+
+def _files(out: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
+    """Return the file of each table, and the format."""
+    from tetractl.core.table.table_files import FORMATS, check_format
+    from tetractl.results.trial_tables import TABLES
+
+    if table is not None and table not in TABLES:
+        raise UsageError(f"there is no table {table!r}", f"there are {', '.join(TABLES)}")
+    ending = out.suffix.lower().removeprefix(".")
+    if ending not in FORMATS or out.is_dir():
+        kind = kind or "csv"
+        check_format(kind)
+        names = TABLES if table is None else (table,)
+        return {name: out / f"{name}.{kind}" for name in names}, kind
+    if table is None:
+        raise UsageError(f"{out}: one file holds one table", "name the table with --table")
+    if kind not in (None, ending):
+        raise UsageError(f"{out}: ends in .{ending}, but --format is {kind}")
+    check_format(ending)
+    return {table: out}, ending

@@ -1,0 +1,294 @@
+"""`tetractl init`, `validate`, `warm` and `schema`: commands about specs; nothing is run."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tetractl.cli.options import (
+    AsJson,
+    Sets,
+    Strict,
+    argument,
+    load,
+    option,
+    output,
+    switch,
+    tell,
+    warn,
+)
+from tetractl.core.errors import Exit, UsageError, printable
+
+if TYPE_CHECKING:
+    from tetractl.experiment.experiment import Experiment
+
+FOLDER = "experiments"
+NAMED = ("base", "identified")
+"""Fields of a spec that name another file, relative to the spec's folder."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+
+
+def shipped_folder() -> Path:
+    """Return the folder of the examples: in the source tree, or shipped inside the package."""
+    here = Path(__file__).resolve()
+    for folder in (here.parents[1] / FOLDER, here.parents[2] / FOLDER):
+        if (folder / "three_m3pi.yaml").is_file():
+            return folder
+    raise UsageError("the examples are missing from this installation")
+
+
+def example_names() -> list[str]:
+    """Return the names of the examples: paths in their folder, without `.yaml`."""
+    folder = shipped_folder()
+    files = sorted(folder.rglob("*.yaml"))
+    return [file.relative_to(folder).with_suffix("").as_posix() for file in files]
+
+
+def example_files(name: str) -> dict[str, str]:
+    """Return the texts of an example and of the files it names, by path in the examples' folder.
+
+    Raises UsageError if there is no such example.
+    """
+    from tetractl.experiment.yaml.document import parse_document, read_text
+    from tetractl.experiment.yaml.problems import did_you_mean
+
+    known, folder = example_names(), shipped_folder()
+    name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
+    if name not in known:
+        guess = did_you_mean(name, known)
+        top = ", ".join(one for one in known if "/" not in one)
+        raise UsageError(
+            f"there is no example '{name}'{guess}", f"the examples are {top}, studies/, faults/"
+        )
+    found: dict[str, str] = {}
+    waiting = [folder / f"{name}.yaml"]
+    while waiting:
+        file = waiting.pop()
+        text = read_text(file)
+        found[file.relative_to(folder).as_posix()] = text
+        data = parse_document(text, str(file)).data
+        named = [(file.parent / data[key]).resolve() for key in NAMED if key in data]
+        waiting += [one for one in named if one.relative_to(folder).as_posix() not in found]
+    return found
+
+
+def init(
+    name: Annotated[
+        str | None,
+        argument("[NAME]", "Name of the experiment and of the file to write.  \\[experiment]"),
+    ] = None,
+    lab: Annotated[bool, switch("--lab", "Add a lab of m3pi robots to the spec.")] = False,
+    cells: Annotated[
+        bool, switch("--cells", "Write a spec of two cells, in um, in place of robots.")
+    ] = False,
+    example: Annotated[
+        str | None,
+        option(
+            "NAME",
+            "Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.",
+        ),
+    ] = None,
+) -> int:
+    """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
+
+    With --example it writes a shipped spec, study or fault script, and the files it names, to
+    experiments/, as the examples of other commands expect. With an unknown NAME it lists the
+    examples.
+
+    Example: tetractl init first
+
+    Example: tetractl init --example studies/dead_time
+    """
+    if example is not None:
+        if name is not None or lab or cells:
+            raise UsageError(
+                "--example cannot be combined with other options: it writes a file as shipped",
+                "give --example alone",
+            )
+        return _example(example)
+    name = "experiment" if name is None else name
+    if lab and cells:
+        raise UsageError(
+            "--lab and --cells exclude each other: the lab has robots, not cells",
+            "leave out one of the two options",
+        )
+    path = Path(re.sub(r"\.ya?ml$", "", name) + ".yaml")
+    if not NAME.fullmatch(path.stem):
+        raise UsageError(
+            f"'{printable(name, 80)}' cannot be the name of an experiment",
+            "use up to 64 characters: a to z, A to Z, 0 to 9, dot, underscore and hyphen",
+        )
+    kind = "cells" if cells else "lab" if lab else "robots"
+    _write(path, template(path.stem, path.name, kind), "give another NAME")
+    tell(f"run it with: tetractl run {path}")
+    return Exit.DONE
+
+
+def _example(name: str) -> int:
+    files = example_files(name)
+    for inner in files:
+        (Path(FOLDER) / inner).parent.mkdir(parents=True, exist_ok=True)
+    for number, (inner, text) in enumerate(files.items()):
+        path = Path(FOLDER) / inner
+        if number and path.exists():  # the file was written with another example
+            continue
+        _write(path, text, "rename that file, or edit it")
+    return Exit.DONE
+
+
+def _write(path: Path, text: str, hint: str) -> None:
+    """Write a file that does not exist yet, and print its name."""
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except FileExistsError:
+        raise UsageError(f"{path}: exists already", hint) from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+    print(path)
+
+
+def template(name: str, file: str, kind: str) -> str:
+    """Return a commented spec of an experiment called `name`, to be kept in `file`.
+
+    `kind` is a file in experiment/templates: two robots, two cells, or robots with a lab.
+    """
+    from importlib.resources import files
+
+    from tetractl.experiment.yaml.core_yaml import dump
+
+    text = (files("tetractl.experiment") / "templates" / f"{kind}.yaml").read_text("utf-8")
+    named = dump({"name": name}).strip("{}\n")  # in quotes if YAML would read the name as a number
+    return text.replace("@NAME@", named).replace("@FILE@", file)
+
+
+def validate(
+    specs: Annotated[list[Path], argument("SPEC", "Spec files to check.")],
+    sets: Annotated[
+        list[str] | None,
+        option("PATH=VALUE", "Replace a value of every spec before the check.", "--set"),
+    ] = None,
+    strict: Strict = False,
+    as_json: AsJson = False,
+) -> int:
+    """Check specs and report every problem at its line.
+
+    Valid values that will probably not work as intended cause a warning on stderr.
+
+    Example: tetractl validate experiments/*.yaml
+    """
+    from tetractl.core.table.table_files import json_text
+
+    results = [_check(spec, sets) for spec in specs]
+    if as_json:
+        print(json_text({"specs": [fields for fields, _ in results]}))
+    else:
+        print("\n".join(line for _, lines in results for line in lines))
+    good = all(fields["ok"] for fields, _ in results)
+    doubtful = any(fields.get("warnings") for fields, _ in results)
+    return Exit.USAGE if not good or (strict and doubtful) else Exit.DONE
+
+
+def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
+    from tetractl.experiment.load import spec_hash
+    from tetractl.experiment.yaml.problems import InvalidSpecError
+    from tetractl.run.plausibility import CheckContext
+
+    shown = printable(str(path))
+    try:
+        loaded = load(path, sets)
+    except InvalidSpecError as error:
+        problems = [asdict(problem) for problem in error.problems]
+        return {"path": shown, "ok": False, "problems": problems}, error.lines()
+    experiment, warnings = loaded.experiment, warn(loaded, sets)
+    summary = {
+        "name": experiment.name,
+        "robots": len(experiment.robots),
+        "obstacles": len(experiment.obstacles),
+        "controller": experiment.controller.type,
+        "plant": experiment.plant.type,
+        "trials": experiment.trials.count,
+    }
+    line = ", ".join(f"{key} {value}" for key, value in summary.items())
+    fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
+    fields["warnings"] = [asdict(warning) for warning in warnings]
+    fields["least_total_error"] = CheckContext.of(experiment).least_total_error
+    return fields, [f"{shown}: ok: {line}"]
+
+
+def warm(
+    specs: Annotated[
+        list[Path] | None,
+        argument(
+            "[SPEC|STUDY]...",
+            "Specs and studies to compile for.  \\[the specs that `tetractl init` writes]",
+        ),
+    ] = None,
+    sets: Sets = None,
+) -> int:
+    """Compile the code that specs and studies need, with progress, so that their runs start at
+    once.
+
+    Compiled code is kept on this machine, for each kind of processor and each combination of
+    controller, optimiser and motion. Run this command again after a change of one of these.
+
+    Example: tetractl warm three-m3pi.yaml studies/slip.yaml
+    """
+    from time import perf_counter
+
+    from rich.console import Console
+
+    from tetractl.control.build import compiled_for, warm_up
+    from tetractl.core.cache import cache_folder
+
+    wanted: dict[str, list[Experiment]] = {}
+    for experiment in _experiments(specs or [], sets or []):
+        wanted.setdefault(compiled_for(experiment), []).append(experiment)
+    console = Console(stderr=True)
+    for number, (kinds, experiments) in enumerate(wanted.items(), start=1):
+        began_s = perf_counter()
+        with console.status(f"{number} of {len(wanted)}: compiling for {kinds}"):
+            for experiment in experiments:  # the first spec compiles most of the code
+                warm_up(experiment, lambda text: None)
+        print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
+    tell(f"kept in {cache_folder()}")
+    return Exit.DONE
+
+
+def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
+    """Yield the experiments to compile for: the specs, one arm per controller of each study, or,
+    without files, the templates of `tetractl init`.
+    """
+    from tetractl.experiment.load import parse_spec
+    from tetractl.study.load_study import is_study, load_study
+
+    if not files:
+        for kind in ("robots", "cells"):
+            yield parse_spec(template("warm", "warm", kind), "warm", sets).experiment
+    for file in files:
+        if is_study(file):
+            arms = load_study(file).arms
+            yield from {arm.controller: arm.spec.experiment for arm in arms}.values()
+        else:
+            yield load(file, sets).experiment
+
+
+def schema(
+    out: Annotated[Path | None, output("FILE", "File to write the schema to.")] = None,
+    study: Annotated[
+        bool, switch("--study", "Print the schema of a study in place of a spec's.")
+    ] = False,
+) -> None:
+    """Print the JSON schema of a spec, or of a study, for editors.
+
+    Example: tetractl schema -o experiment.schema.json
+    """
+    from tetractl.experiment.yaml.schema import experiment_schema, schema_json
+    from tetractl.study.load_study import study_schema
+
+    text = schema_json(study_schema() if study else experiment_schema())
+    if out is None:
+        print(text, end="")
+    else:
+        out.write_text(text, encoding="utf-8")

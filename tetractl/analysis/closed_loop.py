@@ -33,6 +33,7 @@ from tetractl.control.cost import predict
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
+from tetractl.experiment.abilities import Noisy
 from tetractl.experiment.plant import PlantSection
 
 NUDGE = 1e-4  # relative change of a and speed for a central difference
@@ -159,14 +160,11 @@ class Noise:
 
         An error uniform in [-e, e] has the standard deviation e / sqrt(3).
         """
-        measured = getattr(plant, "measurement_noise", None)
-        return cls(
-            a=getattr(plant, "a_error", 0.0) / np.sqrt(3),
-            speed=getattr(plant, "speed_error", 0.0) / np.sqrt(3),
-            walk=getattr(plant, "heading_noise", 0.0),
-            position=measured.position if measured else 0.0,
-            heading=measured.heading if measured else 0.0,
-        )
+        if not isinstance(plant, Noisy):
+            return cls(a=0.0, speed=0.0, walk=0.0, position=0.0, heading=0.0)
+        a, speed = plant.a_error / np.sqrt(3), plant.speed_error / np.sqrt(3)
+        measured = plant.measurement_noise
+        return cls(a, speed, plant.heading_noise, measured.position, measured.heading)
 
     @property
     def any(self) -> bool:
@@ -177,7 +175,7 @@ class Noise:
 def left_out(plant: PlantSection) -> tuple[str, ...]:
     """Return the names of a plant's disturbances that `Noise` does not contain."""
     names = ("dead_time", "lost_commands", "drive", "cells", "disturbances")
-    return tuple(name for name in names if getattr(plant, name, None))
+    return tuple(name for name, value in plant if name in names and value)
 
 
 def end_covariance(

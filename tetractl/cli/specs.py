@@ -213,7 +213,7 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
     line = ", ".join(f"{key} {value}" for key, value in summary.items())
     fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
     fields["warnings"] = [asdict(warning) for warning in warnings]
-    fields["least_total_error"] = CheckContext.of(experiment).least_total_error
+    fields["least_total_error"] = CheckContext(experiment).least_total_error
     return fields, [f"{shown}: ok: {line}"]
 
 

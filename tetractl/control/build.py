@@ -7,6 +7,7 @@ from collections.abc import Callable
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
+from tetractl.experiment.abilities import Modelled, Searches
 from tetractl.experiment.experiment import Experiment
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
@@ -56,6 +57,7 @@ def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:
 def compiled_for(experiment: Experiment) -> str:
     """Return the kinds for which a spec's code is compiled, such as "mpc, pso, exact"."""
     control = experiment.controller
-    optimizer = getattr(getattr(control, "optimizer", None), "type", None)
-    kinds = (control.type, optimizer, getattr(control, "motion", None))
-    return ", ".join(kind for kind in kinds if kind)
+    kinds = [control.type]
+    kinds += [control.optimizer.type] if isinstance(control, Searches) else []
+    kinds += [control.motion] if isinstance(control, Modelled) else []
+    return ", ".join(kinds)

@@ -14,6 +14,7 @@ from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
+from tetractl.experiment.abilities import LimitsLab
 from tetractl.experiment.base import (
     Finite,
     Length,
@@ -292,7 +293,7 @@ class Experiment(Model):
     def _loss(self) -> LossRule | None:
         if self.on_lost == "stop":
             return None
-        limits: LabLimits = getattr(self.plant, "limits", LabLimits())
+        limits = self.plant.limits if isinstance(self.plant, LimitsLab) else LabLimits()
         return LossRule(limits.untracked_abort, self.on_lost == "replace")
 
 

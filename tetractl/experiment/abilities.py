@@ -1,0 +1,92 @@
+"""What sections of controllers and plants may have besides their interface, for checks and
+predictions: ask by isinstance. A section of a plug-in has an ability if it has these fields.
+"""
+
+from typing import Protocol, runtime_checkable
+
+from tetractl.experiment.lab_section import LabLimits
+
+
+@runtime_checkable
+class PlansSignals(Protocol):
+    """A controller whose plans hold at most `horizon_max` signals, each for `signal_periods`
+    control periods."""
+
+    horizon_max: int
+    signal_periods: int
+
+
+@runtime_checkable
+class Modelled(Protocol):
+    """A controller or a plant that moves robots by a motion of this name."""
+
+    motion: str
+
+
+class Typed(Protocol):
+    """A section of a kind."""
+
+    type: str
+
+
+@runtime_checkable
+class Searches(Protocol):
+    """A controller that searches plans by an optimiser."""
+
+    optimizer: Typed
+
+
+@runtime_checkable
+class Estimating(Protocol):
+    """A controller that, if `estimate`, identifies robots and dead time while it drives."""
+
+    estimate: bool
+
+
+class Clearance(Protocol):
+    """The distance that plans keep to obstacles: `margin` besides the `radius` of a robot [length
+    unit]; whether an `adaptive` margin gives way, and whether it is kept to `walls` too."""
+
+    radius: float
+    margin: float
+    adaptive: bool
+    walls: bool
+
+
+@runtime_checkable
+class KeepsClear(Protocol):
+    """A controller whose plans keep a distance to obstacles."""
+
+    collision: Clearance
+
+
+@runtime_checkable
+class Delaying(Protocol):
+    """A plant with a stated time from a command to its effect [s]."""
+
+    dead_time: float
+
+
+class MeasurementErrors(Protocol):
+    """Standard deviations of a measured position [length unit] and heading [rad]."""
+
+    position: float
+    heading: float
+
+
+@runtime_checkable
+class Noisy(Protocol):
+    """A plant with stated disturbances: the largest relative errors of turning rate and speed, the
+    random walk of the heading [rad/sqrt(s)], and the errors of measurements."""
+
+    a_error: float
+    speed_error: float
+    heading_noise: float
+    measurement_noise: MeasurementErrors
+
+
+@runtime_checkable
+class LimitsLab(Protocol):
+    """A plant with the limits of a lab."""
+
+    limits: LabLimits

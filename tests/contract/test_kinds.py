@@ -5,7 +5,7 @@ from support.controllers import CONTROLLERS, SMALL
 from support.devices import ACTUATORS, CAMERAS
 from support.straight import install
 
-from tetractl.cli.init import template
+from tetractl.cli.specs import template
 from tetractl.core import registries
 from tetractl.core.registries import DISTURBANCES, MOTIONS, OPTIMIZERS
 from tetractl.experiment.load import parse_spec

@@ -7,18 +7,16 @@ import pytest
 
 from tetractl.emulate.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
 from tetractl.lab.cameras.optitrack.natnet_messages import (
-    BodyName,
     MessageKind,
     ModelDef,
     NatNetFrame,
     RigidBody,
     Version,
 )
-from tetractl.lab.cameras.optitrack.payloads import SIZED, packed, packed_name
-from tetractl.lab.cameras.optitrack.wire import datagram
+from tetractl.lab.cameras.optitrack.payloads import SIZED
+from tetractl.lab.cameras.optitrack.wire import datagram, packed, packed_name
 
-NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
-VERSIONS = [Version(*map(int, number.split("."))) for number in NUMBERS.split(" ")]
+VERSIONS = [Version.of(text) for text in ["3.0", "3.1", "4.0", "4.1", "4.2", "4.3"]]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 
 
@@ -36,7 +34,6 @@ class Clutter:
 
     marker_sets: tuple[tuple[str, tuple[tuple[float, float, float], ...]], ...] = ()
     other_markers: tuple[tuple[float, float, float], ...] = ()
-    body_markers: tuple[tuple[float, float, float], ...] = ()  # of every rigid body, before 3.0
     skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
     assets: tuple[
         tuple[int, tuple[RigidBody, ...], tuple[tuple[float, float, float], ...]], ...
@@ -47,7 +44,7 @@ class Clutter:
 
 
 def pack_full_frame(frame, version, rest):
-    """Pack a frame with all that a client skips; what the version does not have is left out."""
+    """Pack a frame with all that a client skips; assets only from 4.1 on."""
 
     def listed(parts):
         return packed("i", len(parts)) + b"".join(parts)
@@ -55,36 +52,28 @@ def pack_full_frame(frame, version, rest):
     def vectors(found):
         return [packed("3f", *at) for at in found]
 
-    def bodies(found, markers=()):
-        return [packed_body(body, version, markers) for body in found]
-
     def channels(device):
         rows = [packed(f"i{len(row)}f", len(row), *row) for row in device.samples]
         return packed("i", device.id) + listed(rows)
 
     def labelled(marker, at):
-        error = packed("f", 0.0) if version >= (3, 0) else b""
-        return packed("i3ffH", marker, *at, 0.01, 0) + error
+        return packed("i3ffHf", marker, *at, 0.01, 0, 0.0)
 
     def asset(number, found, markers):
         spots = [packed("i3ffHf", 1, *at, 0.01, 0, 0.0) for at in markers]
-        return packed("i", number) + listed(bodies(found)) + listed(spots)
+        return packed("i", number) + listed(list(map(packed_body, found))) + listed(spots)
 
-    always = Version(2, 6)
-    sections = (
-        (always, [packed_name(name) + listed(vectors(at)) for name, at in rest.marker_sets]),
-        (always, vectors(rest.other_markers)),
-        (always, bodies(frame.bodies, rest.body_markers)),
-        (
-            always,
-            [packed("i", n) + listed(bodies(b, rest.body_markers)) for n, b in rest.skeletons],
-        ),
-        (SIZED, [asset(*each) for each in rest.assets]),
-        (always, [labelled(*each) for each in rest.labelled_markers]),
-        (Version(2, 9), [channels(plate) for plate in rest.force_plates]),
-        (Version(2, 11), [channels(device) for device in rest.devices]),
-    )
-    parts = [section(found, version) for since, found in sections if version >= since]
+    sections = [
+        [packed_name(name) + listed(vectors(at)) for name, at in rest.marker_sets],
+        vectors(rest.other_markers),
+        [packed_body(body) for body in frame.bodies],
+        [packed("i", n) + listed(list(map(packed_body, found))) for n, found in rest.skeletons],
+        *([[asset(*each) for each in rest.assets]] if version >= SIZED else []),
+        [labelled(*each) for each in rest.labelled_markers],
+        [channels(plate) for plate in rest.force_plates],
+        [channels(device) for device in rest.devices],
+    ]
+    parts = [section(found, version) for found in sections]
     payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
     return datagram(MessageKind.FRAME, payload)
 
@@ -96,7 +85,6 @@ def full_frame(version):
     clutter = Clutter(
         marker_sets=(("green", (at, at)), ("all", (at,) * 5)),
         other_markers=(at,),
-        body_markers=(at, at, at),
         skeletons=((3, (body, body)), (4, ())),
         assets=((5, (body,), (at, at)),),
         labelled_markers=((1, at), (2, at)),
@@ -107,19 +95,14 @@ def full_frame(version):
 
 
 def full_modeldef(version, awkward=True):
-    """Return two rigid bodies behind data sets of every type whose layout is known."""
+    """Return two rigid bodies behind data sets of every type that is stepped over."""
     text = b"some name\0"
     others = [
         (0, text + struct.pack("<i", 2) + text + text),
         (2, text + struct.pack("<ii", 1, 0)),
-        (5, text + bytes(28)),
     ]
-    if version >= (3, 0) and awkward:
-        plate = struct.pack("<i", 1) + text + bytes(4 * (2 + 3 + 144 + 12 + 2))
-        others.append((3, plate + struct.pack("<i", 1) + text))
-    if version >= (3, 0):
-        others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
-    if version >= (4, 1) and awkward:
-        others.append((6, b"an asset that is stepped over"))
-    model = ModelDef((BodyName("green", 1), BodyName("blü", 2)))
+    if version >= (4, 1):
+        others.append((5, text + bytes(28)))
+        others += [(6, b"an asset that is stepped over")] * awkward
+    model = ModelDef((("green", 1), ("blü", 2)))
     return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))

@@ -12,18 +12,16 @@ from tetractl.lab.actuators.m3pi import broadcast, slave
 from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.actuators.xbee.frames import encode
 from tetractl.lab.cameras.optitrack.natnet_messages import (
-    BodyName,
     EchoResponse,
     ModelDef,
     NatNetFrame,
     Response,
     RigidBody,
     ServerInfo,
-    Ticks,
     Version,
 )
 
-VERSIONS = [Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
+VERSIONS = [Version(3, 0), Version(4, 0), Version(4, 1), Version(4, 3)]
 MS = 1_000_000  # ns
 ECHOED_NS = 1990 * MS  # when the ECHO that is answered was sent
 HZ = 10_000_000  # of the server's clock
@@ -44,21 +42,17 @@ def datagrams() -> list[bytes]:
     """Conversations with a server of each version, a datagram every half second."""
     found = []
     for i, version in enumerate(VERSIONS):
-        group = (239, 255, 42, 99)
         body = RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
         parts = [
-            pack_answer(
-                ServerInfo("Motive", (3, 1, 0, 0), (*version, 0, 0), HZ, 1511, True, group)
-            ),
-            pack_answer(Response(struct.pack("<f", 120.0))),  # to the odd question
+            pack_answer(ServerInfo("Motive", version, HZ, 1511)),
+            pack_answer(Response(struct.pack("<f", 1000.0))),  # to the odd question
             pack_answer(Response(struct.pack("<i", 2))),  # to the even one
-            pack_answer(ModelDef((BodyName("green", 7), BodyName("hand", 12))), version),
+            pack_answer(ModelDef((("green", 7), ("hand", 12))), version),
             pack_answer(EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
         ]
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000
-            ticks = Ticks(exposed, exposed + 1, exposed + 2) if version >= (3, 0) else None
-            parts.append(pack_answer(NatNetFrame(number, (body,), ticks=ticks), version))
+            parts.append(pack_answer(NatNetFrame(number, (body,), 0, exposed), version))
         found.append(bytes([i]) + b"".join(parts))
         found += [bytes([i]) + part for part in parts[-2:]]
     return found

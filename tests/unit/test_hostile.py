@@ -72,7 +72,7 @@ def test_good_conversations_come_through():
     whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
     assert len(whole) == len(targets.VERSIONS)
     assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4
-    assert all(stream.camera_rate_hz == 120 for stream in whole)
+    assert all(stream.unit_mm == 1000 for stream in whole)
 
 
 def test_a_promise_that_is_broken_is_noticed(monkeypatch):

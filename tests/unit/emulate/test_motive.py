@@ -23,7 +23,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     ServerInfo,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
-from tetractl.lab.cameras.optitrack.wire import pack, response_float, response_int
+from tetractl.lab.cameras.optitrack.wire import number_in, pack
 
 
 @pytest.fixture
@@ -42,15 +42,13 @@ def opened(tmp_path):
         thing.close()
 
 
-@pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
+@pytest.mark.parametrize("version", ["3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
 def test_handshake_models_and_frames(opened, version):
     lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
-    info = client.ask(Connect("a test"), ServerInfo)
+    info = client.ask(Connect(), ServerInfo)
     assert str(info.version) == version
     assert "EMULATED" in info.name
-    if info.version >= (3, 0):
-        assert info.data_port == lab.camera.motive.data_port
-        assert info.multicast is False
+    assert info.data_port == lab.camera.motive.data_port
     models = client.ask(Bare(MessageKind.REQUEST_MODELDEF), ModelDef)
     assert models.ids() == {"Green": 1, "blue": 7}
     first, second = client.next(NatNetFrame, 2)
@@ -66,15 +64,9 @@ def test_handshake_models_and_frames(opened, version):
 
 def test_requests(opened):
     _lab, client = opened()
-    assert response_float(client.ask(NatNetRequest("FrameRate"), Response)) == 120.0
-    assert response_float(client.ask(NatNetRequest("UnitsToMillimeters"), Response)) == 1000.0
-    assert response_int(client.ask(NatNetRequest("UpAxis"), Response)) == UpAxis.Y
+    assert number_in(client.ask(NatNetRequest("UnitsToMillimeters"), Response), "f") == 1000.0
+    assert number_in(client.ask(NatNetRequest("UpAxis"), Response), "i") == UpAxis.Y
     assert client.ask(NatNetRequest("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
-
-
-def test_up_axis_may_be_unknown(opened):
-    _, client = opened(script="emulation: {camera: {knows_up_axis: false}}")
-    assert client.ask(NatNetRequest("UpAxis"), Bare).kind is MessageKind.UNRECOGNIZED
 
 
 def test_echo_tells_a_clock_of_its_own(opened):
@@ -101,7 +93,7 @@ def test_unicast_clients_time_out_and_are_kept_alive(opened):
     turn_until(lab, lambda: not lab.camera.motive.clients)
     assert lab.camera.motive.timed_out == 1
     client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
-    client.ask(NatNetRequest("FrameRate"), Response)
+    client.ask(NatNetRequest("UpAxis"), Response)
     assert not lab.camera.motive.clients
     client.ask(Connect(), ServerInfo)
     client.next(NatNetFrame)
@@ -120,9 +112,7 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
         timeline.run_to(60_000_000_000)
     finally:
         motive.close()
-    delays = [
-        (ServerClock().ticks(now) - frame.ticks.exposure) / 10_000 for frame, now in sent
-    ]  # ms
+    delays = [(ServerClock().ticks(now) - frame.exposure) / 10_000 for frame, now in sent]  # ms
     gaps = [(b - a) / 1e6 for (_, a), (_, b) in pairwise(sent)]
     assert len(sent) == pytest.approx(7200, abs=2)
     assert statistics.mean(delays) == pytest.approx(5.4, abs=0.1)

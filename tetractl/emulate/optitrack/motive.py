@@ -5,27 +5,26 @@ multicast.
 import random
 import socket
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import EMULATED_NAME
-from tetractl.core.errors import SpecError, WireError
-from tetractl.emulate.optitrack.natnet_server import mangle, pack_any, parse_request
+from tetractl.core.errors import WireError
+from tetractl.emulate.optitrack.natnet_server import mangle, pack_answer, parse_request
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
-    BodyName,
+    ClientMessage,
     Connect,
     EchoRequest,
     EchoResponse,
-    Message,
     MessageKind,
     ModelDef,
     NatNetFrame,
@@ -33,7 +32,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Response,
     RigidBody,
     ServerInfo,
-    Ticks,
+    ServerMessage,
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis
@@ -62,8 +61,8 @@ class OptitrackSettings(Model):
     """Properties of the cameras that differ from the spec."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
-    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
+    """The camera server's protocol version, 3.0 or later; versions above 4.3 have the layout of 4.3
+    with longer descriptions of rigid bodies."""
     keeps_version: bool = False
     """Whether the server streams in its own version to clients that request another version."""
     frames_from: Ipv4 | None = None
@@ -84,10 +83,6 @@ class OptitrackSettings(Model):
     """Standard deviation of a body's position along each axis of the floor [mm]."""
     noise_rad: NonNegative = 0.0
     """Standard deviation of a body's heading [rad]."""
-    up: Literal["y", "z"] | None = None
-    """The cameras' vertical axis; by default the spec's, or y if the spec has none."""
-    knows_up_axis: bool = True
-    """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
     """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
     streamed."""
@@ -158,7 +153,7 @@ class Motive:
         section: OptitrackSection,
         settings: OptitrackSettings,
         up: UpAxis,
-        names: Sequence[BodyName],
+        names: Sequence[tuple[str, int]],
         expose: Callable[[], tuple[RigidBody, ...]],
     ) -> None:
         options = stage.options
@@ -171,9 +166,6 @@ class Motive:
             self.data_port = options.data_port
         self.multicast = section.transport == "multicast"
         self.own_version = Version.of(settings.version)
-        if self.own_version < (2, 5):
-            text = f"cannot emulate NatNet {self.own_version}"
-            raise SpecError(text, hint="use version 2.5 or later")
         self.trouble, self.clock = Trouble(), ServerClock()
         self.clients: dict[Address, Client] = {}
         self.frames = self.refused = self.models_asked = self.timed_out = 0
@@ -208,100 +200,8 @@ class Motive:
             if opened is not None:
                 opened.close()
 
-    def version(self, client: Address) -> Version:
-        """Return the protocol version in which a client is served."""
-        known = self.clients.get(client)
-        return known.version if known else self.own_version
-
-    def answer(self, message: Message, sender: Address, now_ns: int) -> Message | None:
-        """Return the answer to a message, None if the server gives no answer."""
-        if sender in self.clients:
-            self.clients[sender].heard_ns = now_ns
-        match message:
-            case Connect():
-                self._admit(message, sender, now_ns)
-                return self._info()
-            case EchoRequest(client):
-                return EchoResponse(client, self.clock.ticks(now_ns))
-            case NatNetRequest(text) if text.startswith("Bitstream,"):
-                return self._change_version(text.removeprefix("Bitstream,"), sender)
-            case NatNetRequest(text):
-                return self._reply(text)
-            case Bare(MessageKind.REQUEST_MODELDEF):
-                self.models_asked += 1
-                return ModelDef(self.names) if self.settings.answers_models else None
-            case Bare(MessageKind.DISCONNECT):
-                self.clients.pop(sender, None)
-        return None
-
-    def receivers(self, now_ns: int) -> list[tuple[Address, Version]]:
-        """Return the addresses to which frames are sent, each with its protocol version; in
-        unicast, first drop the clients that have been silent for too long.
-        """
-        if self.multicast:
-            return [((self.section.group, self.data_port), self.own_version)]
-        for address, client in list(self.clients.items()):
-            if now_ns - client.heard_ns > CLIENT_TIMEOUT_NS:
-                del self.clients[address]
-                self.timed_out += 1
-        return [(address, client.version) for address, client in self.clients.items()]
-
-    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
-        if sender not in self._greeted:
-            self._greeted.add(sender)
-            self._stage.client(f"{sender[0]}:{sender[1]}")
-        if self.multicast:
-            return
-        version = self.own_version
-        if message.bitstream is not None and self._can_change(asked := message.bitstream[:2]):
-            version = Version(*asked)
-        self.clients[sender] = Client(version, now_ns)
-
-    def _can_change(self, asked: tuple[int, int]) -> bool:
-        """Return whether a unicast client may choose a version; servers before 4.0 do not allow
-        that.
-        """
-        version = Version(*asked)
-        if self.settings.keeps_version:
-            return False
-        return (4, 0) <= self.own_version >= version and version.known
-
-    def _change_version(self, text: str, sender: Address) -> Message:
-        major, _, minor = text.partition(".")
-        known = self.clients.get(sender)
-        numbers = major.isdecimal() and minor.isdecimal()
-        if known and numbers and self._can_change((int(major), int(minor))):
-            known.version = Version(int(major), int(minor))
-            return Response(struct.pack("<i", 0))
-        return Response(struct.pack("<i", 1))
-
-    def _info(self) -> ServerInfo:
-        a, b, c, d = (int(part) for part in self.section.group.split("."))
-        major, minor = self.own_version
-        return ServerInfo(
-            f"Motive ({EMULATED_NAME})",
-            (3, 0, 0, 0),
-            (major, minor, 0, 0),
-            CLOCK_HZ,
-            self.data_port,
-            self.multicast,
-            (a, b, c, d),
-        )
-
-    def _reply(self, text: str) -> Message:
-        match text:
-            case "FrameRate":
-                return Response(struct.pack("<f", self.settings.rate))
-            case "UnitsToMillimeters":
-                return Response(struct.pack("<f", self.settings.unit_mm))
-            case "UpAxis" if self.settings.knows_up_axis:
-                return Response(struct.pack("<i", self.up))
-            case _:
-                return Bare(MessageKind.UNRECOGNIZED)
-
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
-        assert self.command is not None, "it is open"
         for _ in range(DATAGRAMS_A_TURN):
             try:
                 asked, sender = self.command.recvfrom(65_535)
@@ -317,9 +217,60 @@ class Motive:
             except WireError:
                 self.refused += 1
                 continue
-            answer = self.answer(message, sender, self.timeline.now_ns)
+            answer = self._answer(message, sender, self.timeline.now_ns)
             if answer is not None:
-                self._send(self.command, pack_any(answer, self.version(sender)), sender)
+                known = self.clients.get(sender)
+                version = known.version if known else self.own_version
+                self._send(self.command, pack_answer(answer, version), sender)
+
+    def _answer(self, message: ClientMessage, sender: Address, now_ns: int) -> ServerMessage | None:
+        """Return the answer to a message, None if the server gives no answer."""
+        if sender in self.clients:
+            self.clients[sender].heard_ns = now_ns
+        match message:
+            case Connect():
+                self._admit(message, sender, now_ns)
+                name = f"Motive ({EMULATED_NAME})"
+                return ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
+            case EchoRequest(client):
+                return EchoResponse(client, self.clock.ticks(now_ns))
+            case NatNetRequest("UnitsToMillimeters"):
+                return Response(struct.pack("<f", self.settings.unit_mm))
+            case NatNetRequest("UpAxis"):
+                return Response(struct.pack("<i", self.up))
+            case NatNetRequest():
+                return Bare(MessageKind.UNRECOGNIZED)
+            case Bare(MessageKind.REQUEST_MODELDEF):
+                self.models_asked += 1
+                return ModelDef(self.names) if self.settings.answers_models else None
+            case Bare(MessageKind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
+        """Add a client; from 4.0 on, a unicast client may choose a version."""
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._stage.client(f"{sender[0]}:{sender[1]}")
+        if self.multicast:
+            return
+        version, own = message.version, self.own_version
+        chosen = message.pinned and not self.settings.keeps_version
+        chosen = chosen and (4, 0) <= own >= version and version.known
+        self.clients[sender] = Client(version if chosen else own, now_ns)
+
+    def _receivers(self, now_ns: int) -> Iterator[tuple[Address, Version]]:
+        """Yield the addresses to which frames are sent, each with its protocol version; in
+        unicast, first drop the clients that have been silent for too long.
+        """
+        if self.multicast:
+            yield (self.section.group, self.data_port), self.own_version
+        for address, client in list(self.clients.items()):
+            if now_ns - client.heard_ns > CLIENT_TIMEOUT_NS:
+                del self.clients[address]
+                self.timed_out += 1
+            else:
+                yield address, client.version
 
     def _plan(self) -> None:
         due = self._start_ns + round(self._exposures * SECOND / self.settings.rate)
@@ -328,44 +279,35 @@ class Motive:
 
     def _take(self) -> None:
         """Expose one frame, and schedule its sending after the server's latency."""
-        now = self.timeline.now_ns
+        exposed = now = self.timeline.now_ns
         number = self._exposures - self.trouble.counter
         self._stage.exposed(self._exposures, number)
         s, jitter = self.settings, self._random
         delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
         if jitter.random() < 1 / 250:
             delay += jitter.uniform(0, 0.45 / s.rate)
-        leaves = now + round(delay * SECOND)
-        exposed = now
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
-        ticks = self.clock.ticks
-        frame = NatNetFrame(
-            number,
-            self._expose(),
-            params=MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode,
-            ticks=Ticks(ticks(exposed), ticks(now + round(0.6 * delay * SECOND)), 0),
-        )
-        self.timeline.at(leaves, partial(self._transmit, self._exposures, frame))
+        params = MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode
+        frame = NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
+        leaves = now + round(delay * SECOND)
+        self.timeline.at(leaves, partial(self._leave, self._exposures, frame))
         self._plan()
 
-    def _transmit(self, exposure: int, frame: NatNetFrame) -> None:
-        now = self.timeline.now_ns
+    def _leave(self, exposure: int, frame: NatNetFrame) -> None:
         if self.trouble.frozen and self._last is not None:
             frame = self._last
         self._last = frame
         if not (self.trouble.silent or self.trouble.no_frames):
-            self._stream(frame, now)
+            self._stream(frame, self.timeline.now_ns)
         self._stage.sent(exposure)
 
     def _stream(self, frame: NatNetFrame, now: int) -> None:
-        if frame.ticks is not None:
-            frame = replace(frame, ticks=replace(frame.ticks, transmit=self.clock.ticks(now)))
         packed: dict[Version, bytes] = {}
-        for address, version in self.receivers(now):
+        for address, version in self._receivers(now):
             if version not in packed:
-                packed[version] = pack_any(frame, self.trouble.version or version)
+                packed[version] = pack_answer(frame, self.trouble.version or version)
             message = packed[version]
             if self.trouble.damaged and self._random.random() < self.trouble.damaged:
                 message = mangle(message, self._random)
@@ -373,7 +315,6 @@ class Motive:
         self.frames += 1
 
     def _send(self, sender: Any, data: bytes, to: Address) -> None:
-        assert sender is not None, "it is open"
         with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
             sender.sendto(data, to)
 

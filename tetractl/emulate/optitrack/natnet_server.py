@@ -2,17 +2,16 @@
 
 from collections.abc import Sequence
 from random import Random
+from struct import Struct
 
-from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
     OLDEST,
     Bare,
-    BodyName,
+    ClientMessage,
     Connect,
     EchoRequest,
     EchoResponse,
-    Message,
     MessageKind,
     ModelDef,
     NatNetFrame,
@@ -20,100 +19,74 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Response,
     RigidBody,
     ServerInfo,
-    Ticks,
-    Vec3,
+    ServerMessage,
     Version,
 )
-from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, SIZED, packed, packed_name
+from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, SIZED
 from tetractl.lab.cameras.optitrack.wire import (
+    ECHO,
     SENDER,
+    SERVER_INFO,
     datagram,
-    quad,
+    packed,
+    packed_name,
     read_sender,
     read_text,
     sender,
     split,
-    u64,
+    unpacked,
 )
 
-CONNECT_4 = SENDER + 5  # from 4.x clients: u8 subscribed only, bitstream version[4]
+BITSTREAM = Struct("<?4B")  # from 4.x clients: subscribed only, the requested version
 GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 MEAN_ERROR_M = 0.0002  # mean marker error of a tracked body
 
 
-def parse_request(received: bytes) -> Message:
+def parse_request(received: bytes) -> ClientMessage:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
-        case MessageKind.CONNECT if len(payload) < SENDER:  # minimal clients send only a name
-            return Connect(read_text(payload))
-        case MessageKind.CONNECT if len(payload) < CONNECT_4:
-            return Connect(*read_sender(payload))
+        case MessageKind.CONNECT if len(payload) <= SENDER.size:
+            return Connect(read_sender(payload)[1])
         case MessageKind.CONNECT:
-            subscribed = payload[SENDER] != 0
-            return Connect(*read_sender(payload), subscribed, quad(payload, SENDER + 1))
+            _, *asked = unpacked(BITSTREAM, payload[SENDER.size :])
+            return Connect(Version(*asked[:2]), pinned=True)
         case MessageKind.REQUEST:
             return NatNetRequest(read_text(payload))
         case MessageKind.ECHO_REQUEST:
-            return EchoRequest(u64(payload, 0, 8))
+            return EchoRequest(*unpacked(Struct("<Q"), payload))
         case _:
             return Bare(kind)
 
 
-def pack_answer(message: Message, version: Version | None = None) -> bytes:
-    """Pack one datagram of the server; for frames and models, `version` must be 2.6 to 4.3."""
+def pack_answer(message: ServerMessage, version: Version = NEWEST) -> bytes:
+    """Pack one datagram of the server; versions after 4.3 are packed as 4.3, with descriptions of
+    bodies that have grown.
+    """
     match message:
-        case NatNetFrame() if version is not None:
+        case NatNetFrame():
             return datagram(MessageKind.FRAME, pack_frame(message, version))
-        case ModelDef() if version is not None:
-            return datagram(MessageKind.MODELDEF, pack_modeldef(message, version))
-        case ServerInfo():
-            return datagram(MessageKind.SERVER_INFO, _server_info(message))
+        case ModelDef():
+            grown = GROWN if version > NEWEST else b""
+            return datagram(MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown))
+        case ServerInfo(name, own, clock_hz, port):
+            info = SERVER_INFO.pack(clock_hz, port) if own >= OLDEST else b""
+            return datagram(MessageKind.SERVER_INFO, sender(name, own) + info)
         case Response(payload):
             return datagram(MessageKind.RESPONSE, payload)
         case EchoResponse(client, server):
-            return datagram(MessageKind.ECHO_RESPONSE, packed("QQ", client, server))
-        case Bare(MessageKind.UNRECOGNIZED as kind):
+            return datagram(MessageKind.ECHO_RESPONSE, ECHO.pack(client, server))
+        case Bare(kind):
             return datagram(kind, b"")
-        case _:
-            raise WireError(f"a server does not send {type(message).__name__}")
-
-
-def pack_any(message: Message, version: Version) -> bytes:
-    """Pack a message in a protocol version; versions before 2.6 are packed as 2.6, versions after
-    4.3 as 4.3.
-    """
-    if version > NEWEST and isinstance(message, ModelDef):
-        return datagram(MessageKind.MODELDEF, pack_modeldef(message, NEWEST, grown=GROWN))
-    return pack_answer(message, max(OLDEST, min(version, NEWEST)))
-
-
-def _server_info(info: ServerInfo) -> bytes:
-    payload = sender(info.name, info.app_version, info.natnet_version)
-    if info.version < (3, 0):
-        return payload
-    group = info.group or (0, 0, 0, 0)
-    return payload + packed(
-        "QH?4B", info.clock_hz or 0, info.data_port or 0, info.multicast, *group
-    )
 
 
 def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
     """Pack a frame's payload: rigid bodies, and all other sections empty."""
-    if not version.known:
-        raise WireError(f"protocol {version} cannot be packed")
-    bodies = [packed_body(body, version) for body in frame.bodies]
-    after = 2 + (version >= SIZED) + (version >= (2, 9)) + (version >= (2, 11))
+    bodies = [packed_body(body) for body in frame.bodies]
     empty = section([], version)
-    return b"".join(
-        (
-            packed("i", frame.number),
-            empty * 2,  # marker sets and other markers
-            section(bodies, version),
-            empty * after,  # skeletons, assets, labelled markers, force plates, devices
-            suffix(frame, version),
-        )
-    )
+    after = 5 if version >= SIZED else 4  # skeletons, assets, labelled markers, plates, devices
+    parts = packed("i", frame.number), empty * 2, section(bodies, version), empty * after
+    return b"".join((*parts, suffix(frame, version)))
 
 
 def section(parts: Sequence[bytes], version: Version) -> bytes:
@@ -123,24 +96,17 @@ def section(parts: Sequence[bytes], version: Version) -> bytes:
     return head + b"".join(parts)
 
 
-def packed_body(body: RigidBody, version: Version, markers: Sequence[Vec3] = ()) -> bytes:
-    """Pack a rigid body, in versions before 3.0 with its markers."""
-    parts = [packed("i7f", body.id, *body.position, *body.quaternion)]
-    if version < (3, 0):
-        parts.append(packed("i", len(markers)) + b"".join(packed("3f", *at) for at in markers))
-        parts.append(packed(f"{len(markers)}i", *range(len(markers))))
-        parts.append(packed(f"{len(markers)}f", *[0.01] * len(markers)))
+def packed_body(body: RigidBody) -> bytes:
+    """Pack a rigid body."""
     error = MEAN_ERROR_M if body.tracking_valid else 0.0
-    return b"".join((*parts, packed("fH", error, body.tracking_valid)))
+    where = *body.position, *body.quaternion
+    return packed("i7ffH", body.id, *where, error, body.tracking_valid)
 
 
 def suffix(frame: NatNetFrame, version: Version) -> bytes:
-    """Pack a frame's suffix: ticks and params, and zeros for timecode, latency and time stamp."""
-    if version < (3, 0):
-        return packed("fIIfHi" if version < (2, 7) else "fIIdHi", 0.0, 0, 0, 0.0, frame.params, 0)
-    ticks = frame.ticks or Ticks(0, 0, 0)
-    stamps = packed("IId3Q", 0, 0, 0.0, ticks.exposure, ticks.received, ticks.transmit)
-    return stamps + (bytes(8) if version >= SIZED else b"") + packed("Hi", frame.params, 0)
+    """Pack a frame's suffix: exposure and params, and zeros for all other times."""
+    sized = bytes(8) if version >= SIZED else b""
+    return packed("IId3Q", 0, 0, 0.0, frame.exposure, 0, 0) + sized + packed("Hi", frame.params, 0)
 
 
 def pack_modeldef(
@@ -155,9 +121,7 @@ def pack_modeldef(
 
     `grown` is appended to each body's description, as a newer protocol would do.
     """
-    if not version.known:
-        raise WireError(f"protocol {version} cannot be packed")
-    described = (_packed_body(body, version, markers) + grown for body in model.bodies)
+    described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
     parts = [packed("i", len(sets))]
     for kind, data in sets:
@@ -166,13 +130,12 @@ def pack_modeldef(
     return b"".join(parts)
 
 
-def _packed_body(body: BodyName, version: Version, markers: int) -> bytes:
-    parts = [packed_name(body.name), packed("ii3f", body.id, -1, 0.0, 0.0, 0.0)]
+def _packed_body(name: str, number: int, version: Version, markers: int) -> bytes:
+    parts = [packed_name(name), packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
         parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))
-    if version >= (3, 0):
-        parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
-        parts.append(packed(f"{markers}i", *range(1, markers + 1)))
+    parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
+    parts.append(packed(f"{markers}i", *range(1, markers + 1)))
     if version >= (4, 0):
         parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
     return b"".join(parts)

@@ -3,6 +3,7 @@ bodies.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from operator import attrgetter
 from random import Random
 from typing import Annotated, Any, ClassVar, Literal
@@ -12,23 +13,13 @@ from pydantic import Field
 from tetractl.core.clock import SECOND
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.optitrack.motive import (
-    Motive,
-    OptitrackSettings,
-    ServerClock,
-    Trouble,
-    TrueBody,
-)
-from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, expose
+from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock, TrueBody
+from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, halved, nowhere, rolled
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
-from tetractl.lab.cameras.optitrack.natnet_messages import BodyName, Version
+from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
-
-
-def _trouble(device: Any, fault: Any) -> Trouble:
-    return device.motive.trouble
 
 
 def _body(device: Any, fault: Any) -> TrackedBody:
@@ -39,10 +30,18 @@ def _clock(device: Any, fault: Any) -> ServerClock:
     return device.motive.clock
 
 
-def _walk(fault: Any, device: Any) -> Undo:
-    own, start = fault.axes == "robot", (0.0, 0.0)
-    body = _body(device, fault)
-    return setting(body, step=fault.by, shift=start, own=own, turn=fault.turn, turned=0.0)
+def _trouble(
+    name: str, about: str, visible: Visible, fields: Mapping[str, Any] = {}, **values: object
+) -> type[Fault]:
+    """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
+    return fault(name, about, settings(lambda d, f: d.motive.trouble, **values), visible, **fields)
+
+
+def _of_body(
+    name: str, about: str, fields: Mapping[str, Any] = {}, **values: object
+) -> type[Fault]:
+    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
+    return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
 
 
 def _repeat(fault: Any, device: Any) -> Undo:
@@ -74,58 +73,75 @@ def _twin(fault: Any, device: Any) -> Undo:
 
 
 SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
-
-
-def _body_fault(name: str, about: str, fields: Mapping[str, Any] = {}, **values: object) -> Any:
-    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
-    return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
-
-
 Frames = Annotated[int, Field(ge=1, le=1_000_000)]
 Axes = Literal["floor", "robot"]
 FAULTS = (
-    fault("no_server", "The server sends nothing.", settings(_trouble, silent=True), SENT),
-    fault("no_frames", "No frames are sent.", settings(_trouble, no_frames=True), SENT),
-    fault("freeze", "The same frame is sent repeatedly.", settings(_trouble, frozen=True), SENT),
-    fault(
+    _trouble("no_server", "The server sends nothing.", SENT, silent=True),
+    _trouble("no_frames", "No frames are sent.", SENT, no_frames=True),
+    _trouble("freeze", "The same frame is sent repeatedly.", SENT, frozen=True),
+    _trouble(
         "counter_back",
         "The frame number goes back by this number.",
-        settings(_trouble, counter=attrgetter("frames")),
         EXPOSED,
-        frames=Frames,
+        {"frames": Frames},
+        counter=attrgetter("frames"),
     ),
-    fault("edit_mode", "Motive is in edit mode.", settings(_trouble, edit_mode=True), EXPOSED),
-    fault(
+    _trouble("edit_mode", "Motive is in edit mode.", EXPOSED, edit_mode=True),
+    _trouble(
         "bad_datagrams",
         "A fraction of the frames is damaged.",
-        settings(_trouble, damaged=attrgetter("share")),
         SENT,
-        share=Share,
+        {"share": Share},
+        damaged=attrgetter("share"),
     ),
-    fault(
+    _trouble(
         "other_version",
         "Frames have another protocol version than the server reports.",
-        settings(_trouble, version=lambda f: Version.of(f.version)),
         SENT,
-        version=VersionText,
+        {"version": VersionText},
+        version=lambda f: Version.of(f.version),
     ),
-    _body_fault("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
-    _body_fault(
+    _trouble(
+        "outdated",
+        "This number of frames has exposure times that are too early by this time [s].",
+        EXPOSED,
+        {"by": Positive, "frames": (Frames, 1)},
+        outdated=attrgetter("frames"),
+        outdated_s=attrgetter("by"),
+    ),
+    _of_body("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
+    _of_body(
         "jump",
         "A body's pose jumps by this distance [mm].",
-        shift=attrgetter("by"),
-        fields={"by": Point},
+        {"by": Point},
+        shift=lambda f: complex(*f.by),
     ),
-    fault(
+    _of_body(
         "ghost",
         "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
         "frame, along the spec's axes or along and left of the robot's heading.",
-        _walk,
-        EXPOSED,
-        robot=Name,
-        by=Point,
-        axes=(Axes, "floor"),
-        turn=(Finite, 0.0),
+        {"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
+        step=lambda f: complex(*f.by),
+        own=lambda f: f.axes == "robot",
+        turn=attrgetter("turn"),
+        shift=0j,
+        turned=0.0,
+    ),
+    _of_body(
+        "lifted",
+        "A body is seen at this height above the floor [mm].",
+        {"height": Finite},
+        height=attrgetter("height"),
+    ),
+    _of_body(
+        "tipped",
+        "A body is seen rolled about its own x axis by this angle [rad].",
+        {"angle": Finite},
+        change=lambda f: rolled(f.angle),
+    ),
+    _of_body("nan", "A body's position is not a number.", change=lambda f: nowhere),
+    _of_body(
+        "bad_quaternion", "A body's quaternion does not have norm 1.", change=lambda f: halved
     ),
     fault(
         "repeat",
@@ -134,29 +150,8 @@ FAULTS = (
         EXPOSED,
         robot=(Name | None, None),
     ),
-    _body_fault(
-        "lifted",
-        "A body is seen at this height above the floor [mm].",
-        height=attrgetter("height"),
-        fields={"height": Finite},
-    ),
-    _body_fault(
-        "tipped",
-        "A body is seen rolled about its own x axis by this angle [rad].",
-        roll=attrgetter("angle"),
-        fields={"angle": Finite},
-    ),
-    fault(
-        "outdated",
-        "This number of frames has exposure times that are too early by this time [s].",
-        settings(_trouble, outdated=attrgetter("frames"), outdated_s=attrgetter("by")),
-        EXPOSED,
-        by=Positive,
-        frames=(Frames, 1),
-    ),
     fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    _body_fault("nan", "A body's position is not a number.", nan=True),
-    _body_fault("bad_quaternion", "A body's quaternion does not have norm 1.", norm=0.5),
+    fault("twin_id", "A body has the id of another body.", _twin, EXPOSED, robot=Name, other=Name),
     fault("clock_jump", "The server's clock is set forward by a time [s].", _set_clock, by=Finite),
     fault(
         "clock_rate",
@@ -164,7 +159,6 @@ FAULTS = (
         _run_clock,
         rate=Positive,
     ),
-    fault("twin_id", "A body has the id of another body.", _twin, EXPOSED, robot=Name, other=Name),
 )
 
 
@@ -177,19 +171,13 @@ class EmulatedOptitrack:
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
         section = stage.lab.camera
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
-        self.swapped: set[int] = set()
-        hidden = {robot.name for robot in settings.robots if not robot.streamed}
+        self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
         self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
-        self.hidden = {body.id for body in self.tracked if body.robot.name in hidden}
-        self.view = _view(stage, section, settings)
-        self.motive = Motive(
-            stage,
-            section,
-            settings,
-            self.view.up,
-            [BodyName(body.body_name, body.id) for body in self.tracked],
-            lambda: expose(self.tracked, self.view, self.swapped, self.hidden),
-        )
+        up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        x, y = section.origin
+        self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
+        names = [(body.body_name, body.id) for body in self.tracked]
+        self.motive = Motive(stage, section, settings, up, names, self._expose)
         self.join = stage.wires.make_socket
 
     def open(self, loop: Loop) -> Facts:
@@ -223,6 +211,16 @@ class EmulatedOptitrack:
         """Return the index of the robot with this name."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
+    def _expose(self) -> tuple[RigidBody, ...]:
+        """Return the bodies as the cameras report them now."""
+        bodies = [each.expose(self.view) for each in self.tracked]
+        if len(self.swapped) == 2:
+            i, j = self.swapped
+            one, other = bodies[i], bodies[j]
+            bodies[i], bodies[j] = replace(other, id=one.id), replace(one, id=other.id)
+        streamed = {body.id for body in self.tracked if body.streamed}
+        return tuple(body for body in bodies if body.id in streamed)
+
 
 def _tracked(
     section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body], random: Random
@@ -239,12 +237,6 @@ def _tracked(
         named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
-        found.append(TrackedBody(body, number, named, offset, noise, random))
+        streamed = truth.streamed
+        found.append(TrackedBody(body, number, named, offset, noise, random, streamed))
     return found
-
-
-def _view(stage: Stage, section: OptitrackSection, settings: OptitrackSettings) -> View:
-    """Return the cameras' axes; the vertical axis is the settings', else the spec's, else y."""
-    up = UpAxis.Z if (settings.up or section.up_axis) == "z" else UpAxis.Y
-    x, y = section.origin
-    return View(up, (x * stage.mm, y * stage.mm), section.rotation)

@@ -9,9 +9,8 @@ import socket
 import struct
 import sys
 import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
-from functools import partial
 from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -25,9 +24,9 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
     OLDEST,
     Bare,
+    ClientMessage,
     Connect,
     EchoRequest,
-    Message,
     MessageKind,
     NatNetFrame,
     NatNetRequest,
@@ -37,17 +36,17 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
-from tetractl.lab.cameras.optitrack.stream import FRAME_RATE, UNITS, UP_AXIS, Stream
+from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
-ASKED_MAX = 4  # largest number of requests for each piece of optional information
+ASKED_MAX = 4  # largest number of requests for the unit of length, which some servers ignore
 MODELS_MAX_NS = 8 * SECOND  # longest interval between requests for models that keep changing
 KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
 FIRST_ECHO_NS = SECOND // 50
-KEPT = 4096  # largest number of frames kept until they are fetched
+FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.02
 BUFFER = 1 << 18
 
@@ -80,20 +79,14 @@ class OptitrackCamera:
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement.of(section, setup.metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
-        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._fresh: deque[CameraFrame] = deque(maxlen=FRAMES_KEPT)
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
-        self._asked: Counter[str] = Counter()
-        self._echoes = 0
+        self._units_asked = self._echoes = 0
         self._models_asked_ns = -MODELS_MAX_NS
         self._models_wait_ns = ASK_NS
         self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
-
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame, None before the first."""
-        return self.stream.newest
 
     @property
     def damaged(self) -> int:
@@ -141,8 +134,8 @@ class OptitrackCamera:
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
         if stream.version is not None and stream.version < OLDEST:
-            raise diagnosis.no_tracking_flag(stream.version)
-        if not self._wait(lambda: self.newest is not None, timeout_s):
+            raise diagnosis.too_old(stream.version)
+        if not self._wait(lambda: stream.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
         self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)
         if stream.up is None:
@@ -256,15 +249,13 @@ class OptitrackCamera:
         """
         stream = self.stream
         if stream.info is None:
-            self._every("connect", ASK_NS, self._connect)
+            pinned = self._pinned
+            self._every("connect", ASK_NS, lambda: Connect(pinned or NEWEST, pinned is not None))
             return
         if stream.up is None:
             self._every("ask", ASK_NS, lambda: NatNetRequest(UP_AXIS))
-        else:
-            for text, known in ((UNITS, stream.unit_mm), (FRAME_RATE, stream.camera_rate_hz)):
-                if known is None and self._asked[text] < ASKED_MAX:
-                    self._asked[text] += self._every("ask", ASK_NS, partial(NatNetRequest, text))
-                    break
+        elif stream.unit_mm is None and self._units_asked < ASKED_MAX:
+            self._units_asked += self._every("ask", ASK_NS, lambda: NatNetRequest(UNITS))
         self._ask_models()
         if self._unicast:
             self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
@@ -291,12 +282,7 @@ class OptitrackCamera:
             self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if known else ASK_NS
             self._ask(Bare(MessageKind.REQUEST_MODELDEF))
 
-    def _connect(self) -> Connect:
-        pinned = (self._pinned.major, self._pinned.minor, 0, 0) if self._pinned else None
-        natnet = pinned or (NEWEST.major, NEWEST.minor, 0, 0)
-        return Connect("tetractl", (0, 1, 0, 0), natnet, False, pinned)
-
-    def _every(self, what: str, period_ns: int, message: Callable[[], Message]) -> bool:
+    def _every(self, what: str, period_ns: int, message: Callable[[], ClientMessage]) -> bool:
         now = self._clock.now()
         if now < self._due.get(what, -1):
             return False
@@ -304,11 +290,11 @@ class OptitrackCamera:
         self._ask(message())
         return True
 
-    def _ask(self, message: Message) -> None:
+    def _ask(self, message: ClientMessage) -> None:
         self.stream.asked(message)
         self._send(message)
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: ClientMessage) -> None:
         data = pack(message)
         try:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))

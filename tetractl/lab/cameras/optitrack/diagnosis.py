@@ -3,13 +3,12 @@
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
+from tetractl.lab.cameras.optitrack.payloads import SIZED
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 
-LAYOUTS = tuple(Version(*v) for v in ((2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (4, 1)))
-"""The first protocol version of each layout of frames."""
 SHOWN = 12  # largest number of rigid bodies listed in a message
 
 
@@ -85,7 +84,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     first.
     """
     own = [] if stream.info is None else [stream.info.version]
-    for version in (*own, *reversed(LAYOUTS)):
+    for version in (*own, SIZED, OLDEST):  # the two layouts of frames
         try:
             parse(frame, version)
         except WireError:
@@ -94,12 +93,12 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     return "no known protocol"
 
 
-def no_tracking_flag(version: Version) -> AbortError:
-    """Return the error for a version whose frames do not state which bodies are tracked."""
+def too_old(version: Version) -> AbortError:
+    """Return the error for a version whose frames do not state when they were exposed."""
     return AbortError(
-        f"the camera server uses protocol {version}, whose frames do not state which bodies are "
-        "tracked: a lost robot would look like one that stands",
-        f"update Motive to a version with NatNet {OLDEST} or later (Motive 1.7)",
+        f"the camera server uses protocol {version}, whose frames do not state when they were "
+        "exposed: a run could not check their age",
+        f"update Motive to a version with NatNet {OLDEST} or later (Motive 2.0)",
     )
 
 
@@ -132,7 +131,7 @@ def no_names(stream: Stream, timeout_s: float) -> AbortError:
 
 def bodies(stream: Stream) -> str:
     """Return a line that lists the rigid bodies that the server has named or streamed."""
-    named = {} if stream.model is None else {body.id: body.name for body in stream.model.bodies}
+    named = {} if stream.model is None else {number: name for name, number in stream.model.bodies}
     every = tuple(dict.fromkeys((*named, *stream.seen)))
     shown = [_body(number, named.get(number), number in stream.seen) for number in every[:SHOWN]]
     more = [f"{len(every) - SHOWN} more"] if len(every) > SHOWN else []

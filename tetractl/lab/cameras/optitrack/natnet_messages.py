@@ -4,14 +4,11 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple, Self
 
-MULTICAST_GROUP = "239.255.42.99"
-
-Quad = tuple[int, int, int, int]
 Vec3 = tuple[float, float, float]
 
 
 class Version(NamedTuple):
-    """A protocol version: 2.10 is newer than 2.9."""
+    """A protocol version."""
 
     major: int
     minor: int
@@ -31,7 +28,7 @@ class Version(NamedTuple):
         return f"{self.major}.{self.minor}"
 
 
-OLDEST = Version(2, 6)  # frames of older versions do not say which bodies are tracked
+OLDEST = Version(3, 0)  # frames of older versions do not say when they were exposed
 NEWEST = Version(4, 3)
 
 
@@ -69,25 +66,16 @@ class RigidBody:
 
 
 @dataclass(frozen=True, slots=True)
-class Ticks:
-    """Times of a frame, in ticks of the server's clock; servers send them from NatNet 3.0 on.
+class NatNetFrame:
+    """One camera frame; `exposure` is the middle of its exposure, in ticks of the server's clock.
 
     `ServerInfo.clock_hz` is the number of ticks per second.
     """
 
-    exposure: int  # middle of the exposure [ticks]
-    received: int  # when the server had the camera data [ticks]
-    transmit: int  # when the datagram was sent [ticks]
-
-
-@dataclass(frozen=True, slots=True)
-class NatNetFrame:
-    """One camera frame; `ticks` is None before NatNet 3.0."""
-
     number: int
     bodies: tuple[RigidBody, ...]
     params: int = 0
-    ticks: Ticks | None = None
+    exposure: int = 0
 
     @property
     def models_changed(self) -> bool:
@@ -101,63 +89,46 @@ class NatNetFrame:
 
 
 @dataclass(frozen=True, slots=True)
-class BodyName:
-    """A rigid body's name and the id it has in frames."""
-
-    name: str
-    id: int
-
-
-@dataclass(frozen=True, slots=True)
 class ModelDef:
-    """The rigid bodies a server streams.
+    """The rigid bodies a server streams: pairs of a name and the id it has in frames.
 
     `complete` is False if reading ended early at a data set of unknown layout and size, which is
     possible before NatNet 4.1: the server may then stream bodies that are missing here.
     """
 
-    bodies: tuple[BodyName, ...]
+    bodies: tuple[tuple[str, int], ...]
     complete: bool = True
 
     def ids(self) -> dict[str, int]:
         """Return the ids of the bodies by name."""
-        return {body.name: body.id for body in self.bodies}
+        return dict(self.bodies)
 
 
 @dataclass(frozen=True, slots=True)
 class Connect:
-    """The client's first message; in unicast, from NatNet 4.0 on, `bitstream` requests a protocol
-    version.
+    """The client's first message. In unicast, servers from NatNet 4.0 on stream in the client's
+    `version` if it is `pinned`.
     """
 
-    name: str = ""
-    app_version: Quad = (0, 0, 0, 0)
-    natnet_version: Quad = (0, 0, 0, 0)
-    subscribed_only: bool = False
-    bitstream: Quad | None = None
+    version: Version = NEWEST
+    pinned: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
-    """The answer to CONNECT; the last four fields are None before NatNet 3.0."""
+    """The answer to CONNECT. `version` is the protocol version of the server's frames, unless
+    CONNECT pinned another; `data_port` is the port of its frames in unicast.
+    """
 
     name: str
-    app_version: Quad
-    natnet_version: Quad
-    clock_hz: int | None = None
-    data_port: int | None = None
-    multicast: bool | None = None
-    group: Quad | None = None
-
-    @property
-    def version(self) -> Version:
-        """The protocol version of the server's frames, unless CONNECT pinned another."""
-        return Version(*self.natnet_version[:2])
+    version: Version
+    clock_hz: int
+    data_port: int
 
 
 @dataclass(frozen=True, slots=True)
 class NatNetRequest:
-    """A remote command, such as `FrameRate`, `UpAxis` or `UnitsToMillimeters`."""
+    """A remote command, such as `UpAxis` or `UnitsToMillimeters`."""
 
     text: str
 
@@ -193,14 +164,5 @@ class Bare:
     kind: MessageKind
 
 
-Message = (
-    NatNetFrame
-    | ModelDef
-    | Connect
-    | ServerInfo
-    | NatNetRequest
-    | Response
-    | EchoRequest
-    | EchoResponse
-    | Bare
-)
+ClientMessage = Connect | NatNetRequest | EchoRequest | Bare
+ServerMessage = ServerInfo | ModelDef | NatNetFrame | Response | EchoResponse | Bare

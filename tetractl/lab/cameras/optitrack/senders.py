@@ -1,23 +1,21 @@
 """Decides which datagrams come from the camera server, by its address and two of its ports.
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
-the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
+the port that SERVERINFO reports, in multicast the port of the first readable frame.
 NatNet does not authenticate senders: packets from the server's address and port are accepted.
 """
 
 from collections import Counter
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from tetractl.lab.cameras.optitrack.natnet_messages import MessageKind
 
-KINDS_KEPT = 64  # largest number of senders whose refused datagrams are counted separately
+SENDERS_MAX = 64  # largest number of senders whose refused datagrams are counted separately
+ANSWERS = frozenset(MessageKind) - {MessageKind.FRAME}
 
 
-@dataclass(frozen=True, slots=True)
-class Sender:
-    """The origin of datagrams: address and port, and whether the datagrams are frames or
-    answers.
-    """
+class Sender(NamedTuple):
+    """The origin of datagrams: address and port, and whether they are frames or answers."""
 
     host: str
     port: int
@@ -42,19 +40,18 @@ class Senders:
         Until the frames' port is known, frames are admitted from every port of the server. A
         datagram of unknown kind counts as a frame, since it may be a damaged frame.
         """
-        kind = int.from_bytes(datagram[:2], "little")
-        frame = kind == MessageKind.FRAME or kind not in set(MessageKind)
+        frame = int.from_bytes(datagram[:2], "little") not in ANSWERS
         expected = (self.frames_port or port) if frame else self.command_port
         if host == self.server and port == expected:
             return True
         sender = Sender(host, port, frame)
-        if sender in self.refused or len(self.refused) < KINDS_KEPT:
+        if sender in self.refused or len(self.refused) < SENDERS_MAX:
             self.refused[sender] += 1
         if frame:
             self.refused_frame = datagram
         return False
 
-    def pin(self, port: int | None) -> None:
+    def pin(self, port: int) -> None:
         """Admit frames only from this port from now on; once a port is known, calls do nothing."""
         self.frames_port = self.frames_port or port
 
@@ -62,5 +59,5 @@ class Senders:
         """Return the sender of the most refused frames (if not `frames`: answers) and their number;
         None if none was refused.
         """
-        found = [item for item in self.refused.most_common() if item[0].frames is frames]
-        return found[0] if found else None
+        found = self.refused.most_common()
+        return next((each for each in found if each[0].frames is frames), None)

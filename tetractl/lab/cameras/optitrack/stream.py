@@ -8,6 +8,7 @@ bound the rate of the server's clock between them, even if network or host are s
 gained or lost more than `DRIFT_MAX` [s/s], it was set or runs at a wrong rate, and `fault` says so.
 """
 
+import statistics
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -17,23 +18,24 @@ from tetractl.core.errors import WireError
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
+    ClientMessage,
     Connect,
     EchoRequest,
     EchoResponse,
-    Message,
     MessageKind,
     ModelDef,
     NatNetFrame,
     NatNetRequest,
     Response,
     ServerInfo,
+    ServerMessage,
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
-from tetractl.lab.cameras.optitrack.wire import parse, response_float, response_int
+from tetractl.lab.cameras.optitrack.wire import number_in, parse
 
-KEPT = 120
+ECHOES_KEPT = 120
 BEST = 0.25  # fraction of the echoes, with the shortest round trips, that are used
 DRIFT_SPAN = 5 * SECOND  # least time span of the echoes for a fit of the drift
 DRIFT_MAX = 1e-3
@@ -56,7 +58,7 @@ class ClockSync:
         self.clock_hz = clock_hz
         self.drift = 0.0  # gain of the server's clock on the host's [s/s]
         self.fault = ""  # description of the clock's first fault
-        self._echoes: deque[Echo] = deque(maxlen=KEPT)
+        self._echoes: deque[Echo] = deque(maxlen=ECHOES_KEPT)
         self._at = Echo(0, 0, 0)
 
     @property
@@ -127,31 +129,25 @@ def _slope(echoes: list[Echo]) -> float:
     t = [echo.host_ns - first.host_ns for echo in echoes]
     if max(t) - min(t) < DRIFT_SPAN:
         return 0.0
-    d = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
-    mean_t, mean_d = sum(t) / len(t), sum(d) / len(d)
-    covariance = sum((x - mean_t) * (y - mean_d) for x, y in zip(t, d, strict=True))
-    slope = covariance / sum((x - mean_t) ** 2 for x in t)
+    gained = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
+    slope = statistics.linear_regression(t, gained).slope
     return max(-DRIFT_MAX, min(DRIFT_MAX, slope))
 
 
-AGE_MAX_NS = 60_000_000_000  # a frame with a larger age was not exposed by these cameras
+AGE_MAX_NS = 60 * SECOND  # a frame with a larger age was not exposed by these cameras
 MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
 REORDERED = 10  # a frame at most this many numbers behind the newest was overtaken on its way
-UP_AXIS, UNITS, FRAME_RATE = "UpAxis", "UnitsToMillimeters", "FrameRate"
-METRE_MM = 1000.0
+UP_AXIS, UNITS = "UpAxis", "UnitsToMillimeters"
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
-ECHOES = 64  # number of unanswered time requests to which an answer can be matched
+ECHOES_OPEN = 64  # number of unanswered time requests to which an answer can be matched
 
 
 @dataclass(slots=True)
 class StreamCounts:
-    """Numbers so far: of frames received and missed, and of datagrams dropped or not readable."""
+    """Numbers so far: of frames received, and of datagrams dropped or not readable."""
 
     frames: int = 0
-    missed: int = 0  # numbers skipped between frames
-    overtaken: int = 0  # frames that arrived after a newer one, or twice
     bad: int = 0  # datagrams that are not NatNet messages
-    early: int = 0  # frames and models dropped because the version was not known yet
     unasked: int = 0  # answers without an open request
     unread_frames: int = 0  # bad datagrams that were frames
     unread_models: int = 0  # bad datagrams that were models
@@ -183,7 +179,6 @@ class Stream:
         self.up = up
         self.up_answer: int | None = None
         self.unit_mm: float | None = None
-        self.camera_rate_hz: float | None = None
         self.model: ModelDef | None = None
         self.models_changed = False
         self.changing = False
@@ -195,8 +190,8 @@ class Stream:
         self._pinned = pinned
         self._on_frame = on_frame
         self._asked: str | None = None
-        self._awaited: Counter[type[Message]] = Counter()
-        self._echoes: deque[int] = deque(maxlen=ECHOES)
+        self._awaited: Counter[type[ServerMessage]] = Counter()
+        self._echoes: deque[int] = deque(maxlen=ECHOES_OPEN)
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
@@ -216,7 +211,7 @@ class Stream:
         """Return the robots' bodies that are not in the newest frame, in the robots' order."""
         return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
 
-    def asked(self, message: Message) -> None:
+    def asked(self, message: ClientMessage) -> None:
         """Record a request that was sent: only answers to recorded requests are accepted."""
         match message:
             case NatNetRequest(text):
@@ -230,7 +225,7 @@ class Stream:
             case _:
                 pass
 
-    def feed(self, datagram: bytes, received_ns: int) -> Message | None:
+    def feed(self, datagram: bytes, received_ns: int) -> ServerMessage | None:
         """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
@@ -246,8 +241,7 @@ class Stream:
     def _unread(self, datagram: bytes) -> None:
         kind = int.from_bytes(datagram[:2], "little")
         if self.info is None and kind in (MessageKind.FRAME, MessageKind.MODELDEF):
-            self.counts.early += 1
-            return
+            return  # the version is not known yet
         self.counts.bad += 1
         if kind == MessageKind.FRAME:
             self.counts.unread_frames += 1
@@ -255,7 +249,7 @@ class Stream:
         elif kind == MessageKind.MODELDEF:
             self.counts.unread_models += 1
 
-    def _expected(self, message: Message) -> bool:
+    def _expected(self, message: ServerMessage) -> bool:
         """Return whether an answer belongs to an open request, which it then closes."""
         match message:
             case ServerInfo() | ModelDef():
@@ -270,7 +264,7 @@ class Stream:
             case _:
                 return True
 
-    def _take(self, message: Message, received_ns: int) -> None:
+    def _take(self, message: ServerMessage, received_ns: int) -> None:
         match message:
             case NatNetFrame():
                 self._frame(message, received_ns)
@@ -291,36 +285,30 @@ class Stream:
     def _response(self, response: Response) -> None:
         asked, self._asked = self._asked, None
         if asked == UP_AXIS and self.up is None:
-            self.up_answer = response_int(response)
+            self.up_answer = int(number_in(response, "i"))
             if self.up_answer in (UpAxis.Y, UpAxis.Z):
                 self.up = UpAxis(self.up_answer)
         elif asked == UNITS:
-            unit_mm = response_float(response)
+            unit_mm = number_in(response, "f")
             if not 1e-3 <= unit_mm <= 1e6:
                 raise WireError(f"a unit of length of {unit_mm:g} mm is not plausible")
             self.unit_mm = unit_mm
-            if abs(unit_mm - METRE_MM) > 1e-3 * METRE_MM:
+            if abs(unit_mm - 1000.0) > 1.0:
                 self._fault = self._fault or (
                     f"the camera server streams lengths in units of {unit_mm:g} mm, not in metres"
                 )
-        elif asked == FRAME_RATE:
-            rate = response_float(response)
-            self.camera_rate_hz = rate if 1.0 <= rate <= 10_000.0 else None
 
     def _frame(self, frame: NatNetFrame, received_ns: int) -> None:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
             if frame.number >= before.number - REORDERED:
-                self.counts.overtaken += 1
                 return
             self._fault = (
                 f"the frame counter went back from {before.number} to {frame.number}: "
                 "the server was restarted, or plays a recording"
             )
         self.counts.frames += 1
-        if before is not None and not self._fault:
-            self.counts.missed += frame.number - before.number - 1
         self.models_changed |= frame.models_changed
         self.changing = frame.models_changed
         self.seen = tuple(body.id for body in frame.bodies)
@@ -328,9 +316,9 @@ class Stream:
         self._on_frame(self.newest)
 
     def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
-        if frame.ticks is None or self.sync is None or not self.sync.synced:
+        if self.sync is None or not self.sync.synced:
             return received_ns
-        sampled_ns = self.sync.to_host(frame.ticks.exposure)
+        sampled_ns = self.sync.to_host(frame.exposure)
         age_ns = received_ns - sampled_ns
         if -self.sync.error_ns(received_ns) <= age_ns <= AGE_MAX_NS:
             self._mistimed = 0
@@ -348,7 +336,7 @@ class Stream:
     def _twins_in(self, model: ModelDef) -> str:
         """Return a message if two bodies have the name of one robot's body, otherwise ""."""
         for robot in self.robots:
-            ids = [body.id for body in model.bodies if body.name == robot.body]
+            ids = [number for name, number in model.bodies if name == robot.body]
             if len(ids) > 1:
                 listed = " and ".join(map(str, ids))
                 named = f"rigid bodies named '{robot.body}', of ids {listed}"

@@ -1,30 +1,32 @@
 """Parses a server's NatNet datagrams, and packs a client's messages."""
 
 import struct
+from typing import Any
 
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
+    ClientMessage,
     Connect,
     EchoRequest,
     EchoResponse,
-    Message,
     MessageKind,
     NatNetRequest,
-    Quad,
     Response,
     ServerInfo,
+    ServerMessage,
     Version,
 )
-from tetractl.lab.cameras.optitrack.payloads import packed, packed_name, parse_frame, parse_modeldef
+from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse_modeldef
 
 HEADER = 4  # u16 message id, u16 payload bytes
 DATAGRAM_MAX = 65_507
-SENDER = 264  # name[256], application version[4], NatNet version[4]
-SERVER_INFO = SENDER + 15  # from 3.0: u64 clock, u16 data port, u8 multicast, group[4]
+SENDER = struct.Struct("<256s4B4B")  # name, application version, NatNet version
+SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its group are not read
+ECHO = struct.Struct("<QQ")
 
 
-def parse(datagram: bytes, version: Version | None = None) -> Message:
+def parse(datagram: bytes, version: Version | None = None) -> ServerMessage:
     """Read one datagram of a server; WireError, and no other error, if it cannot be read.
 
     `version` is the protocol version that SERVERINFO reported or CONNECT requested; only frames and
@@ -38,41 +40,39 @@ def parse(datagram: bytes, version: Version | None = None) -> Message:
             read = parse_frame if kind is MessageKind.FRAME else parse_modeldef
             return read(payload, version)
         case MessageKind.SERVER_INFO:
-            return _server_info(payload)
+            name, version = read_sender(payload)
+            if version < (3, 0):  # servers of older versions do not report a clock
+                return ServerInfo(name, version, 0, 0)
+            rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
+            return ServerInfo(name, version, *unpacked(SERVER_INFO, rest))
         case MessageKind.RESPONSE:
             return Response(payload)
         case MessageKind.ECHO_RESPONSE:
-            return EchoResponse(u64(payload, 0, 16), u64(payload, 8, 16))
+            return EchoResponse(*unpacked(ECHO, payload))
         case _:
             return Bare(kind)
 
 
-def pack(message: Message) -> bytes:
-    """Pack one datagram of a client; WireError for a message that only a server sends."""
+def pack(message: ClientMessage) -> bytes:
+    """Pack one datagram of a client."""
     match message:
-        case Connect():
-            payload = sender(message.name, message.app_version, message.natnet_version)
-            if message.bitstream is not None:
-                payload += packed("?4B", message.subscribed_only, *message.bitstream)
-            return datagram(MessageKind.CONNECT, payload)
+        case Connect(version, pinned):
+            bitstream = packed("?4B", False, *version, 0, 0) if pinned else b""
+            return datagram(MessageKind.CONNECT, sender("tetractl", version) + bitstream)
         case NatNetRequest(text):
             return datagram(MessageKind.REQUEST, packed_name(text))
         case EchoRequest(client):
             return datagram(MessageKind.ECHO_REQUEST, packed("Q", client))
-        case Bare(MessageKind.KEEPALIVE):
-            return datagram(MessageKind.KEEPALIVE, bytes(SENDER))
-        case Bare(MessageKind.REQUEST_MODELDEF | MessageKind.DISCONNECT as kind):
-            return datagram(kind, b"\0")
-        case _:
-            raise WireError(f"a client does not send {type(message).__name__}")
+        case Bare(kind):
+            size = SENDER.size if kind is MessageKind.KEEPALIVE else 1
+            return datagram(kind, bytes(size))
 
 
 def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     """Return a datagram's kind and payload; WireError if its header is wrong."""
     if len(datagram) < HEADER:
         raise WireError(f"a datagram of {len(datagram)} bytes is too short")
-    code = int.from_bytes(datagram[:2], "little")
-    size = int.from_bytes(datagram[2:4], "little")
+    code, size = struct.unpack_from("<HH", datagram)
     payload = bytes(datagram[HEADER:])
     if size != len(payload):
         raise WireError(f"the header states {size} bytes, but {len(payload)} were received")
@@ -89,63 +89,48 @@ def datagram(kind: MessageKind, payload: bytes) -> bytes:
     return packed("HH", kind, len(payload)) + payload
 
 
-def response_int(response: Response) -> int:
-    """Read a response that is one i32, such as the response to `UpAxis`."""
-    if len(response.payload) != 4:
-        raise WireError(f"the server's reply has {len(response.payload)} bytes; a number has 4")
-    return int.from_bytes(response.payload, "little", signed=True)
+def number_in(response: Response, layout: str) -> float:
+    """Read a response that is one number: "i" an i32, as of `UpAxis`, or "f" an f32."""
+    return unpacked(struct.Struct(f"<{layout}"), response.payload)[0]
 
 
-def response_float(response: Response) -> float:
-    """Read a response that is one f32, such as the response to `FrameRate`."""
-    if len(response.payload) != 4:
-        raise WireError(f"the server's reply has {len(response.payload)} bytes; a number has 4")
-    return struct.unpack("<f", response.payload)[0]
+def unpacked(layout: struct.Struct, payload: bytes) -> tuple[Any, ...]:
+    """Return the fields of a payload; WireError if its size is another one."""
+    if len(payload) != layout.size:
+        raise WireError(f"a payload of {layout.size} bytes expected, not of {len(payload)}")
+    return layout.unpack(payload)
 
 
-def _server_info(payload: bytes) -> ServerInfo:
-    name, app, natnet = read_sender(payload)
-    if natnet[0] < 3:
-        return ServerInfo(name, app, natnet)
-    if len(payload) < SERVER_INFO:
-        raise WireError(
-            f"SERVERINFO of protocol {natnet[0]}.{natnet[1]} has {len(payload)} bytes, "
-            f"not {SERVER_INFO} or more"
-        )
-    clock = int.from_bytes(payload[SENDER : SENDER + 8], "little")
-    port = int.from_bytes(payload[SENDER + 8 : SENDER + 10], "little")
-    multicast = payload[SENDER + 10] != 0
-    return ServerInfo(name, app, natnet, clock, port, multicast, quad(payload, SENDER + 11))
+def packed(layout: str, *values: Any) -> bytes:
+    """Pack little-endian values; WireError if one does not fit."""
+    try:
+        return struct.pack("<" + layout, *values)
+    except (struct.error, OverflowError) as error:
+        raise WireError(f"cannot pack {layout}: {error}") from None
 
 
-def sender(name: str, app: Quad, natnet: Quad) -> bytes:
-    """Pack the sender's name and versions, with which CONNECT and SERVERINFO begin."""
-    return packed_name(name).ljust(256, b"\0") + packed("4B4B", *app, *natnet)
+def packed_name(name: str) -> bytes:
+    """Pack a NUL-terminated name."""
+    raw = name.encode("utf-8", "replace")
+    if len(raw) > NAME_MAX or b"\0" in raw:
+        raise WireError(f"a name has at most {NAME_MAX} bytes and no NUL, unlike {name[:40]!r}")
+    return raw + b"\0"
 
 
-def read_sender(payload: bytes) -> tuple[str, Quad, Quad]:
-    """Read the sender's name and versions, with which CONNECT and SERVERINFO begin."""
-    if len(payload) < SENDER:
-        raise WireError(f"the sender's name and versions have {SENDER} bytes, not {len(payload)}")
-    return read_text(payload[:256]), quad(payload, 256), quad(payload, 260)
+def sender(name: str, version: Version) -> bytes:
+    """Pack the sender's name and protocol version, with which CONNECT and SERVERINFO begin."""
+    return packed(SENDER.format[1:], packed_name(name), 0, 1, 0, 0, *version, 0, 0)
 
 
-def quad(payload: bytes, at: int) -> Quad:
-    """Return the four bytes at an offset, such as an address or a version."""
-    a, b, c, d = payload[at : at + 4]
-    return a, b, c, d
+def read_sender(payload: bytes) -> tuple[str, Version]:
+    """Read the sender's name and protocol version."""
+    name, *versions = unpacked(SENDER, payload[: SENDER.size])
+    return read_text(name), Version(*versions[4:6])
 
 
-def read_text(payload: bytes) -> str:
-    """Read text up to the first NUL, or to the end if there is none."""
-    raw = payload[:257].partition(b"\0")[0]
-    if len(raw) > 256:
+def read_text(raw: bytes) -> str:
+    """Read text of at most 256 bytes up to the first NUL, or to the end if there is none."""
+    raw = raw[: NAME_MAX + 2].partition(b"\0")[0]
+    if len(raw) > NAME_MAX + 1:
         raise WireError("the text is too long for its field")
     return raw.decode("utf-8", "replace")
-
-
-def u64(payload: bytes, at: int, size: int) -> int:
-    """Read an unsigned 64-bit integer at an offset of a payload, which must have `size` bytes."""
-    if len(payload) != size:
-        raise WireError(f"a payload of {size} bytes expected, not of {len(payload)}")
-    return int.from_bytes(payload[at : at + 8], "little")

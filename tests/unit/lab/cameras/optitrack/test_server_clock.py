@@ -14,7 +14,6 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     NatNetFrame,
     RigidBody,
     ServerInfo,
-    Ticks,
     Version,
 )
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
@@ -37,12 +36,7 @@ class Server:
             (TrackedRobot(name="robot", body=7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z
         )
         self.stream.asked(Connect())
-        self.stream.feed(
-            pack_answer(
-                ServerInfo("Motive", (3, 1, 0, 0), (4, 1, 0, 0), HZ, 1511, True, (0, 0, 0, 0))
-            ),
-            0,
-        )
+        self.stream.feed(pack_answer(ServerInfo("Motive", V41, HZ, 1511)), 0)
         self.ahead, self.rate, self.constant = 5 * 3600 * SECOND, 1.0, None
         self._chance, self._delay_ms = random.Random(seed), delay_ms
         self._since, self._echoes, self._frames = 0, 0, 0
@@ -88,7 +82,7 @@ class Server:
         self._frames += 1
         self._next_frame += CAMERA_NS
         body = RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), True)
-        frame = NatNetFrame(self._frames, (body,), ticks=Ticks(self.clock(self.now), 0, 0))
+        frame = NatNetFrame(self._frames, (body,), exposure=self.clock(self.now))
         jitter_ms = self._chance.uniform(0.1, 1.5)  # frames keep their order, echoes need not
         self._send(self.now + round((5.0 + jitter_ms) * 1e6), frame)
 

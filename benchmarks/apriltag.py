@@ -319,9 +319,8 @@ class Watch:
         self.enough = threading.Event()
 
     def __call__(self) -> None:
-        newest = self.camera.newest if self.camera is not None else None
-        if newest is not None:
-            self.seen.append((self.clock.now(), newest.received_ns))
+        for frame in self.camera.frames() if self.camera is not None else ():
+            self.seen.append((self.clock.now(), frame.received_ns))
         if len(self.seen) >= self.wanted:
             self.enough.set()
 

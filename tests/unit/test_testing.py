@@ -260,8 +260,6 @@ class FakeCameraSection(CameraSection):
 class FakeCamera:
     """Without frames, and without `damaged`."""
 
-    newest = None
-
     def __enter__(self):
         raise __import__("tetractl").core.errors.AbortError("no camera answers")
 

@@ -97,11 +97,6 @@ class Camera(Device, Protocol):
     """
 
     @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame, None before the first."""
-        ...
-
-    @property
     def damaged(self) -> int:
         """Number of messages dropped so far because they could not be decoded."""
         ...

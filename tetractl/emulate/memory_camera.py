@@ -65,5 +65,6 @@ class MemoryCamera(EmulatedNetworkCamera):
                 self._sent.append((exposed + self._latency, jpeg))
         while self._sent and self._sent[0][0] <= now:
             body = self.mangle(part(self._sent.popleft()[1]))
-            for jpeg in self._parts.feed(body) if self.watched else ():
-                self._take(jpeg)  # type: ignore[misc]
+            if self._take is not None:
+                for jpeg in self._parts.feed(body):
+                    self._take(jpeg)

@@ -19,7 +19,7 @@ from tetractl.core.registries import ACTUATORS, CAMERAS
 from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
-from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.plant import Microscope, PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
 
@@ -215,6 +215,11 @@ class LabSection(PlantSection):
     calibration: str | None = Field(default=None, min_length=1, max_length=500)
     """A file written by `tetractl lab calibrate`, relative to the spec; its values replace values
     in `camera` and `actuator`."""
+
+    @property
+    def microscope(self) -> Microscope | None:
+        """The camera, if its pictures have a known scale and place."""
+        return self.camera if isinstance(self.camera, Microscope) else None
 
     def require_devices(self) -> None:
         """Raise AbortError if the actuator's port does not exist."""

@@ -2,17 +2,36 @@
 
 from abc import abstractmethod
 from collections.abc import Iterator
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
 from tetractl.core.clock import Clock
 from tetractl.core.errors import UsageError
+from tetractl.core.poses import Floats
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.yaml.problems import Loc
+
+Lengths = TypeVar("Lengths", float, Floats)
+
+
+@runtime_checkable
+class Microscope(Protocol):
+    """The section of a camera whose logged pictures can be put in their place in the arena."""
+
+    @property
+    def um_px(self) -> float:
+        """Micrometres per pixel."""
+        ...
+
+    def placed(self, x_um: Lengths, y_um: Lengths, metres: float) -> tuple[Lengths, Lengths]:
+        """Convert a position, or positions (N,), in the picture [um] from its lower left corner to
+        the spec's coordinates, whose length unit is `metres` [m].
+        """
+        ...
 
 
 class PlantSection(Model):
@@ -44,6 +63,11 @@ class PlantSection(Model):
     @abstractmethod
     def clock(self) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""
+
+    @property
+    def microscope(self) -> Microscope | None:
+        """The camera, if its pictures have a known scale and place; only labs have cameras."""
+        return None
 
     def require_devices(self) -> None:
         """Raise AbortError if a lab's port does not exist. No device is opened."""

@@ -22,7 +22,6 @@ from tetractl.experiment.yaml.explain import explain, validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 
 PlantKind = Literal["sim", "lab", "emulated"]
-DEVICES = ("camera", "actuator")
 
 
 class Calibration(Model):
@@ -93,8 +92,8 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     calibration = validated(Calibration, document)
     data = experiment.model_dump()
     places: dict[Loc, Place] = {}
-    for device in DEVICES:
-        own, values, loc = data["plant"][device], getattr(calibration, device), ("plant", device)
+    for device, values in (("camera", calibration.camera), ("actuator", calibration.actuator)):
+        own, loc = data["plant"][device], ("plant", device)
         data["plant"][device] = _merged(own, values, loc, document, (device,), places)
     try:
         updated = Experiment.model_validate(frozen(data), strict=True, context=STRICT)

@@ -1,23 +1,20 @@
 """Finds cells that can be steered: turns the field, and observes each cell's response."""
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Pose
 from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.choice import Choice, FoundCell
-from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.helix import SPEED, WALL_UM, A
 from tetractl.lab.rig import Rig
 
 LOOK_NS = SECOND // 20
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
 STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
-SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
@@ -55,7 +52,7 @@ def turn_field(
     began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
-        walled |= {cell.number for cell in found_cells(rig, walled) if not cell.free}
+        walled |= {cell.number for cell in rig.tracker.found_cells() if not cell.free}
         on_look()
         if supervision.emergency.is_set():
             raise AbortError("emergency stop by the operator")
@@ -65,7 +62,8 @@ def turn_field(
             raise AbortError(failure)
         if rig.silent_ns() > max(rig.limits.stream_lost, 1.0) * SECOND:
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
-    cells = found_cells(rig, walled)
+    now = rig.tracker.found_cells()
+    cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
     least = choice.speed * rig.setup.metres * 1e6 / STEP_UM
     rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
@@ -79,26 +77,6 @@ def turn_field(
 
 def free_cells(rig: Rig) -> list[FoundCell]:
     """Return the cells that follow the field, are away from the walls, and are not robots."""
-    taken = rig.camera.robots  # type: ignore[attr-defined]
-    cells = [cell for cell in found_cells(rig) if cell.magnetised and cell.free]
-    return [cell for cell in cells if cell.number not in taken]
-
-
-def found_cells(rig: Rig, walled: Container[int] = ()) -> list[FoundCell]:
-    """Return the cells in the newest picture whose identity is sure, with the filter's estimates.
-
-    Cells whose numbers are in `walled`, or that are near the arena's edge, are marked as not free.
-    """
-    seen: list[SeenCell] = rig.camera.cells  # type: ignore[attr-defined]
-    per_um = 1e-6 / rig.setup.metres
-    found = []
-    for cell in seen:
-        if cell.found and cell.probability >= SURE:
-            a_sd, speed_sd = (math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
-            a, speed = float(cell.mean[A]), float(cell.mean[SPEED]) * per_um
-            pose: Pose = rig.camera.pose_of(cell)  # type: ignore[attr-defined]
-            inside = rig.setup.arena.inside(np.array([pose.x]), np.array([pose.y])).item()
-            free = cell.identity not in walled and inside > WALL_UM * per_um
-            number = cell.identity
-            found.append(FoundCell(number, pose, a, a_sd, speed, speed_sd * per_um, free))
-    return found
+    tracker = rig.tracker
+    cells = [cell for cell in tracker.found_cells() if cell.magnetised and cell.free]
+    return [cell for cell in cells if cell.number not in tracker.robots]

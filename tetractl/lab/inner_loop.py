@@ -17,6 +17,7 @@ from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.lab.abilities import HearsDirections
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.pose_filter import FrameBuffer
 
@@ -47,7 +48,7 @@ class InnerLoop:
         self.idle: Callable[[int], float] | None = None
         self.last: Transmission | None = None
         self._camera, self._actuator, self._clock = camera, actuator, clock
-        self._on_signal = getattr(camera, "steered", None)
+        self._hearer = camera if isinstance(camera, HearsDirections) else None
         self._wake, self._emergency = wake, emergency
         self._lock = threading.Lock()
         self._held: Steer | Turn | None = None  # sent again and again
@@ -231,8 +232,8 @@ class InnerLoop:
 
     def _pass_on(self, sent: Transmission) -> None:
         """Report a transmission to a camera that identifies robots by their response."""
-        if self._on_signal is not None:
-            self._on_signal(sent.direction, sent.sent_ns)
+        if self._hearer is not None:
+            self._hearer.steered(sent.direction, sent.sent_ns)
 
     def _note(self, sent: Transmission) -> None:
         self.last = sent

@@ -6,9 +6,11 @@ from contextlib import ExitStack
 from typing import Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
+from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
+from tetractl.lab.abilities import SettlesRobots, TracksCells
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
@@ -75,8 +77,9 @@ class Rig:
         """
         self.setup = setup
         self.start_anywhere()
-        self.actuator.settle(setup)  # type: ignore[attr-defined]
-        self.camera.settle(setup, numbers)  # type: ignore[attr-defined]
+        if isinstance(self.actuator, SettlesRobots):
+            self.actuator.settle(setup)
+        self.tracker.settle(setup, numbers)
         self.guard = Guard(guard_rules(setup, self.limits, self.actuator.individual))
         self.loop.restart(self.guard)
         self.frames = self.loop.frames
@@ -86,6 +89,13 @@ class Rig:
         """Make the robots' present poses their starts."""
         anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
         self.limits = self.limits.model_copy(update=anywhere)
+
+    @property
+    def tracker(self) -> TracksCells:
+        """The camera, which tracks cells; AbortError if it does not."""
+        if not isinstance(self.camera, TracksCells):
+            raise AbortError("this camera tracks its robots only, and finds no others")
+        return self.camera
 
     @property
     def left(self) -> list[int]:

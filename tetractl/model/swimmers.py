@@ -6,7 +6,7 @@ docs/explanation/cells.md states the source of each number; `guess` means that n
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -46,7 +46,7 @@ def speed_factor(celsius: float) -> float:
     return math.exp(ACTIVATION_EV / BOLTZMANN_EV_K * inverse)
 
 
-@dataclass(slots=True)
+@dataclass
 class Swimmers:
     """The true state of N cells: one number per cell in each array (N,).
 
@@ -105,16 +105,16 @@ class Swimmers:
 
     def copy(self) -> Self:
         """Return an independent copy of the cells."""
-        return replace(self, **{field.name: getattr(self, field.name).copy() for field in _FIELDS})
+        return replace(self, **{name: each.copy() for name, each in vars(self).items()})
 
     def joined(self, others: "Swimmers") -> "Swimmers":
         """Return these cells followed by others."""
-        both = {f.name: np.append(getattr(self, f.name), getattr(others, f.name)) for f in _FIELDS}
-        return Swimmers(**both)
+        theirs = vars(others)
+        return Swimmers(**{name: np.append(own, theirs[name]) for name, own in vars(self).items()})
 
     def kept(self, which: Bools) -> "Swimmers":
         """Return the cells for which a mask (N,) is true."""
-        return Swimmers(**{field.name: getattr(self, field.name)[which] for field in _FIELDS})
+        return Swimmers(**{name: each[which] for name, each in vars(self).items()})
 
     def swim(
         self,
@@ -196,9 +196,6 @@ class Swimmers:
         """Return turning rates [rad/s] at headings (N,): a (field x dipole), as in equation (3)."""
         dipole = heading + self.bias
         return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))
-
-
-_FIELDS = fields(Swimmers)
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:

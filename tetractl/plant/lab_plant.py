@@ -30,6 +30,8 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
+from tetractl.lab.abilities import FilmsCells, TracksCells
+from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
@@ -82,8 +84,6 @@ class LabPlantSection(LabSection):
         """Open the lab, rotate the field, and return the cells that the camera has found; the field
         goes on rotating until the first direction is sent.
         """
-        from tetractl.lab.find_cells import turn_field  # imports OpenCV, which is optional
-
         rig = self.rig(setup, clock, seed, supervision.emergency, chosen=True)
 
         def build(numbers: Sequence[int], chosen: Setup) -> LabPlant:
@@ -238,8 +238,8 @@ class LabPlant:
     def _take_frames(self) -> None:
         """Store the frames that the guard has accepted since the last call."""
         frames, self._read = self.rig.frames.since(self._read)
-        if films := getattr(self.rig.camera, "films", None):  # only a camera of cells has films
-            self._films |= {film.sampled_ns: film for film in films()}
+        if isinstance(self.rig.camera, FilmsCells):
+            self._films |= {film.sampled_ns: film for film in self.rig.camera.films()}
         for accepted in frames:
             poses, frame = self._unwrapped(accepted.poses), accepted.frame
             self._heading = poses.heading
@@ -263,20 +263,19 @@ class LabPlant:
         it by another cell if the spec requires that.
         """
         guard, names, loss = self.rig.guard, self.setup.names, self.setup.loss
-        for i in getattr(self.rig.camera, "divided", ()):
-            guard.lose(i, f"{names[i]} has divided, or has parted from an unknown cell")
+        if isinstance(self.rig.camera, TracksCells):
+            for i in self.rig.camera.divided:
+                guard.lose(i, f"{names[i]} has divided, or has parted from an unknown cell")
         for i, why in self._identities.unknown.items():
             guard.lose(i, why)
         if loss is None or not loss.replaced:
             return
-        from tetractl.lab.find_cells import free_cells  # imports OpenCV, which is optional
-
         for i, seen_ns in list(guard.lost.items()):
             if now - seen_ns < loss.after_s * SECOND:
                 continue
             other = most_alike(self.setup, i, free_cells(self.rig))
             if other is not None:
-                self.rig.camera.replace(i, other.number)  # type: ignore[attr-defined]
+                self.rig.tracker.replace(i, other.number)
                 self._identities.forget(i)
                 guard.replaced(i)
                 what = f"a {other.a:.2f} rad/s, speed {other.speed:.0f} {self.setup.unit}/s"

@@ -24,18 +24,17 @@ class DishPictures:
     """
 
     def __init__(self, log: TrialLog, most: int | None = None) -> None:
-        placed = getattr(getattr(log.experiment.plant, "camera", None), "placed", None)
-        found = log.pictures if placed else ()
+        camera = log.experiment.plant.microscope
+        found = log.pictures if camera else ()
         every = 1 if most is None else max(1, -(-len(found) // most))
         read = [(at, picture) for at, data in found[::every] if (picture := _small(data))]
         self.times = [at for at, _ in read]
         self._pictures = [picture for _, (picture, _) in read]
         self.corners: Floats = np.zeros((3, 2))
-        if placed is not None and read:
+        if camera is not None and read:
             (width, height), metres = read[0][1][1], log.start.setup.metres
-            um_px = log.experiment.plant.camera.um_px  # type: ignore[attr-defined]
-            ends = ((0, 0), (width * um_px, 0), (0, height * um_px))
-            self.corners = np.array([placed(x, y, metres) for x, y in ends])
+            ends = ((0.0, 0.0), (width * camera.um_px, 0.0), (0.0, height * camera.um_px))
+            self.corners = np.array([camera.placed(x, y, metres) for x, y in ends])
 
     def at(self, when_ns: int) -> int | None:
         """Return the index of the last picture taken up to a time [ns], 0 for an earlier time; None

@@ -8,7 +8,6 @@ pixel: then the crops are not searched, and a note says so.
 
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
@@ -98,18 +97,17 @@ class FilmCheck:
         cells share the blob; ValueError otherwise.
         """
         log = self._log
-        camera: Any = getattr(log.experiment.plant, "camera", None)
+        camera = log.experiment.plant.microscope
         if len(film.sure) != log.valid.shape[1] or (film.robots >= len(film.sure)).any():
             raise ValueError("has a different number of robots than the trial")
-        placed = getattr(camera, "placed", None)
         _, _, height = log.start.plant.facts.get("resolution", "").partition("x")
-        if placed is None or not height.isdecimal():
+        if camera is None or not height.isdecimal():
             return
         um_px, metres = camera.um_px, log.start.setup.metres
         for robot, merged, (x, y, *_) in zip(film.robots, film.merged, film.blobs, strict=True):
             if robot < 0 or merged or not log.valid[row, robot]:
                 continue
-            at = placed((x + 0.5) * um_px, (int(height) - 0.5 - y) * um_px, metres)
+            at = camera.placed((x + 0.5) * um_px, (int(height) - 0.5 - y) * um_px, metres)
             gap = np.hypot(*(log.mocap[row, robot, :2] - at)) * metres * 1e6
             if not gap <= NEAR_UM:
                 name = log.start.setup.names[robot]

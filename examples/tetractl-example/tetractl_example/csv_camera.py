@@ -53,7 +53,6 @@ class CsvCamera:
         wake: Callable[[], None],
     ) -> None:
         self._section, self._names, self._clock, self._wake = section, names, clock, wake
-        self.newest: CameraFrame | None = None
         self._fresh: deque[CameraFrame] = deque(maxlen=1000)
         self._closing = threading.Event()
         self._thread: threading.Thread | None = None
@@ -99,8 +98,7 @@ class CsvCamera:
             self._show(number, due_ns, poses)
 
     def _show(self, number: int, due_ns: int, poses: tuple[Pose | None, ...]) -> None:
-        self.newest = CameraFrame(number, due_ns, self._clock.now(), poses)
-        self._fresh.append(self.newest)
+        self._fresh.append(CameraFrame(number, due_ns, self._clock.now(), poses))
         self._wake()
 
 

@@ -116,12 +116,13 @@ class EmulatedMicroscope(StreamedCamera):
         super().__init__(stage, settings)
         section = stage.lab.camera
         assert isinstance(section, CellsSection), "the camera's section has the type cells"
-        if section.rotation or not all(isinstance(body, CellBody) for body in bodies):
+        cells = [body for body in bodies if isinstance(body, CellBody)]
+        if section.rotation or len(cells) < len(bodies):
             raise SpecError(
                 "the emulated microscope shows only cells, and cannot be rotated",
                 "use lab.actuator.type field and lab.camera.rotation 0",
             )
-        self._dish = bodies[0].dish  # type: ignore[attr-defined]
+        self._dish = cells[0].dish
         self._dish.held = False  # the camera would not recognise a cell that does not swim
         um, arena = stage.setup.metres * 1e6, stage.setup.arena
         corner = section.corner[0] * um, section.corner[1] * um

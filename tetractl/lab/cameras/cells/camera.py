@@ -15,11 +15,12 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
+from tetractl.experiment.choice import FoundCell
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl.lab.cameras.cells.crops import FilmCutter
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.cells.helix import WALL_UM, Piece
+from tetractl.lab.cameras.cells.helix import SPEED, WALL_UM, A, Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
@@ -28,6 +29,7 @@ BACKGROUND = 15  # number of pictures from which the background is computed
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
 FILMS = 1024
 SIGNALS = 4096  # largest number of sent directions that are kept
+SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
 
 class CellCamera(PictureCamera[SeenDish]):
@@ -70,10 +72,21 @@ class CellCamera(PictureCamera[SeenDish]):
             if not self._signals or self._signals[-1][1] != direction:
                 self._signals.append((sent_ns, direction))
 
-    @property
-    def cells(self) -> Sequence[SeenCell]:
-        """The cells in the newest picture."""
-        return self._cells
+    def found_cells(self) -> list[FoundCell]:
+        """Return the cells in the newest picture whose identity is sure, with the filter's
+        estimates. Cells near the arena's edge are not free.
+        """
+        return [
+            self._found(each) for each in self._cells if each.found and each.probability >= SURE
+        ]
+
+    def _found(self, cell: SeenCell) -> FoundCell:
+        per_um = 1e-6 / self._setup.metres
+        a_sd, speed_sd = (math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
+        a, speed = float(cell.mean[A]), float(cell.mean[SPEED]) * per_um
+        free = not self._near_wall(np.array([cell.x]), np.array([cell.y])).item()
+        pose = self._pose_of(cell)
+        return FoundCell(cell.identity, pose, a, a_sd, speed, speed_sd * per_um, free)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""
@@ -129,8 +142,8 @@ class CellCamera(PictureCamera[SeenDish]):
         robots = [found.get(identity) for identity in identities]
         self._films.append(self._cutter.film(picture, exposed_ns, cells, robots, self._tracker))
         return SeenDish(
-            poses=tuple(None if cell is None else self.pose_of(cell) for cell in robots),
-            strangers=tuple(self.pose_of(c) for c in cells if c.identity not in identities),
+            poses=tuple(None if cell is None else self._pose_of(cell) for cell in robots),
+            strangers=tuple(self._pose_of(c) for c in cells if c.identity not in identities),
             light=self._tracker.light,
             level=float(np.median(picture[::8, ::8])),
             sharpness=_sharpness(picture, cells, self.section.um_px, self._tracker.light),
@@ -163,7 +176,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._identities = [cells[int(j)].identity for j in chosen]
         return self._identities
 
-    def pose_of(self, cell: SeenCell) -> Pose:
+    def _pose_of(self, cell: SeenCell) -> Pose:
         """Return the pose of a cell in the spec's coordinates."""
         x, y = self.section.placed(cell.x, cell.y, self._setup.metres)
         return Pose(x, y, cell.heading + self.section.rotation)

@@ -10,6 +10,7 @@ import os
 import re
 import sys
 import threading
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ class MicroManagerFeed:
 
     def __init__(self, source: MicroManagerSource, clock: Clock) -> None:
         try:
-            from pymmcore import CMMCore  # type: ignore[import-not-found]
+            core = import_module("pymmcore").CMMCore
         except ModuleNotFoundError as error:
             raise AbortError(
                 "a source of type micromanager needs pymmcore, which is not installed",
@@ -81,7 +82,7 @@ class MicroManagerFeed:
         self._clock, self._closing = clock, threading.Event()
         folder = adapter_folder()
         require_adapters(source.config, folder)
-        self._core: Any = CMMCore()
+        self._core: Any = core()
         try:
             self._core.setDeviceAdapterSearchPaths([str(folder)])
             self._core.loadSystemConfiguration(source.config)

@@ -63,7 +63,6 @@ class PictureCamera(ABC, Generic[S]):
     ) -> None:
         self._source, self._join = section, join
         self._clock, self._wake = clock, wake
-        self._newest: CameraFrame | None = None
         self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
@@ -83,11 +82,6 @@ class PictureCamera(ABC, Generic[S]):
     @abstractmethod
     def check(self) -> Health:
         """Examine some pictures; return problems, warnings and facts."""
-
-    @property
-    def newest(self) -> CameraFrame | None:
-        """The newest frame, None before the first."""
-        return self._newest
 
     @property
     def damaged(self) -> int:
@@ -116,7 +110,7 @@ class PictureCamera(ABC, Generic[S]):
             ]
         for thread in self._threads:
             thread.start()
-        if not self._wait(lambda: self._newest is not None, patience):
+        if not self._wait(lambda: bool(self._looks), patience):
             self.__exit__()
             damaged = f"{self.damaged} pictures were damaged" if self.damaged else None
             raise AbortError(
@@ -216,7 +210,6 @@ class PictureCamera(ABC, Generic[S]):
             return
         frame = CameraFrame(number, exposed, picture.received_ns, seen.poses, seen.strangers)
         self._fresh.append(frame)
-        self._newest = frame
         self._looks.append(Look(number, picture.received_ns, self._clock.now() - began, seen))
         with self._changed:
             self._changed.notify_all()

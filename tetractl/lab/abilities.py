@@ -1,0 +1,71 @@
+"""What cameras and actuators may be able to do beyond `Camera` and `Actuator`, as protocols.
+
+A device has an ability if it has the protocol's members; nothing needs to be declared.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import Protocol, runtime_checkable
+
+from tetractl.core.cell_film import CellFilm
+from tetractl.core.setup import Setup
+from tetractl.experiment.choice import FoundCell
+
+
+@runtime_checkable
+class HearsDirections(Protocol):
+    """A camera that receives each transmission, and so can distinguish robots by their response."""
+
+    def steered(self, direction: float | None, sent_ns: int) -> None:
+        """Take the common direction u [rad] sent at `sent_ns`; None if the field was switched off.
+
+        Called in the inner loop's thread.
+        """
+        ...
+
+
+@runtime_checkable
+class FilmsCells(Protocol):
+    """A camera that logs crops of its pictures, and how sure the robots' identities are."""
+
+    def films(self) -> list[CellFilm]:
+        """Return the film's data for each picture since the last call, oldest first."""
+        ...
+
+
+@runtime_checkable
+class TracksCells(Protocol):
+    """A camera that tracks all cells in view, of which some are the robots.
+
+    Trials that choose their robots need it, and robots that are replaced after their loss.
+    """
+
+    @property
+    def robots(self) -> Sequence[int]:
+        """The numbers of the robots' cells; empty before all were seen in one picture."""
+        ...
+
+    @property
+    def divided(self) -> Collection[int]:
+        """The indices of the robots from whose blob another cell separated."""
+        ...
+
+    def found_cells(self) -> list[FoundCell]:
+        """Return the cells in the newest picture whose identity is sure."""
+        ...
+
+    def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
+        """Track the cells with these numbers as the robots of a setup from now on."""
+        ...
+
+    def replace(self, robot: int, number: int) -> None:
+        """From now on, track the cell with this number as the robot with the index `robot`."""
+        ...
+
+
+@runtime_checkable
+class SettlesRobots(Protocol):
+    """An actuator that can go on with the robots that a trial has chosen."""
+
+    def settle(self, setup: Setup) -> None:
+        """Continue with the robots of this setup."""
+        ...

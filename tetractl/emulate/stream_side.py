@@ -183,7 +183,7 @@ def part(jpeg: bytes) -> bytes:
 
 
 KEEP_NS = 5_000_000  # interval between the scenes that are kept for drawing exposures
-KEPT = 200
+SCENES_KEPT = 200
 
 
 class StreamSettings(Model):
@@ -270,7 +270,7 @@ class StreamedCamera(ABC):
         self._stage, self._settings, self._latency = stage, settings, section.latency
         port = stage.options.command_port
         self._port = urlsplit(section.source.url).port or 80 if port is None else port
-        self._past: deque[tuple[int, Floats]] = deque(maxlen=KEPT)
+        self._past: deque[tuple[int, Floats]] = deque(maxlen=SCENES_KEPT)
         self._watched = self._opened = False
         self._exposures = 0
 

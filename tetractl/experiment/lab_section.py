@@ -8,7 +8,7 @@ the spec's length unit; times are in seconds.
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, model_validator
 
@@ -245,6 +245,14 @@ class LabSection(PlantSection):
                 "a row"
             ),
         }
+
+
+Part = TypeVar("Part", bound=RobotPart)
+
+
+def entry(robots: Sequence[Part], name: str) -> Part:
+    """Return the entry of the robot with this name; `mismatches` has found that there is one."""
+    return next(robot for robot in robots if robot.name == name)
 
 
 def mismatches(

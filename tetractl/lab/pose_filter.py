@@ -121,7 +121,9 @@ class PoseFilter:
         return ""
 
 
-KEPT = 20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
+FRAMES_KEPT = (
+    20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,12 +145,12 @@ class AcceptedFrame:
 
 
 class FrameBuffer:
-    """The last `KEPT` accepted frames, oldest first; the inner loop appends, any thread reads."""
+    """The last accepted frames, oldest first; the inner loop appends, any thread reads."""
 
     def __init__(self) -> None:
         self.newest: AcceptedFrame | None = None
         self.count = 0  # number of frames appended so far
-        self._frames: deque[AcceptedFrame] = deque(maxlen=KEPT)
+        self._frames: deque[AcceptedFrame] = deque(maxlen=FRAMES_KEPT)
         self._lock = threading.Lock()
 
     def append(self, frame: AcceptedFrame) -> None:

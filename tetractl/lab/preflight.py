@@ -15,8 +15,7 @@ from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
 
 POLL_S = 1.0
-WATCHED = 60  # number of camera frames that are checked
-WATCH_NS = SECOND
+FRAMES_CHECKED = 60  # number of camera frames that are checked
 LOOK_NS = SECOND // 100
 PLACES_NS = SECOND // 5  # interval between checks of the robots' positions
 GRACE_S = 1.0  # least time to wait for a robot, since frames are missing occasionally
@@ -156,12 +155,12 @@ def _strangers(rig: Rig, frame: CameraFrame) -> list[str]:
 
 
 def _watch(rig: Rig) -> list[CameraFrame]:
-    """Return the next `WATCHED` frames, or fewer if the camera falls silent."""
+    """Return the next `FRAMES_CHECKED` frames, or fewer if the camera falls silent."""
     clock, frames, first = rig.clock, rig.frames, rig.frames.count
     began = heard = clock.now()
     silence = round(rig.limits.stream_lost * SECOND)
     count = first
-    while count - first < WATCHED and clock.now() - began < WATCH_NS:
+    while count - first < FRAMES_CHECKED and clock.now() - began < SECOND:
         clock.sleep_until(clock.now() + LOOK_NS)
         before, count = count, frames.count
         if count > before:

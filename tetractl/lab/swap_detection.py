@@ -44,7 +44,6 @@ ALONE_GAINS = (-1.25, 1.25)  # gains tried for its own commands, as a wheel may 
 ALONE_BETTER = 0.25  # the same for a single robot that follows another
 ALONE_CLEAR = 0.06  # least Q_ii - Q_ij per integral of w_j^2, for a single robot
 EXPLAINED = 0.8  # fraction of another robot's commanded turning that must be measured
-TINY = 1e-12
 
 
 class SwapDetector:
@@ -172,7 +171,7 @@ class _TurnIntegrals:
         bias = np.array(BIASES)[:, None, None]
         commanded = np.diagonal(self._commanded, axis1=1, axis2=2)
         common = np.diagonal(self._common, axis1=1, axis2=2) - bias * self._way  # (B, D, N)
-        gain = np.clip(common / np.maximum(commanded, TINY), *gains)
+        gain = np.clip(common / np.maximum(commanded, 1e-12), *gains)
         misfit = gain**2 * commanded - 2.0 * gain * common
         return (misfit + bias**2 * self._seconds - 2.0 * bias * self._turned).min(axis=(0, 1))
 

@@ -7,6 +7,7 @@ its pictures can be compared with the truth.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from typing import Any, ClassVar, Self
 
 import cv2
@@ -20,18 +21,21 @@ from tetractl.emulate.faults import Fault, Undo, Visible, fault
 from tetractl.emulate.sides import Body, Stage
 from tetractl.emulate.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
 from tetractl.experiment.base import Model, Name, NonNegative
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, FloorTag, RobotTag
+
+VIEW = 2 * math.tan(1.1 / 2)  # a picture's width over the focal length: 63 degrees
 
 
 @dataclass(frozen=True, slots=True)
 class Optics:
     """A pinhole camera that looks from `position` at `target` [m, z up], and its imperfections.
 
-    `up` is the direction on the floor that is up in the picture [rad]. `distortion` contains
-    OpenCV's k1, k2, p1, p2 and, optionally, k3. `blur_px` is the standard deviation of the lens's
-    Gaussian blur, `exposure_s` the exposure time, `gain` multiplies the light, and `noise` is the
-    standard deviation of each pixel in grey levels at gain 1.
+    Up in the picture is +y on the floor. `distortion` contains OpenCV's k1, k2, p1, p2 and,
+    optionally, k3. `blur_px` is the standard deviation of the lens's Gaussian blur, `exposure_s`
+    the exposure time, `gain` multiplies the light, and `noise` is the standard deviation of each
+    pixel in grey levels at gain 1.
     """
 
     width: int
@@ -39,7 +43,6 @@ class Optics:
     focal_px: float
     position: tuple[float, float, float]
     target: tuple[float, float, float]
-    up: float = math.pi / 2
     distortion: tuple[float, ...] = ()
     blur_px: float = 0.7
     exposure_s: float = 0.004
@@ -48,46 +51,36 @@ class Optics:
 
     @classmethod
     def facing(
-        cls,
-        floor: Sequence[FloorTag],
-        metres: float,
-        width: int,
-        height: int,
-        view: float = 1.1,
-        tilt: float = 0.35,
-        up: float = math.pi / 2,
+        cls, floor: Sequence[FloorTag], metres: float, width: int, height: int, tilt: float = 0.35
     ) -> Self:
         """Return the camera nearest to the floor that sees all floor tags with some margin.
 
         `metres` is the spec's length unit [m], `width` and `height` are those of a picture [px],
-        `view` is the horizontal angle of view [rad], and `tilt` the angle between the optical axis
-        and the vertical [rad].
+        and `tilt` is the angle between the optical axis and the vertical [rad].
         """
         centres = np.array([tag.at for tag in floor]) * metres
         # from the centre of the largest card to its corner, rounded up [m]
         around = 0.75 * max(tag.size_mm for tag in floor) * MM
         low, high = centres.min(axis=0) - around, centres.max(axis=0) + around
         corners = np.array([(x, y, 0.0) for x in (low[0], high[0]) for y in (low[1], high[1])])
-        focal = width / 2 / math.tan(view / 2)
-        x, y = map(float, (low + high) / 2)
-        back = math.sin(tilt) * math.cos(up), math.sin(tilt) * math.sin(up)
-        made = cls(width, height, focal, (x, y, 0.0), (x, y, 0.0), up)
+        x, y = ((low + high) / 2).tolist()
+        made = cls(width, height, width / VIEW, (x, y, 0.0), (x, y, 0.0))
         for distance in (np.geomspace(0.05, 100.0, 800) * np.hypot(*(high - low))).tolist():
-            at = (x - distance * back[0], y - distance * back[1], distance * math.cos(tilt))
-            pixels = replace(made, position=at).project(corners)
-            size = np.array([width, height])
-            if (np.ptp(pixels, axis=0) < 0.96 * size).all():
-                return replace(made, position=at).centred(corners)
+            at = (x, y - distance * math.sin(tilt), distance * math.cos(tilt))
+            made = replace(made, position=at)
+            if (np.ptp(made.project(corners), axis=0) < (0.96 * width, 0.96 * height)).all():
+                return made.centred(corners)
         raise ValueError("the camera cannot see all floor tags in one picture")
 
     def centred(self, corners: Floats) -> Self:
         """Return the camera turned so that `corners` (M, 3) [m] lie around the picture's middle."""
-        made = self
+        made, at = self, np.array(self.position)
         for _ in range(8):
             pixels = made.project(corners)
-            middle = (pixels.min(axis=0) + pixels.max(axis=0)) / 2
-            x, y, _ = made.ground(middle)
-            made = replace(made, target=(float(x), float(y), 0.0))
+            off = (pixels.min(axis=0) + pixels.max(axis=0)) / 2 - made.matrix[:2, 2]
+            ray = np.append(off / made.focal_px, 1.0) @ made.axes
+            x, y, _ = (at - ray * at[2] / ray[2]).tolist()  # where the ray meets the floor
+            made = replace(made, target=(x, y, 0.0))
         return made
 
     @property
@@ -103,7 +96,7 @@ class Optics:
         """
         forward = np.subtract(self.target, self.position)
         forward /= np.linalg.norm(forward)
-        right = np.cross(forward, (math.cos(self.up), math.sin(self.up), 0.0))
+        right = np.cross(forward, (0.0, 1.0, 0.0))
         right /= np.linalg.norm(right)
         return np.array([right, np.cross(forward, right), forward])
 
@@ -111,11 +104,6 @@ class Optics:
         """Return the pixels (M, 2) of points (M, 3) [m], before distortion."""
         seen = (points - np.array(self.position)) @ self.axes.T
         return (seen[:, :2] / seen[:, 2:]) * self.focal_px + self.matrix[:2, 2]
-
-    def ground(self, pixel: Floats) -> Floats:
-        """Return the point (3,) [m] where the ray of a pixel (2,) meets the floor."""
-        ray = np.append((pixel - self.matrix[:2, 2]) / self.focal_px, 1.0) @ self.axes
-        return np.array(self.position) - ray * self.position[2] / ray[2]
 
 
 FLOOR, WHITE, BLACK = 150.0, 225.0, 25.0  # grey levels at gain 1
@@ -129,7 +117,7 @@ SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 Shades = NDArray[np.float32]
 
 
-@dataclass(slots=True)
+@dataclass
 class Renderer:
     """Draws the robots' tags and the floor tags as seen through the optics; the same seed gives the
     same pictures. `metres` is the spec's length unit [m]. Tags whose numbers are in `hidden` are
@@ -143,10 +131,7 @@ class Renderer:
     seed: int = 0
     hidden: set[int] = field(default_factory=set)
     strays: list[FloorTag] = field(default_factory=list)
-    _textures: dict[int, Shades] = field(default_factory=dict)
     _empty: tuple[frozenset[int], Shades] | None = None
-    _noise: Shades | None = None
-    _bent: tuple[Shades, Shades] | None = None
     _pictures: int = 0
 
     def picture(self, poses_at: Callable[[int], Poses], exposed_ns: int) -> Grey:
@@ -163,7 +148,7 @@ class Renderer:
                 continue
             corners = [self.card(robot, each, i) for each in poses]
             still = np.ptp(corners, axis=0).max() < STILL_PX
-            self._stamp(canvas, self._texture(robot.tag), corners[:1] if still else corners)
+            self._stamp(canvas, texture(robot.tag), corners[:1] if still else corners)
         for stray in self.strays:
             self._lay(canvas, stray)
         return self._finished(canvas)
@@ -199,7 +184,7 @@ class Renderer:
 
     def _lay(self, canvas: Shades, tag: FloorTag) -> None:
         corners = self._card(tag.at, 0.0, tag.heading, tag.size_mm)
-        self._stamp(canvas, self._texture(tag.tag), [corners])
+        self._stamp(canvas, texture(tag.tag), [corners])
 
     def _stamp(self, canvas: Shades, texture: Shades, exposures: Sequence[Floats]) -> None:
         """Draw a card into the canvas, averaged over its positions during the exposure."""
@@ -222,50 +207,49 @@ class Renderer:
         part *= 1 - ink[..., 1]
         part += ink[..., 0]
 
-    def _texture(self, number: int) -> Shades:
-        """Return a tag's card (side, side, 2): the grey level, and a coverage of 1."""
-        if number not in self._textures:
-            modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
-            grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
-            cover = np.stack([grey, np.ones_like(grey)], axis=-1)
-            self._textures[number] = cover.astype(np.float32)
-        return self._textures[number]
-
     def _finished(self, canvas: Shades) -> Grey:
         """Return the picture with distortion, blur, gain and noise."""
         optics = self.optics
         if any(optics.distortion):
-            columns, rows = self._undistorted()
-            straight = canvas.copy()
-            cv2.remap(straight, columns, rows, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
+            cv2.remap(canvas.copy(), *self._bent, cv2.INTER_LINEAR, canvas, borderValue=FLOOR)
         if optics.blur_px:
             cv2.GaussianBlur(canvas, (0, 0), optics.blur_px, canvas)
         if optics.noise:
             canvas += optics.noise * self._grain(*canvas.shape)
         return np.clip(canvas * optics.gain + 0.5, 0, 255).astype(np.uint8)
 
+    @cached_property
+    def _noise(self) -> Shades:
+        """Standard normal noise, larger than a picture by SPARE."""
+        draw = np.random.default_rng(self.seed).standard_normal
+        return draw((self.optics.height + SPARE, self.optics.width + SPARE), np.float32)
+
     def _grain(self, height: int, width: int) -> Shades:
         """Return standard normal noise (height, width), a random part of a larger array."""
-        if self._noise is None:
-            draw = np.random.default_rng(self.seed).standard_normal
-            self._noise = draw((height + SPARE, width + SPARE), np.float32)
         self._pictures += 1
-        place = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE, 2)
-        return self._noise[place[0] : place[0] + height, place[1] : place[1] + width]
+        x, y = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE, 2)
+        return self._noise[x : x + height, y : y + width]
 
-    def _undistorted(self) -> tuple[Shades, Shades]:
-        """Return, for each pixel of the distorted picture, the column and the row of the same point
-        in the undistorted picture: two arrays (height, width).
+    @cached_property
+    def _bent(self) -> tuple[Shades, Shades]:
+        """For each pixel of the distorted picture, the column and the row of the same point in the
+        undistorted picture: two arrays (height, width).
         """
-        if self._bent is None:
-            optics = self.optics
-            rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
-            pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
-            lens = np.array(optics.distortion)
-            ideal = cv2.undistortPoints(pixels, optics.matrix, lens, P=optics.matrix)
-            ideal = ideal.reshape(optics.height, optics.width, 2).astype(np.float32)
-            self._bent = ideal[..., 0].copy(), ideal[..., 1].copy()
-        return self._bent
+        optics = self.optics
+        rows, columns = np.indices((optics.height, optics.width), dtype=np.float32)
+        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2)
+        lens = np.array(optics.distortion)
+        ideal = cv2.undistortPoints(pixels, optics.matrix, lens, P=optics.matrix)
+        ideal = ideal.reshape(optics.height, optics.width, 2).astype(np.float32)
+        return ideal[..., 0].copy(), ideal[..., 1].copy()
+
+
+@cache
+def texture(number: int) -> Shades:
+    """Return a tag's card (side, side, 2): the grey level, and a coverage of 1."""
+    modules = np.pad(tag_picture(number), 1, constant_values=255) / 255
+    grey = np.kron(BLACK + (WHITE - BLACK) * modules, np.ones((MODULE_PX, MODULE_PX)))
+    return np.stack([grey, np.ones_like(grey)], axis=-1).astype(np.float32)
 
 
 class AprilTagSettings(StreamSettings):
@@ -302,7 +286,7 @@ class EmulatedAprilTag(StreamedCamera):
             noise=settings.noise,
             exposure_s=settings.exposure,
         )
-        robots = section.ordered(stage.setup.names)
+        robots = [entry(section.robots, name) for name in stage.setup.names]
         self.renderer = Renderer(robots, section.floor, metres, optics, self.seed)
 
     def hide(self, hidden: bool) -> None:
@@ -313,8 +297,7 @@ class EmulatedAprilTag(StreamedCamera):
 
     def tag(self, name: str) -> int:
         """Return the number of a robot's tag."""
-        (robot,) = self._section.ordered([name])
-        return robot.tag
+        return entry(self._section.robots, name).tag
 
     def _scene(self) -> Floats:
         mm = self._stage.mm

@@ -17,6 +17,7 @@ from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerC
 from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, halved, nowhere, rolled
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
@@ -231,7 +232,7 @@ def _tracked(
     free = iter(sorted(set(range(1, 1000)) - taken))
     found: list[TrackedBody] = []
     for body in bodies:
-        robot = section.robot(body.name)
+        robot = entry(section.robots, body.name)
         number = robot.body if isinstance(robot.body, int) else next(free)
         truth = truths.get(body.name, TrueBody(name=body.name))
         named = truth.body or (robot.body if isinstance(robot.body, str) else robot.name)

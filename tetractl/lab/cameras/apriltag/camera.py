@@ -12,8 +12,9 @@ from tetractl.core.clock import Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Floats, Grey, Pose
 from tetractl.core.setup import Setup
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.apriltag.detect import Detector, Sighting
-from tetractl.lab.cameras.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor, Plane
+from tetractl.lab.cameras.apriltag.floor import MISFIT_MM, MM, SQUARE, Floor
 from tetractl.lab.cameras.apriltag.section import AprilTagSection, RobotTag
 from tetractl.lab.cameras.pictures.looks import Look
 from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
@@ -45,7 +46,7 @@ class Tracker:
     """Finds the robots' and floor tags in pictures; `metres` is the spec's length unit [m]."""
 
     def __init__(self, section: AprilTagSection, names: Sequence[str], metres: float) -> None:
-        self.robots = section.ordered(names)
+        self.robots = [entry(section.robots, name) for name in names]
         self._on_floor = {tag.tag for tag in section.floor}
         self._wanted = self._on_floor | {robot.tag for robot in self.robots}
         self._metres = metres
@@ -108,8 +109,7 @@ class Tracker:
 
 BLURRED = 0.36  # blur [modules] above which some tags cannot be read
 ODD = 0.03  # relative difference from the spec's tag size above which a warning is given
-MISPLACED_MM = 3.0
-DOUBTFUL_MM = 3.0
+MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
 OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen
 
 
@@ -117,50 +117,42 @@ Finding = tuple[bool, str]
 """A problem (True) or a warning (False), and its text."""
 
 
-def _seen(looks: Sequence[Look[Seen]]) -> tuple[list[int], list[int]]:
-    """Return the tags seen in at least half of the pictures, and those seen twice in a picture."""
-    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
-    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
-    return sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks)), sorted(twice)
-
-
-def _floor_findings(
-    floor: Sequence[int], plane: Plane | None, estimated: bool, looks: Sequence[Look[Seen]]
+def _findings(
+    section: AprilTagSection, tracker: Tracker, looks: Sequence[Look[Seen]]
 ) -> Iterator[Finding]:
-    seen, twice = _seen(looks)
+    counts = Counter(tag for look in looks for tag in set(look.seen.tags))
+    seen = sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks))
+    twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
+    others = f"; tags seen: {_listed(seen)}"
+    floor = [tag.tag for tag in section.floor]
     if missing := [tag for tag in floor if tag not in seen]:
-        yield True, f"floor {_tags(missing)} not seen; tags seen: {_listed(seen)}"
+        yield True, f"floor {_tags(missing)} not seen{others}"
     if double := [tag for tag in floor if tag in twice]:
         yield True, f"floor {_tags(double)} seen twice: each number may be used only once"
-    if plane is None:
-        return
-    if not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
+    plane = tracker.floor.plane or tracker.floor.misfit
+    if plane is not None and not plane.worst_mm <= MISPLACED_MM:  # true for NaN, too
         yield (
             not plane.worst_mm <= MISFIT_MM,
             f"the floor tags are up to {plane.worst_mm:.1f} mm away from their places in "
             "lab.camera.floor: measure the fields at, size_mm and heading again",
         )
-    if estimated and plane.doubt_mm > DOUBTFUL_MM:
+    if plane is not None and section.lens is None and plane.doubt_mm > MISPLACED_MM:
         yield (
             plane.doubt_mm > MISFIT_MM,
             f"the floor tags do not determine the lens well: robots may be {plane.doubt_mm:.0f} mm "
             "off; tilt the camera more or set lab.camera.lens",
         )
-
-
-def _robot_findings(robots: Sequence[RobotTag], looks: Sequence[Look[Seen]]) -> Iterator[Finding]:
-    seen, twice = _seen(looks)
-    for i, robot in enumerate(robots):
-        measured = [size for look in looks if (size := look.seen.sizes[i]) is not None]
+    for i, robot in enumerate(tracker.robots):
+        sizes = [size for look in looks if (size := look.seen.sizes[i]) is not None]
         if robot.tag in twice:
             yield True, f"{robot.name}: tag {robot.tag} is seen twice, so the robot is not tracked"
         elif robot.tag not in seen:
-            yield True, f"{robot.name}: tag {robot.tag} is not seen; tags seen: {_listed(seen)}"
-        elif measured and abs(size := statistics.median(measured) - 1) > ODD:
+            yield True, f"{robot.name}: tag {robot.tag} is not seen{others}"
+        elif sizes and abs(off := statistics.median(sizes) - 1) > ODD:
             yield (
-                abs(size) >= ODD_SIZE,
-                f"{robot.name}: its tag looks {abs(100 * size):.0f} % "
-                f"{'larger' if size > 0 else 'smaller'} than it should: are size_mm and height_mm "
+                abs(off) >= ODD_SIZE,
+                f"{robot.name}: its tag looks {abs(100 * off):.0f} % "
+                f"{'larger' if off > 0 else 'smaller'} than it should: are size_mm and height_mm "
                 "right?",
             )
 
@@ -196,11 +188,8 @@ class AprilTagCamera(PictureCamera[Seen]):
         """Examine some pictures; return problems, warnings and facts of source, floor and tags."""
         looks, section, floor = self._look(), self.section, self._tracker.floor
         problems, warnings = self._stream_lines(looks)
-        plane, tags = floor.plane or floor.misfit, [tag.tag for tag in section.floor]
-        for refuses, text in (
-            *_floor_findings(tags, plane, section.lens is None, looks),
-            *_robot_findings(self._tracker.robots, looks),
-        ):
+        plane = floor.plane or floor.misfit
+        for refuses, text in _findings(section, self._tracker, looks):
             (problems if refuses else warnings).append(text)
         blurs = [look.seen.blur for look in looks if look.seen.blur is not None]
         sides = [look.seen.side_px for look in looks if look.seen.side_px is not None]

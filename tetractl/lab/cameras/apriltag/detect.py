@@ -102,7 +102,6 @@ ALONG = np.linspace(0.15, 0.85, 15)
 ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
 # modules on either side of an edge, so that only border and margin are sampled
 REACH = 0.9
-ROUNDS = 2
 NOTHING = 1e-9
 
 
@@ -118,7 +117,7 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     offsets = REACH * module[:, None] * ACROSS  # (T, A)
     step = offsets[:, 1:] - offsets[:, :-1]
     between = (offsets[:, 1:] + offsets[:, :-1])[:, None, None] / 2
-    for _ in range(ROUNDS):
+    for _ in range(2):
         side = np.roll(corners, -1, axis=1) - corners
         along = side / (np.linalg.norm(side, axis=-1, keepdims=True) + NOTHING)
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)

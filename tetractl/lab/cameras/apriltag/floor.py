@@ -14,7 +14,6 @@ every f fits equally well, and the prior decides.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, cast
 
 import cv2
 import numpy as np
@@ -173,25 +172,15 @@ def _fitted(
     start = _posed(*_lens(np.zeros(2), width, middle), points, spots)
     turn, _ = cv2.Rodrigues(start.rotation)
 
-    def projected(x: Floats) -> tuple[Floats, Floats]:
-        """Return the pixels of the spots for pose and lens x (8,), and their derivatives with
-        respect to x (2M, 8).
-        """
-        matrix, distortion = _lens(x[6:], width, middle)
-        pixels, slopes = cv2.projectPoints(_flat(spots), x[:3], x[3:6], matrix, distortion)
-        # columns: turn, shift, fx, fy, cx, cy, k1, ...; f = fx = fy
-        focal = USUAL_FOCAL * matrix[0, 0] * (slopes[:, 6] + slopes[:, 7])
-        columns = np.column_stack([slopes[:, :6], focal, USUAL_BEND * slopes[:, 10]])
-        return pixels.reshape(-1, 2).astype(float), columns.astype(float)
-
     def misfit(x: Floats) -> Floats:
-        return np.append((projected(x)[0] - points).ravel() / CORNER_PX, x[6:])
-
-    def slope(x: Floats) -> Floats:
-        return np.vstack([projected(x)[1] / CORNER_PX, np.eye(8)[6:]])
+        """Return the errors of the spots' pixels for pose and lens x (8,), and the lens's own, all
+        in standard deviations.
+        """
+        pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens(x[6:], width, middle))
+        return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
 
     first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
-    fit = least_squares(misfit, first, cast(Any, slope), method="lm", x_scale="jac")
+    fit = least_squares(misfit, first, method="lm", x_scale="jac")
     variances, axes = np.linalg.eigh(np.linalg.inv(fit.jac.T @ fit.jac)[6:, 6:])
     return fit.x[6:], np.sqrt(variances)[:, None] * axes.T
 

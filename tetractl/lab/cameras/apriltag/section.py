@@ -4,15 +4,15 @@ Lengths whose name ends in `_mm` are millimetres, whatever the spec's length uni
 seconds. OpenCV is imported only if the camera is built.
 """
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import Field, model_validator
 
-from tetractl.core.errors import SpecError
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, NonNegative, Point, Positive, inconsistent
-from tetractl.experiment.lab_section import RobotPart, mismatches
+from tetractl.experiment.lab_section import RobotPart, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
@@ -80,24 +80,16 @@ class AprilTagSection(PictureSection):
 
     @model_validator(mode="after")
     def _each_once(self) -> Self:
-        for name in _twice([robot.name for robot in self.robots]):
-            raise inconsistent("robots", f"{name} is listed twice")
-        for tag in _twice([str(each.tag) for each in (*self.robots, *self.floor)]):
-            raise inconsistent("floor", f"tag {tag} is used twice: numbers must differ")
+        for tag, count in Counter(each.tag for each in (*self.robots, *self.floor)).items():
+            if count > 1:
+                raise inconsistent("floor", f"tag {tag} is used twice: numbers must differ")
         if _flat([tag.at for tag in self.floor]):
             raise inconsistent("floor", "the floor tags must not lie on one line")
         return self
 
-    def ordered(self, names: Sequence[str]) -> tuple[RobotTag, ...]:
-        """Return the tags in the order of the robots' `names`; SpecError if a robot has no tag."""
-        by_name = {robot.name: robot for robot in self.robots}
-        if missing := [name for name in names if name not in by_name]:
-            raise SpecError(f"lab.camera.robots: no tag for {', '.join(missing)}")
-        return tuple(by_name[name] for name in names)
-
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield the place and text of each problem with the robots or their tags."""
-        yield from mismatches(self.robots, setup.names, ("tag",))
+        yield from mismatches(self.robots, setup.names)
 
     def bounds(self) -> dict[str, str]:
         """Return the source of the pictures as {name: text}, for display."""
@@ -105,11 +97,7 @@ class AprilTagSection(PictureSection):
 
     def heading_offset(self, name: str) -> float:
         """Return the angle added to the heading of a robot's tag [rad]."""
-        return self.ordered([name])[0].heading_offset
-
-
-def _twice(values: Sequence[str]) -> list[str]:
-    return [value for i, value in enumerate(values) if value in values[:i]]
+        return entry(self.robots, name).heading_offset
 
 
 def _flat(points: Sequence[Point]) -> bool:

@@ -19,6 +19,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.core.worker import drained
+from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     NEWEST,
@@ -42,13 +43,10 @@ from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
 ASKED_MAX = 4  # largest number of requests for the unit of length, which some servers ignore
 MODELS_MAX_NS = 8 * SECOND  # longest interval between requests for models that keep changing
-KEEPALIVE_NS = SECOND
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
-FIRST_ECHO_NS = SECOND // 50
 FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.02
-BUFFER = 1 << 18
 
 
 class OptitrackCamera:
@@ -67,7 +65,7 @@ class OptitrackCamera:
         make_socket: Callable[[Callable[[], None]], Any] | None = None,
     ) -> None:
         self.names = setup.names
-        robots = [section.robot(name) for name in setup.names]
+        robots = [entry(section.robots, name) for name in setup.names]
         self.section = section
         self.error: OSError | None = None
         self.senders = Senders(section.server, section.command_port)
@@ -205,7 +203,7 @@ class OptitrackCamera:
             )
             data.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
         for each in self._sockets:
-            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER)
+            each.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 18)
             each.setblocking(False)
 
     def _receive(self) -> None:
@@ -258,10 +256,10 @@ class OptitrackCamera:
             self._units_asked += self._every("ask", ASK_NS, lambda: NatNetRequest(UNITS))
         self._ask_models()
         if self._unicast:
-            self._every("alive", KEEPALIVE_NS, lambda: Bare(MessageKind.KEEPALIVE))
+            self._every("alive", SECOND, lambda: Bare(MessageKind.KEEPALIVE))
         if stream.sync is not None:
             burst = self._echoes < FIRST_ECHOES
-            every = FIRST_ECHO_NS if burst else ECHO_NS
+            every = ECHO_NS // 25 if burst else ECHO_NS
             if self._every("echo", every, lambda: EchoRequest(self._clock.now())):
                 self._echoes += 1
 

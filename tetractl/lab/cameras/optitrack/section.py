@@ -7,7 +7,7 @@ from pydantic import BeforeValidator, Field
 
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Point, Positive
-from tetractl.experiment.lab_section import CameraSection, RobotPart, mismatches
+from tetractl.experiment.lab_section import CameraSection, RobotPart, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 
 Ipv4 = Annotated[
@@ -80,8 +80,4 @@ class OptitrackSection(CameraSection):
 
     def heading_offset(self, name: str) -> float:
         """Return the angle added to the heading of a robot's rigid body [rad]."""
-        return self.robot(name).heading_offset
-
-    def robot(self, name: str) -> TrackedRobot:
-        """Return the entry of the robot with this name."""
-        return next(robot for robot in self.robots if robot.name == name)
+        return entry(self.robots, name).heading_offset

@@ -20,9 +20,8 @@ from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms,
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
-KEPT = 4096  # largest number of frames kept until they are fetched
+FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.05
-CLOSE_S = 2.0
 
 Join = Callable[[Callable[[bytes], None]], Feed]
 """Opens a source in memory, which calls a function with each picture, a JPEG file."""
@@ -63,7 +62,7 @@ class PictureCamera(ABC, Generic[S]):
     ) -> None:
         self._source, self._join = section, join
         self._clock, self._wake = clock, wake
-        self._fresh: deque[CameraFrame] = deque(maxlen=KEPT)
+        self._fresh: deque[CameraFrame] = deque(maxlen=FRAMES_KEPT)
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
         self._size: tuple[int, ...] | None = None
@@ -125,7 +124,7 @@ class PictureCamera(ABC, Generic[S]):
         if self._feed is not None:
             self._feed.interrupt()
         for thread in self._threads:
-            thread.join(CLOSE_S)
+            thread.join(2.0)
 
     def _look(self) -> tuple[Look[S], ...]:
         """Wait until 20 more pictures have come or the source has ended, up to `connect`; return

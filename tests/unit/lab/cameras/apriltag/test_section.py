@@ -3,7 +3,6 @@
 import pytest
 from pydantic import ValidationError
 
-from tetractl.core.errors import SpecError
 from tetractl.lab.cameras.apriltag.section import AprilTagSection
 
 ROBOT = {"name": "green", "tag": 1, "size_mm": 80, "height_mm": 90}
@@ -26,7 +25,6 @@ GOOD = {
         ({"source": {"type": "mjpeg", "url": "http://user:word@camera/"}}, "url"),
         ({"source": {"type": "device", "index": -1}}, "index"),
         ({"source": {"type": "usb"}}, "source"),
-        ({"robots": [ROBOT, {**ROBOT, "tag": 2}]}, "green is listed twice"),
         ({"robots": [{**ROBOT, "tag": 100}]}, "tag 100 is used twice"),
         ({"robots": [{**ROBOT, "tag": 587}]}, "tag"),
         ({"floor": FLOOR[:3]}, "floor"),
@@ -38,9 +36,3 @@ GOOD = {
 def test_what_cannot_be_is_refused(change, where):
     with pytest.raises(ValidationError, match=where):
         AprilTagSection.model_validate({**GOOD, **change})
-
-
-def test_a_robot_without_a_tag_is_named():
-    section = AprilTagSection.model_validate(GOOD)
-    with pytest.raises(SpecError, match="no tag for blue, red"):
-        section.ordered(["green", "blue", "red"])

@@ -25,39 +25,23 @@ def moving_robots(rig: Rig) -> list[str]:
 
 def wait_for_rest(rig: Rig) -> str:
     """Wait until the camera sees every robot stand still; repeat the stop while any robot moves.
+    Robots that cannot stand only have to be tracked.
 
-    Returns a text that names the robots not at rest within `limits.standstill`, "" if all rest.
+    Returns a text that names the robots not at rest or not tracked within `limits.standstill`, ""
+    if there are none.
     """
-    limit_ns = round(rig.limits.standstill * SECOND)
-    began = rig.clock.now()
+    halts, began = rig.actuator.halts, rig.clock.now()
     while True:
-        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
-        now, newest = rig.clock.now(), rig.frames.newest
-        lines = _stream_lost(rig) or moving_robots(rig)
-        if not lines and newest is not None and newest.frame.received_ns - began >= REST_NS:
+        lines = _stream_lost(rig) or (moving_robots(rig) if halts else _lost(rig))
+        newest, waited = rig.frames.newest, rig.clock.now() - began
+        watched = not halts or (newest and newest.frame.received_ns - began >= REST_NS)
+        if watched and not lines:
             return ""
-        if now - began >= limit_ns:
-            return _late(rig, lines)
-        if lines and now - began >= ROLLING_NS:
+        if waited >= rig.limits.standstill * SECOND:
+            return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
+        if halts and lines and waited >= ROLLING_NS:
             rig.loop.stop()
-
-
-def wait_until_tracked(rig: Rig) -> str:
-    """Wait until every robot is tracked, for robots that cannot stand still.
-
-    Returns a text that names the robots not tracked within `limits.standstill`, "" if all are.
-    """
-    limit_ns = round(rig.limits.standstill * SECOND)
-    began = rig.clock.now()
-    while lines := _stream_lost(rig) or _lost(rig):
-        if rig.clock.now() - began >= limit_ns:
-            return _late(rig, lines)
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
-    return ""
-
-
-def _late(rig: Rig, lines: list[str]) -> str:
-    return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
 
 
 def _stream_lost(rig: Rig) -> list[str]:

@@ -34,7 +34,7 @@ from tetractl.lab.abilities import FilmsCells, TracksCells
 from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
-from tetractl.lab.rest_check import wait_for_rest, wait_until_tracked
+from tetractl.lab.rest_check import wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
@@ -205,8 +205,7 @@ class LabPlant:
         After a fault since the last step, such as a stop that could not be sent, the robots count
         as not at rest.
         """
-        not_shown = wait_for_rest if self.rig.actuator.halts else wait_until_tracked
-        not_at_rest = not_shown(self.rig) if self.rig.frames.newest else ""
+        not_at_rest = wait_for_rest(self.rig) if self.rig.frames.newest else ""
         if not_at_rest:
             self._news.append(Note(self.clock.now(), "error", not_at_rest))
         if outdated := self.rig.guard.outdated:

@@ -13,8 +13,6 @@ from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
-    EchoRequest,
-    EchoResponse,
     MessageKind,
     ModelDef,
     NatNetFrame,
@@ -23,7 +21,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     ServerInfo,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
-from tetractl.lab.cameras.optitrack.wire import number_in, pack
+from tetractl.lab.cameras.optitrack.wire import pack
 
 
 @pytest.fixture
@@ -60,24 +58,6 @@ def test_handshake_models_and_frames(opened, version):
     assert poses[0].y == pytest.approx(0.5)
     assert poses[0].heading == pytest.approx(0.5, abs=1e-5)
     assert poses[1].heading == pytest.approx(-2.0, abs=1e-5)
-
-
-def test_requests(opened):
-    _lab, client = opened()
-    assert number_in(client.ask(NatNetRequest("UnitsToMillimeters"), Response), "f") == 1000.0
-    assert number_in(client.ask(NatNetRequest("UpAxis"), Response), "i") == UpAxis.Y
-    assert client.ask(NatNetRequest("MakeTea"), Bare).kind is MessageKind.UNRECOGNIZED
-
-
-def test_echo_tells_a_clock_of_its_own(opened):
-    lab, client = opened()
-    first = client.ask(EchoRequest(17), EchoResponse)
-    before = lab.timeline.now_ns
-    second = client.ask(EchoRequest(18), EchoResponse)
-    assert (first.client, second.client) == (17, 18)
-    assert second.server >= first.server
-    assert ServerClock().ticks(before) <= second.server <= ServerClock().ticks(lab.timeline.now_ns)
-    assert abs(second.server - before // 100) > 10_000_000  # it is not the host's clock
 
 
 def test_unicast_clients_time_out_and_are_kept_alive(opened):

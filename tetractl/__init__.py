@@ -76,10 +76,9 @@ if not TYPE_CHECKING:  # a type checker that sees `__getattr__` accepts every na
         """Import a public name when it is first used, so that `import tetractl` is quick."""
         if name not in __all__:
             raise AttributeError(f"module 'tetractl' has no attribute '{name}'")
-        from importlib import import_module
+        from pkgutil import resolve_name
 
-        module, _, attribute = _TYPES.get(name, f"tetractl.api:{name}").partition(":")
-        return getattr(import_module(module), attribute)
+        return resolve_name(_TYPES.get(name, f"tetractl.api:{name}"))
 
 
 def __dir__() -> list[str]:

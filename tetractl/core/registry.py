@@ -4,10 +4,10 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 from tetractl.core.errors import UsageError
@@ -71,14 +71,16 @@ class Registry:
         its object cannot be imported or is not derived from `base`.
         """
         if name in self.builtin:
-            return imported(self.builtin[name])
+            return resolve_name(self.builtin[name])
         point = self._installed[name]
         try:
             found = point.load()
         except Exception as error:  # a module of another package may raise anything
             text = str(error).partition("\n")[0]
             raise self._unusable(point, f"{type(error).__name__}: {text}") from error
-        if self.base and not (isinstance(found, type) and issubclass(found, imported(self.base))):
+        if self.base and not (
+            isinstance(found, type) and issubclass(found, resolve_name(self.base))
+        ):
             raise self._unusable(point, f"the object is not a class derived from {self.base}")
         return found
 
@@ -113,12 +115,6 @@ class Registry:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
         # if two packages provide the same name, the alphabetically first is used
         return {point.name: point for point in points}
-
-
-def imported(code: str) -> Any:
-    """Import and return the object that "module:attribute" names."""
-    module, _, attribute = code.partition(":")
-    return getattr(import_module(module), attribute)
 
 
 def _package(point: EntryPoint) -> tuple[str, str]:

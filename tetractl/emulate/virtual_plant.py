@@ -6,12 +6,12 @@ simulation, planning takes no virtual time.
 """
 
 import threading
+from pkgutil import resolve_name
 from typing import Literal
 
 import numpy as np
 
 from tetractl.core.clock import Clock
-from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
 from tetractl.plant.lab_plant import LabPlantSection
@@ -59,8 +59,8 @@ class EmulatedPlantSection(LabPlantSection):
         options = Options(address=None, seed=own, chosen=chosen, dish=seed.entropy)
         emulation, wake = started(self, setup, clock, options), threading.Event()
         join, ports = emulation.camera.join, emulation.wires.ports
-        camera = imported(self.camera.device)(self.camera, setup, clock, wake.set, join)
-        actuator = imported(self.actuator.device)(self.actuator, setup, clock, ports)
+        camera = resolve_name(self.camera.device)(self.camera, setup, clock, wake.set, join)
+        actuator = resolve_name(self.actuator.device)(self.actuator, setup, clock, ports)
         rig = Rig(camera, actuator, self.limits, setup, clock, emergency, wake, threaded=False)
         clock.steps.append(rig.loop.turn)
         return rig

@@ -103,8 +103,11 @@ class Disturbance:
 
 def overriding(disturbances: Sequence[Disturbance], method: str) -> list[Disturbance]:
     """Return the disturbances whose class overrides a method, in order."""
-    base = getattr(Disturbance, method)
-    return [one for one in disturbances if getattr(type(one), method) is not base]
+
+    def defining(one: Disturbance) -> type:
+        return next(kind for kind in type(one).__mro__ if method in vars(kind))
+
+    return [one for one in disturbances if defining(one) is not Disturbance]
 
 
 class DisturbanceSection(Model):

@@ -8,6 +8,7 @@ the spec's length unit; times are in seconds.
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pkgutil import resolve_name
 from typing import Annotated, Any, ClassVar, Self, TypeVar
 
 from pydantic import Field, model_validator
@@ -16,7 +17,6 @@ from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.registries import ACTUATORS, CAMERAS
-from tetractl.core.registry import imported
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Point, Positive, inconsistent
 from tetractl.experiment.plant import Microscope, PlantSection
@@ -78,7 +78,7 @@ class CameraSection(DeviceSection):
 
         `wake` is called after each frame. AbortError if the camera's software is not installed.
         """
-        return imported(self.device)(self, setup, clock, wake)
+        return resolve_name(self.device)(self, setup, clock, wake)
 
     def measured_by(self, first: Point, second: Point, um: float) -> Measured:
         """Return the picture's scale and rotation, measured by two points (column, row) [px] that
@@ -102,7 +102,7 @@ class ActuatorSection(DeviceSection):
 
     def build(self, setup: Setup, clock: Clock) -> Actuator:
         """Return the actuator of the setup's robots, in their order; nothing is opened."""
-        return imported(self.device)(self, setup, clock)
+        return resolve_name(self.device)(self, setup, clock)
 
     def stop_all(self, setup: Setup, alone: bool = True) -> str:
         """Stop every robot that the actuator reaches, with a latched stop if it has one. Only its
@@ -134,7 +134,7 @@ class ActuatorSection(DeviceSection):
             raise UsageError(
                 f"an actuator of type {self.type} cannot be calibrated by moving robots"
             )
-        measure = imported(self.calibration)
+        measure = resolve_name(self.calibration)
         return measure(self, lab, setup, names, limit, emergency, report)
 
 
@@ -269,6 +269,6 @@ def mismatches(
         if robot.name not in names:
             yield ("robots", i, "name"), f"is not a robot of the spec; those are {', '.join(names)}"
         for key in ("name", *unique):
-            value = getattr(robot, key)
+            value = dict(robot)[key]
             if value is not None and (first := taken.setdefault((key, value), i)) != i:
                 yield ("robots", i, key), f"is also that of {robots[first].name}; they must differ"

@@ -7,9 +7,9 @@ findings repeat.
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib import import_module
+from pkgutil import resolve_name
 from traceback import extract_tb
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -50,9 +50,8 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
     `fields` are the section's fields, and `setup` describes the robots of the experiment. Raises
     UsageError if the object cannot be imported or is something else.
     """
-    module, _, attribute = code.partition(":")
     try:
-        found = getattr(import_module(module), attribute)
+        found = resolve_name(code)
     except Exception as error:
         raise UsageError(f"{code}: cannot be imported: {type(error).__name__}: {error}") from None
     if isinstance(found, Motion):
@@ -68,7 +67,7 @@ def check_kind(code: str, fields: Mapping[str, Any], setup: Setup) -> Findings:
 
 def _section(code: str, kind: type[Model], fields: Mapping[str, Any]) -> Any:
     named = kind.model_fields["type"].annotation
-    options = getattr(named, "__args__", ())
+    options = get_args(named)
     if len(options) != 1:
         raise UsageError(f"{code}: the field `type` must be a Literal with one name")
     try:

@@ -1,5 +1,6 @@
 """Checks of a disturbance, each method called as the plant does."""
 
+from collections.abc import Callable
 from dataclasses import astuple, is_dataclass
 from typing import Any
 
@@ -55,31 +56,35 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[An
     disturbance = section.build(setup, np.random.default_rng(SEED))
     calls: dict[str, list[tuple[Any, bool, Floats]]] = {}
 
-    def call(method: str, *given: Any) -> Any:
+    def call(bound: Callable[..., Any], *given: Any) -> Any:
+        method = bound.__name__
         if not overriding([disturbance], method):
             return None
         before = _flat(given)
-        found = getattr(disturbance, method)(*given)
+        found = bound(*given)
         kept = np.array_equal(before, _flat(given), equal_nan=True)
         row = _fits(method, section, given, found), kept, _flat(found)
         calls.setdefault(method, []).append(row)
         return found
 
     every = np.ones(len(setup.names), dtype=np.bool_)
-    a, speed = call("parameters", setup.a.copy(), setup.speed.copy()) or (setup.a, setup.speed)
+    a, speed = call(disturbance.parameters, setup.a.copy(), setup.speed.copy()) or (
+        setup.a,
+        setup.speed,
+    )
     poses = Poses.of(setup.starts.array())
-    poses = call("placed", poses) or poses
+    poses = call(disturbance.placed, poses) or poses
     for k in range(FRAMES):
         now, passed_ns, moving = k * FRAME_NS, (k > 0) * FRAME_NS, np.full(every.size, float(k > 0))
-        poses = call("moved", poses, moving, passed_ns / SECOND, now / SECOND) or poses
-        call("varied", a.copy(), speed.copy(), now / SECOND)
-        call("measured", poses, every.copy(), now / SECOND)
-        call("received", now, now + FRAME_NS)
+        poses = call(disturbance.moved, poses, moving, passed_ns / SECOND, now / SECOND) or poses
+        call(disturbance.varied, a.copy(), speed.copy(), now / SECOND)
+        call(disturbance.measured, poses, every.copy(), now / SECOND)
+        call(disturbance.received, now, now + FRAME_NS)
         if k % PERIOD == 0:
-            call("planning_s", now / SECOND)
+            call(disturbance.planning_s, now / SECOND)
             wheels = np.ones((2, every.size))
             call(
-                "sent",
+                disturbance.sent,
                 DelayedCommand(now, now, Steer(0.5), every, None, poses.heading.copy(), wheels),
             )
     return calls

@@ -1,6 +1,7 @@
 """The result of `tetractl analyze` as tables and as JSON."""
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -9,17 +10,6 @@ from tetractl.analysis.analyze import TOO_ALIKE, WORTH, Analysis
 from tetractl.core.poses import ellipse
 from tetractl.core.table.table import Column, Table, fixed
 
-OF_PLANS = (
-    "fewest_signals",
-    "signal_s",
-    "mean_total_error",
-    "mean_total_error_by_plan",
-    "without_feedback_by_plan",
-    "without_noise_by_plan",
-    "signals",
-    "singular_values",
-)
-"""Keys of the JSON object whose values are None if no plan was found."""
 NO_PLAN = "no plan found"
 SAYS = "errors predicted by a linearised closed loop; no trial was run"
 
@@ -31,10 +21,7 @@ def tables(found: Analysis) -> list[Table]:
     names, robots = setup.names, f"{len(setup.names)} robot{'s' * (len(setup.names) > 1)}"
     facts = [
         ("noise assumed", _noise(found)),
-        (
-            "plans that reach",
-            f"{reaching} of {found.plans}, to {found.tolerance:g} {unit}",
-        ),
+        ("plans that reach", f"{reaching} of {found.plans}, to {found.tolerance:g} {unit}"),
         ("fewest signals that reach", _shortest(found)),
     ]
     if found.alike:
@@ -88,34 +75,18 @@ def _maps(found: Analysis) -> list[Table]:
     """Return tables of the predicted error for other turning rates a, and for fewer robots."""
     if not found.by_gap:
         return []
-    unit = found.setup.unit
-    gaps, by_gap = zip(*found.by_gap, strict=True)
-    counts, by_count = zip(*found.by_count, strict=True)
-    error = "mean total error"
+
+    def column(errors: Iterable[tuple[float, float]]) -> Column:
+        texts = [NO_PLAN if math.isnan(error) else f"{error:.4g}" for _, error in errors]
+        return Column("mean total error", texts, found.setup.unit)
+
+    gaps = [gap for gap, _ in found.by_gap]
+    gap = Column("smallest relative difference", gaps, "", lambda gap: f"{100 * gap:g} %")
+    count = Column("robots", [count for count, _ in found.by_count])
     return [
-        Table(
-            "With other turning rates a, in equal ratios",
-            (
-                Column("smallest relative difference", gaps, "", _percent),
-                Column(error, [_error(one) for one in by_gap], unit),
-            ),
-        ),
-        Table(
-            "With only the first robots of the spec",
-            (
-                Column("robots", counts),
-                Column(error, [_error(one) for one in by_count], unit),
-            ),
-        ),
+        Table("With other turning rates a, in equal ratios", (gap, column(found.by_gap))),
+        Table("With only the first robots of the spec", (count, column(found.by_count))),
     ]
-
-
-def _error(error: float) -> str:
-    return NO_PLAN if math.isnan(error) else f"{error:.4g}"
-
-
-def _percent(share: float) -> str:
-    return f"{100 * share:g} %"
 
 
 def as_json(found: Analysis) -> dict[str, Any]:
@@ -125,19 +96,7 @@ def as_json(found: Analysis) -> dict[str, Any]:
         {"name": name, "a": setup.a[i], "speed": setup.speed[i]}
         for i, name in enumerate(setup.names)
     ]
-    of_plans = dict.fromkeys(OF_PLANS)
     if here is not None:
-        values = (
-            here.shortest,
-            here.signal_s,
-            here.error,
-            here.errors,
-            here.open_loop,
-            here.planned,
-            here.signals,
-            here.singular,
-        )
-        of_plans = dict(zip(OF_PLANS, values, strict=True))
         for i, robot in enumerate(robots):
             robot["mean_error"] = here.robot_errors[i]
             robot["end_covariance"] = here.covariance[i]
@@ -159,7 +118,14 @@ def as_json(found: Analysis) -> dict[str, Any]:
         "plans": found.plans,
         "plans_that_reach": 0 if here is None else len(here.errors),
         "tolerance": found.tolerance,
-        **of_plans,
+        "fewest_signals": here and here.shortest,
+        "signal_s": here and here.signal_s,
+        "mean_total_error": here and here.error,
+        "mean_total_error_by_plan": here and here.errors,
+        "without_feedback_by_plan": here and here.open_loop,
+        "without_noise_by_plan": here and here.planned,
+        "signals": here and here.signals,
+        "singular_values": here and here.singular,
         "robots": robots,
         "smallest_gap": found.gap if found.alike else None,
         "most_alike": list(found.alike or ()),

@@ -26,8 +26,6 @@ from tetractl.results.outcomes import SAFETY, counted_by
 from tetractl.results.tables import page_trials, tables
 
 ASSETS = files("tetractl.report") / "assets"
-COMPARED = 10  # largest number of comparisons at the top of the page
-TOTAL = "the sum over the robots of the distance to the target"
 MANY = 100
 """With more trials, the page leaves out plans and searches, to stay below 20 MB."""
 SCRIPTS = ("data.js", "scene.js", "chart.js", "player.js")
@@ -123,7 +121,7 @@ def _page(title: str, body: str, scripts: str) -> str:
 def _header(title: str, found: GroupComparison, numbers: Mapping[str, int]) -> str:
     """Return the HTML of the title, each group's result, the verdicts, and every total error."""
     about = escape(found.groups[0].experiment.description)
-    few = len(found.contrasts) <= COMPARED
+    few = len(found.contrasts) <= 10
     compared = [one for one in tables(found) if few and one.title.startswith("Comparison")]
     return (
         f"<header><div><h1>{escape(title)}</h1><p>{about}</p></div>"
@@ -152,7 +150,8 @@ def _overview(groups: Sequence[Group]) -> Table:
             Column("95 % interval", [t.ci95.text(show) if t.ci95.known else NONE for t in totals]),
             *(Column(label, texts) for label, texts in counts.items()),
         ),
-        f"Mean total error: {TOTAL}. Plants, and what was checked: {known}.",
+        "Mean total error: the sum over the robots of the distance to the target. Plants, and"
+        f" what was checked: {known}.",
     )
 
 
@@ -210,14 +209,6 @@ def _provenance(log: TrialLog) -> str:
     )
 
 
-OF_A_TRIAL = ("trajectory", "convergence", "error", "timing")
-OF_A_BATCH = {
-    "errors": "The error of each trial over time, the median, and the middle half of the trials",
-    "scatter": "Where each robot ended relative to its target: a dot per trial, and the covariance",
-}
-FEWEST = 2  # least number of trials for the figures of a batch
-
-
 def lean(log: TrialLog) -> TrialLog:
     """Return the trial with only the data that `of_batch` draws, so that many fit into memory."""
     return replace(log, steps=log.steps[:1], truth=None, notes=())
@@ -228,17 +219,20 @@ def of_trial(log: TrialLog) -> str:
     if not (log.steps and len(log.mocap_ns)):
         return ""
     name = Path(log.path).name
-    return _row("paper", [_figure(kind, [log], f"{kind}, {name}") for kind in OF_A_TRIAL])
+    kinds = ("trajectory", "convergence", "error", "timing")
+    return _paper([_figure(kind, [log], f"{kind}, {name}") for kind in kinds])
 
 
 def of_batch(name: str, logs: Sequence[TrialLog]) -> str:
     """Return the figures of a batch called `name`, "" for fewer than two trials with frames."""
     seen = [log for log in logs if len(log.mocap_ns)]
-    if len(seen) < FEWEST:
+    if len(seen) < 2:
         return ""
     where = f": {name}" if name else ""
-    drawn = [_figure(kind, seen, text + where) for kind, text in OF_A_BATCH.items()]
-    return _row("paper", drawn)
+    over_time = "The error of each trial over time, the median, and the middle half of the trials"
+    ends = "Where each robot ended relative to its target: a dot per trial, and the covariance"
+    drawn = {"errors": over_time, "scatter": ends}
+    return _paper([_figure(kind, seen, text + where) for kind, text in drawn.items()])
 
 
 def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
@@ -256,12 +250,9 @@ def of_groups(groups: Sequence[Group], numbers: Mapping[str, int]) -> str:
     drawing = re.sub(r"<metadata>.*?</metadata>", "", drawing, flags=re.DOTALL)
     drawing = re.sub(r'(<a xlink:href="#trial-(\d+)")>', r"\1><title>trial \2</title>", drawing)
     drawing = drawing[drawing.index("<svg") :].replace("<svg", '<svg class="errors"', 1)
-    text = "Every total error, a dot per trial, and the errors of each robot"
-    return _row("paper", [f"<figure>{drawing}<figcaption>{text}</figcaption></figure>"])
-
-
-def _row(kind: str, figures: Sequence[str]) -> str:
-    return f'<div class="{kind}">{"".join(figures)}</div>'
+    return _paper(
+        [_captioned(drawing, "Every total error, a dot per trial, and the errors of each robot")]
+    )
 
 
 def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
@@ -269,7 +260,13 @@ def _figure(kind: str, logs: Sequence[TrialLog], text: str) -> str:
     from tetractl.view.style import svg
 
     picture = b64encode(svg(draw(kind, logs))).decode()
-    return (
-        f'<figure><img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
-        f"<figcaption>{escape(text)}</figcaption></figure>"
-    )
+    shown = f'<img alt="{escape(text)}" src="data:image/svg+xml;base64,{picture}">'
+    return _captioned(shown, text)
+
+
+def _captioned(picture: str, text: str) -> str:
+    return f"<figure>{picture}<figcaption>{escape(text)}</figcaption></figure>"
+
+
+def _paper(figures: Sequence[str]) -> str:
+    return f'<div class="paper">{"".join(figures)}</div>'

@@ -137,22 +137,21 @@ class Dashboard:
     def _head(self, glyphs: Glyphs, width: int) -> list[Text]:
         frame, step = self._frame, self._frame.step
         end = "" if frame.end_s is None else f" / {frame.end_s:.1f}"
-        row = _Rows(width)
         lines = [
             Text(self._heading, "bold", no_wrap=True),
-            row("time", "t", f"{frame.time_s:.1f}{end} s"),
+            _row(width, "time", "t", f"{frame.time_s:.1f}{end} s"),
         ]
         if step is None:
-            return [*lines, row("step k", "k", "none yet")]
-        lines.append(row("step k", "k", f"{step.k}"))
+            return [*lines, _row(width, "step k", "k", "none yet")]
+        lines.append(_row(width, "step k", "k", f"{step.k}"))
         signals = len(step.plan.signals)
-        lines.append(row("horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
+        lines.append(_row(width, "horizon", "h", f"{signals} signal{'s' * (signals != 1)}"))
         u = step.command.direction
         if u is None:
-            return [*lines, row("state", "s", step.plan.doing)]
+            return [*lines, _row(width, "state", "s", step.plan.doing)]
         degrees = math.degrees(math.remainder(u, math.tau))
         sign = f"{arrow(glyphs, u)} {degrees:+.0f}{glyphs.degree}"
-        return [*lines, row("direction", "u", sign)]
+        return [*lines, _row(width, "direction", "u", sign)]
 
     def _robots(self, glyphs: Glyphs, width: int, height: int) -> list[Text]:
         frame, setup = self._frame, self._frame.setup
@@ -190,7 +189,7 @@ class Dashboard:
         unit = frame.setup.unit
         total = _number(float(frame.distances.sum()))
         return [
-            _Rows(width)("total error", "error", f"{total} {unit}"),
+            _row(width, "total error", "error", f"{total} {unit}"),
             sparkline(glyphs, frame.totals, min(width, 48), total=frame.steps_end),
         ]
 
@@ -203,22 +202,23 @@ class Dashboard:
         most = max(self._frame.setup.iterations_max, done)
         unit = self._frame.setup.unit
         first = _number(float(search.history[0])) if done >= 0 else "?"
-        row = _Rows(width)
         return [
-            row("plan cost J", "J", f"{first} {glyphs.to} {_number(plan.cost)} {unit}"),
+            _row(width, "plan cost J", "J", f"{first} {glyphs.to} {_number(plan.cost)} {unit}"),
             sparkline(glyphs, search.history, min(width, 48), total=most + 1, log=True),
-            row("stopped", "z", f"{done} of {most}, {search.stopped}"),
+            _row(width, "stopped", "z", f"{done} of {most}, {search.stopped}"),
         ]
 
     def _effort(self, width: int) -> list[Text]:
         step = self._frame.step
         if step is None:
             return []
-        row = _Rows(width)
-        solve = row("solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
+        solve = _row(width, "solve time", "solve", f"{milliseconds(step.solve_ns):.1f} ms")
         if step.deadline_missed:
             solve.append("  late" if width < COMPACT else "  deadline missed", "bold red")
-        return [solve, row("evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " "))]
+        return [
+            solve,
+            _row(width, "evaluations", "evals", f"{step.plan.evaluations:,}".replace(",", " ")),
+        ]
 
     def _events(self, height: int) -> list[Text]:
         """Return the newest events that fit in `height` lines, the newest at the bottom."""
@@ -253,15 +253,10 @@ class Dashboard:
         return lines
 
 
-class _Rows:
-    """Rows of a label and a value, with short labels if there is little width."""
-
-    def __init__(self, width: int) -> None:
-        self._compact = width < COMPACT
-
-    def __call__(self, label: str, short: str, value: str) -> Text:
-        words = f"{short:<5} " if self._compact else f"{label:<11} "
-        return Text.assemble((words, "dim"), value, no_wrap=True)
+def _row(width: int, label: str, short: str, value: str) -> Text:
+    """Return a row of a label and a value, with a short label if there is little width."""
+    words = f"{short:<5} " if width < COMPACT else f"{label:<11} "
+    return Text.assemble((words, "dim"), value, no_wrap=True)
 
 
 def _number(value: float) -> str:

@@ -9,8 +9,8 @@ import socket
 import struct
 import sys
 import threading
-from collections import deque
-from collections.abc import Callable
+from collections import Counter, deque
+from collections.abc import Callable, Iterator
 from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
@@ -42,7 +42,6 @@ from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
 ASKED_MAX = 4  # largest number of requests for the unit of length, which some servers ignore
-MODELS_MAX_NS = 8 * SECOND  # longest interval between requests for models that keep changing
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
 FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
@@ -81,9 +80,7 @@ class OptitrackCamera:
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
-        self._units_asked = self._echoes = 0
-        self._models_asked_ns = -MODELS_MAX_NS
-        self._models_wait_ns = ASK_NS
+        self._asked: Counter[str] = Counter()
         self._thread = threading.Thread(target=self._receive, name="natnet", daemon=True)
 
     @property
@@ -141,7 +138,7 @@ class OptitrackCamera:
         if stream.model is None and any(isinstance(robot.body, str) for robot in stream.robots):
             raise diagnosis.no_names(stream, timeout_s)
         if self.stream.sync is not None:
-            self._wait(lambda: self._echoes >= FIRST_ECHOES, timeout_s)
+            self._wait(lambda: self._asked["echo"] >= FIRST_ECHOES, timeout_s)
         first = self.stream.counts.frames
         if not self._wait(lambda: self.stream.counts.frames > first, timeout_s):
             raise AbortError(f"the camera server sends no new frames any more ({timeout_s:g} s)")
@@ -242,55 +239,43 @@ class OptitrackCamera:
         self._wake()
 
     def _chores(self) -> None:
-        """Send the requests that are due: for missing information, for the server's time, and, in
-        unicast, to keep the stream going.
+        """Send the requests that are due."""
+        now = self._clock.now()
+        for what, period_ns, message in list(self._requests(now)):
+            if now >= self._due.get(what, now):
+                self._due[what] = now + period_ns
+                self._asked[what] += 1
+                self.stream.asked(message)
+                self._send(message)
+
+    def _requests(self, now: int) -> Iterator[tuple[str, int, ClientMessage]]:
+        """Yield the requests for missing information, for the server's time and, in unicast, to
+        keep the stream going: each with its name and the least time to its next [ns].
+
+        Once names are known, the interval between requests for models doubles each time, up to 8 s,
+        since some servers report a change in every frame.
         """
-        stream = self.stream
+        stream, pinned = self.stream, self._pinned
         if stream.info is None:
-            pinned = self._pinned
-            self._every("connect", ASK_NS, lambda: Connect(pinned or NEWEST, pinned is not None))
+            yield "connect", ASK_NS, Connect(pinned or NEWEST, pinned is not None)
             return
         if stream.up is None:
-            self._every("ask", ASK_NS, lambda: NatNetRequest(UP_AXIS))
-        elif stream.unit_mm is None and self._units_asked < ASKED_MAX:
-            self._units_asked += self._every("ask", ASK_NS, lambda: NatNetRequest(UNITS))
-        self._ask_models()
+            yield "up", ASK_NS, NatNetRequest(UP_AXIS)
+        elif stream.unit_mm is None and self._asked["unit"] < ASKED_MAX:
+            yield "unit", ASK_NS, NatNetRequest(UNITS)
+        if stream.model is None:
+            yield "models", ASK_NS, Bare(MessageKind.REQUEST_MODELDEF)
+        elif stream.models_changed or stream.changing or stream.missing():
+            wait_ns = ASK_NS << min(self._asked["models"], 5)
+            yield "models", wait_ns, Bare(MessageKind.REQUEST_MODELDEF)
+        else:
+            self._asked["models"] = 0
+            self._due["models"] = min(self._due.get("models", now), now + ASK_NS)
         if self._unicast:
-            self._every("alive", SECOND, lambda: Bare(MessageKind.KEEPALIVE))
+            yield "alive", SECOND, Bare(MessageKind.KEEPALIVE)
         if stream.sync is not None:
-            burst = self._echoes < FIRST_ECHOES
-            every = ECHO_NS // 25 if burst else ECHO_NS
-            if self._every("echo", every, lambda: EchoRequest(self._clock.now())):
-                self._echoes += 1
-
-    def _ask_models(self) -> None:
-        """Request the bodies' names if they are unknown or have changed, or if a robot's body is
-        not streamed.
-
-        Once names are known, the interval between requests doubles each time, up to 8 s, since some
-        servers report a change in every frame.
-        """
-        stream, now = self.stream, self._clock.now()
-        known = stream.model is not None
-        if known and not (stream.models_changed or stream.changing or stream.missing()):
-            self._models_wait_ns = ASK_NS
-            return
-        if now - self._models_asked_ns >= self._models_wait_ns:
-            self._models_asked_ns = now
-            self._models_wait_ns = min(2 * self._models_wait_ns, MODELS_MAX_NS) if known else ASK_NS
-            self._ask(Bare(MessageKind.REQUEST_MODELDEF))
-
-    def _every(self, what: str, period_ns: int, message: Callable[[], ClientMessage]) -> bool:
-        now = self._clock.now()
-        if now < self._due.get(what, -1):
-            return False
-        self._due[what] = now + period_ns
-        self._ask(message())
-        return True
-
-    def _ask(self, message: ClientMessage) -> None:
-        self.stream.asked(message)
-        self._send(message)
+            often = self._asked["echo"] < FIRST_ECHOES
+            yield "echo", ECHO_NS // 25 if often else ECHO_NS, EchoRequest(now)
 
     def _send(self, message: ClientMessage) -> None:
         data = pack(message)

@@ -123,7 +123,7 @@ class FilterBank:
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
-        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, turns, prior.lag)
+        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, turns, prior.lag, prior.watchdog)
         self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
@@ -152,6 +152,7 @@ class FilterBank:
             state,
             cov,
             np.full(weight.shape, np.nan),
+            np.full(weight.shape, np.inf),
             weight,
             np.ones((total, count, 2)),
             np.zeros((total, count)),
@@ -225,6 +226,8 @@ class FilterBank:
                 if acting[b, i]:
                     bank.next[b, i] = acting[b, i]
                     bank.u[b, i] = self._u[acting[b, i] - 1]
+                    acted = self._when[acting[b, i] - 1] + bank.tau[b, i]
+                    bank.until[b, i] = acted + self._model.watchdog
 
     def _follow(self, frame: Observation) -> None:
         assert self._last is not None
@@ -355,17 +358,22 @@ class FilterBank:
     def ahead(self, sent: int) -> Ahead:
         """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
         assert self._last is not None
-        k, (_, each) = _kernel(), self._likely()
-        z, now = self._bank.state[each], self._bank.u[each]
+        k, bank, (_, each) = _kernel(), self._bank, self._likely()
+        z, now, stops = (column[each] for column in (bank.state, bank.u, bank.until))
         begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
         until = np.maximum(sent / SECOND + tau, begin)
         acts = self._when[:, None] + tau
-        stuck = each[2] == k.STUCK
-        u = np.where((acts <= begin) | stuck, now, self._u[:, None])
-        u, ends = np.vstack([now, u]), np.vstack([acts, until])
-        seconds = np.diff(np.clip(ends, begin, until), axis=0, prepend=begin)
-        held = u[(acts <= until + 1e-9).sum(axis=0), np.arange(len(tau))]
-        k.drive(self._model, z, u, seconds)
+        past = (acts <= begin) | (each[2] == k.STUCK)
+        u = np.vstack([now, np.where(past, now, self._u[:, None])])
+        stops = np.vstack([stops, np.where(past, stops, acts + self._model.watchdog)])
+        last = (acts <= until + 1e-9).sum(axis=0), np.arange(len(tau))
+        held = np.where(stops[last] > until, u[last], np.nan)
+        ends = np.clip(np.vstack([acts, until]), begin, until)
+        begins = np.vstack([np.full_like(tau, begin), ends[:-1]])
+        drives = np.clip(stops, begins, ends) - begins
+        u = np.stack([u, np.full_like(u, np.nan)], axis=1)  # what it hears, then its watchdog's stop
+        seconds = np.stack([drives, ends - begins - drives], axis=1)
+        k.drive(self._model, z, u.reshape(-1, len(tau)), seconds.reshape(-1, len(tau)))
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         return Ahead(Poses.of(z[:, :3]), a, speed, z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]], held)
 

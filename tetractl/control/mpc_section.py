@@ -101,6 +101,7 @@ class PriorSection(Model):
             helix_frequency=HELIX_HZ[0],
             helix_radius=HELIX_UM[0] * 1e-6 / setup.metres if setup.wheel_radius is None else 0.0,
             lag=setup.lag_s,
+            watchdog=setup.watchdog_s,
         )
 
 

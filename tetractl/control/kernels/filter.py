@@ -49,6 +49,7 @@ class FilterModel(NamedTuple):
     walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
     helix: float  # its angular frequency [rad/s], 0 if there is none
     lag: float  # time constant with which turning rate and speed follow a direction [s]
+    watchdog: float  # time without a command after which a robot stops, or inf [s]
 
 
 class Bank(NamedTuple):
@@ -57,6 +58,7 @@ class Bank(NamedTuple):
     state: Floats  # (B, N, SLOTS, STATE)
     cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
     u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
+    until: Floats  # (B, N, SLOTS) time at which its watchdog stops a robot that follows u [s]
     weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
     scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
     unfit: Floats  # (B, N) time since a hypothesis fitted [s]
@@ -237,12 +239,13 @@ def _rate(model, i, z, u):
 
 
 @compiled(**INLINE_FAST)
-def _switch(bank, model, b, i, u, step):
-    """Add the hypotheses that robot i follows direction u [rad] from now on, or did not receive it.
+def _switch(bank, model, b, i, u, step, now):
+    """Add the hypotheses that robot i follows direction u [rad] from `now` [s] on, or did not
+    receive it.
 
     The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
-    weight, held = bank.weight[b, i], bank.u[b, i]
+    weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
     best, place = np.argmax(weight[:FOLLOWS]), np.argmin(weight[:FOLLOWS])
     heard = weight[best] + math.log(1 - LOST)
     for s in range(FOLLOWS):
@@ -250,25 +253,28 @@ def _switch(bank, model, b, i, u, step):
             if weight[s] < heard:
                 _copy(bank, b, i, best, s)
                 weight[s] = heard
+            until[s] = now + model.watchdog
             return
     _copy(bank, b, i, best, place)
     weight[:FOLLOWS] += math.log(LOST)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
-    changes = _rate(model, i, z, u) - _rate(model, i, z, held[best])
+    before = held[best] if now < until[best] else math.nan
+    changes = _rate(model, i, z, u) - _rate(model, i, z, before)
     cov[HEADING, HEADING] += (step * changes) ** 2 / 12
-    if math.isnan(held[best]) != math.isnan(u):
+    if math.isnan(before) != math.isnan(u):
         speed = model.speed[i] * math.exp(z[LN_V])
         cov[X, X] += (step * speed) ** 2 / 12
         cov[Y, Y] += (step * speed) ** 2 / 12
-    held[place], weight[place] = u, heard
+    held[place], until[place], weight[place] = u, now + model.watchdog, heard
 
 
 @compiled(**INLINE_FAST)
-def _stick(bank, b, i, seconds):
-    """Exchange probability between the hypotheses that robot i drives and that it is stuck."""
+def _stick(bank, b, i, seconds, now):
+    """Exchange probability between the hypotheses that robot i drives and that it is stuck, for the
+    `seconds` before `now`."""
     weight = bank.weight[b, i]
     best = np.argmax(weight[:FOLLOWS])
-    if math.isnan(bank.u[b, i, best]):
+    if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
         weight[STUCK] = -math.inf
         return
     share = min(0.5, seconds / STUCK_FOR_S)
@@ -364,16 +370,18 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                 acts, end = at <= until, max(t, min(at, until))
                 for s in range(SLOTS):
                     if bank.weight[b, i, s] > -math.inf:
-                        z, cov = bank.state[b, i, s], bank.cov[b, i, s]
-                        _advance(model, i, z, cov, bank.u[b, i, s], bank.scale[b, i], end - t)
+                        z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
+                        stops = min(max(bank.until[b, i, s], t), end)
+                        for held, time in ((held, stops - t), (math.nan, end - stops)):
+                            _advance(model, i, z, cov, held, bank.scale[b, i], time)
                 t = end
                 if acts:
-                    _switch(bank, model, b, i, u[coming], step)
+                    _switch(bank, model, b, i, u[coming], step, t)
                     bank.next[b, i] += 1
             if seen[i]:
                 found[b, i] = _weigh(bank, b, i, model, poses[i], until - since)
                 bank.score[b, i] += found[b, i]
-            _stick(bank, b, i, until - since)
+            _stick(bank, b, i, until - since, until)
         scores = bank.score[:, i]
         scores[:] = (scores - scores.max()) * math.exp(-(until - since) / FORGET_S)
     return found

@@ -208,6 +208,7 @@ def _bank(kernel, belief: Belief, tau: Floats):
         state,
         cov,
         np.full((*per_row, slots), np.nan),
+        np.full((*per_row, slots), np.inf),
         np.zeros((*per_row, slots)),
         np.ones((*per_row, 2)),
         np.zeros(per_row),
@@ -217,7 +218,8 @@ def _bank(kernel, belief: Belief, tau: Floats):
         np.zeros(per_row, dtype=np.int64),
         np.zeros(per_row, dtype=np.int64),
     )
-    return kernel.FilterModel(one, one, np.ascontiguousarray(noise), walk, 0.0, 0.0), bank
+    noise = np.ascontiguousarray(noise)
+    return kernel.FilterModel(one, one, noise, walk, 0.0, 0.0, np.inf), bank
 
 
 def _residual(pose: Floats, z: Floats) -> Floats:

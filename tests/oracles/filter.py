@@ -32,12 +32,14 @@ from tetractl.core.poses import Floats, wrap
 
 @dataclass
 class Hypothesis:
-    """What a robot may be doing: a direction u it follows, NaN where it stands."""
+    """What a robot may be doing: a direction u it follows, NaN where it stands, and the time until
+    its watchdog stops it."""
 
     u: float
     ln_weight: float
     z: Floats
     cov: Floats
+    left: float = math.inf
 
 
 class RobotFilter:
@@ -45,6 +47,7 @@ class RobotFilter:
 
     def __init__(self, model: kernel.FilterModel, i: int, z: Floats, cov: Floats) -> None:
         self.a, self.v, self.helix, self.lag = model.a[i], model.speed[i], model.helix, model.lag
+        self.watchdog = model.watchdog
         self.noise, self.walk = model.noise[:, i], model.walk[:, i]
         self.scale = np.ones(2)
         self.slots: list[Hypothesis | None] = [Hypothesis(math.nan, 0.0, z.copy(), cov.copy())]
@@ -64,6 +67,11 @@ class RobotFilter:
         Turning rate and speed approach those of the direction with the lag. The rate is that of the
         heading in which the robot would come to rest, which the robot's host computes too.
         """
+        if one.left < seconds:
+            driven, one.left = one.left, math.inf
+            self.advance(one, driven)
+            seconds, one.u = seconds - driven, math.nan
+        one.left -= seconds
         stands = math.isnan(one.u)
         if stands and (self.lag == 0 or one.z[PACE] < STILL):
             one.z[[SWING, PACE]] = 0.0
@@ -175,13 +183,14 @@ class RobotFilter:
         """Return a hypothesis in the state of another."""
         one = self.slots[source]
         assert one is not None
-        return Hypothesis(u, ln_weight, one.z.copy(), one.cov.copy())
+        return Hypothesis(u, ln_weight, one.z.copy(), one.cov.copy(), one.left)
 
     def switch(self, u: float, step: float) -> None:
         """Let a command act that no hypothesis follows yet: it was heard, or not."""
         best = self.best()
         before = self.slots[best]
         new = self.copy(best, u, before.ln_weight + math.log(1 - kernel.LOST))
+        new.left = self.watchdog
         lns = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
         place = int(np.argmin(lns))
         for one in filter(None, self.slots[: kernel.FOLLOWS]):
@@ -210,7 +219,9 @@ class RobotFilter:
         weight = -math.inf if stuck is None else stuck.ln_weight
         sticks = moving.ln_weight + math.log(min(0.5, seconds / kernel.STUCK_EVERY_S))
         if weight + math.log(share) > moving.ln_weight:
-            self.slots[best] = self.copy(kernel.STUCK, moving.u, weight + math.log(share))
+            free = self.copy(kernel.STUCK, moving.u, weight + math.log(share))
+            free.left = moving.left
+            self.slots[best] = free
         elif sticks > weight + math.log(1 - share):
             self.slots[kernel.STUCK] = self.copy(best, math.nan, sticks)
             return

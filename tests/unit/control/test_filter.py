@@ -222,14 +222,14 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
     assert estimator.filter.course()[0].x == pytest.approx(plant.poses.x + 150, abs=5)
 
 
-@pytest.mark.parametrize("lag", [0.0, 0.04])
-def test_the_kernel_does_what_the_readable_filter_does(lag):
+@pytest.mark.parametrize(("lag", "watchdog"), [(0.0, math.inf), (0.04, math.inf), (0.04, 0.15)])
+def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
     """Random commands and poses near the path, until weights, states and covariances agree."""
     rng = np.random.default_rng(5)
     prior = Prior(
         np.array([4.0]), np.array([300.0]), 0.1, 0.2, 0.15, 1e-9, 0.05, 0.05, 10, 5, 0.05, 1.5, 8
     )
-    bank = FilterBank(prior._replace(lag=lag))
+    bank = FilterBank(prior._replace(lag=lag, watchdog=watchdog))
     model, made = bank._model, bank._bank
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     made.tau[:] = 0.1
@@ -267,6 +267,19 @@ def test_the_kernel_does_what_the_readable_filter_does(lag):
                 assert made.cov[0, 0, s] == pytest.approx(one.cov, rel=1e-5, abs=1e-7)
     assert made.scale[0, 0] == pytest.approx(slow.scale, rel=1e-6)
     assert np.isfinite(score)
+
+
+def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
+    """At 5 Hz, a robot that misses one direction stands after 0.25 s, until it hears the next."""
+    unfit = []
+
+    def compare(k, problem, estimator, plant):
+        filters = estimator.filter
+        unfit.append(filters._bank.unfit[filters._likely()[0]].max() if k > 15 else 0.0)
+
+    settings = [*NOISY, "plant.dead_time=0.12", "plant.lost_commands=0.15"]
+    know(settings, seconds=30, until=compare, seed=4)
+    assert max(unfit) < 0.1
 
 
 def test_a_covariance_of_many_orders_stays_a_covariance():

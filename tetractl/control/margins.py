@@ -105,13 +105,15 @@ class Margins:
         return np.where(nearest > margin, margin, ROOM * np.maximum(nearest, 0.0))
 
     def entered(self, x: Floats, y: Floats) -> bool:
-        """Return whether a body would touch an obstacle, margins ignored, on the way along x, y
-        (M, N), or would go deeper if it touches one at the beginning.
+        """Return whether a body would touch an obstacle or another body, margins ignored, on the
+        way along x, y (M, N), or would go deeper if it touches one at the beginning.
         """
         crossed = self._bodies.cross(x[:-1], y[:-1], x[1:], y[1:]).any(axis=0)
         gaps = self._bare.distance(x, y)
         deeper = (gaps[1:] < gaps[0]).any(axis=0)
-        return bool((crossed & (deeper | ~self._bodies.contain(x[0], y[0]))).any())
+        apart = self._gaps(x, y)
+        touch = (apart[1:] < np.minimum(2 * self._radius, apart[0])).any()
+        return bool(touch or (crossed & (deeper | ~self._bodies.contain(x[0], y[0]))).any())
 
     def clear_unheard(
         self,

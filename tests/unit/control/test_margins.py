@@ -77,6 +77,15 @@ def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
     assert Margins([BOX], None, FAR[:1], 50).entered(x, y) is enters
 
 
+@pytest.mark.parametrize(
+    ("gaps", "enters"), [((200, 110), False), ((200, 90), True), ((90, 95), False), ((90, 85), True)]
+)
+def test_a_body_enters_another_where_they_come_nearer_than_two_radii(gaps, enters):
+    x, y = np.zeros((2, 2)), np.zeros((2, 2))
+    x[:, 1] = gaps
+    assert Margins([], None, FAR[:2], 50).entered(x, y) is enters
+
+
 def test_robots_keep_the_separation_they_have():
     margins = Margins([], None, FAR)
     assert margins.separation(at((500, 500), (900, 500)), 100) == 100

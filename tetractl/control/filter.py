@@ -123,7 +123,9 @@ class FilterBank:
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
-        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, turns, prior.lag, prior.watchdog)
+        self._model = kernel.FilterModel(
+            prior.a, prior.speed, noise, walk, turns, prior.lag, prior.watchdog
+        )
         self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
@@ -371,7 +373,9 @@ class FilterBank:
         ends = np.clip(np.vstack([acts, until]), begin, until)
         begins = np.vstack([np.full_like(tau, begin), ends[:-1]])
         drives = np.clip(stops, begins, ends) - begins
-        u = np.stack([u, np.full_like(u, np.nan)], axis=1)  # what it hears, then its watchdog's stop
+        u = np.stack(
+            [u, np.full_like(u, np.nan)], axis=1
+        )  # what it hears, then its watchdog's stop
         seconds = np.stack([drives, ends - begins - drives], axis=1)
         k.drive(self._model, z, u.reshape(-1, len(tau)), seconds.reshape(-1, len(tau)))
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])

@@ -78,7 +78,8 @@ def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
 
 
 @pytest.mark.parametrize(
-    ("gaps", "enters"), [((200, 110), False), ((200, 90), True), ((90, 95), False), ((90, 85), True)]
+    ("gaps", "enters"),
+    [((200, 110), False), ((200, 90), True), ((90, 95), False), ((90, 85), True)],
 )
 def test_a_body_enters_another_where_they_come_nearer_than_two_radii(gaps, enters):
     x, y = np.zeros((2, 2)), np.zeros((2, 2))

@@ -372,9 +372,9 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                     if bank.weight[b, i, s] > -math.inf:
                         z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
                         stops = min(max(bank.until[b, i, s], t), end)
-                        for held, time in ((held, stops - t), (math.nan, end - stops)):
+                        for way, time in ((held, stops - t), (math.nan, end - stops)):
                             if time > 0:
-                                _advance(model, i, z, cov, held, bank.scale[b, i], time)
+                                _advance(model, i, z, cov, way, bank.scale[b, i], time)
                 t = end
                 if acts:
                     _switch(bank, model, b, i, u[coming], step, t)

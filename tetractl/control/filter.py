@@ -73,9 +73,7 @@ SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wi
 
 
 def _kernel() -> Any:
-    """Import and return the compiled filter: imported late, because checking a spec does not need
-    it.
-    """
+    """Import the compiled filter and return it: late, as checking a spec does not need it."""
     from tetractl.control.kernels import filter as kernel
 
     return kernel
@@ -123,9 +121,8 @@ class FilterBank:
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
-        self._model = kernel.FilterModel(
-            prior.a, prior.speed, noise, walk, turns, prior.lag, prior.watchdog
-        )
+        times = turns, prior.lag, prior.watchdog
+        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, *times)
         self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
@@ -228,8 +225,8 @@ class FilterBank:
                 if acting[b, i]:
                     bank.next[b, i] = acting[b, i]
                     bank.u[b, i] = self._u[acting[b, i] - 1]
-                    acted = self._when[acting[b, i] - 1] + bank.tau[b, i]
-                    bank.until[b, i] = acted + self._model.watchdog
+                    stops = self._when[acting[b, i] - 1] + self._model.watchdog
+                    bank.until[b, i] = stops + bank.tau[b, i]
 
     def _follow(self, frame: Observation) -> None:
         assert self._last is not None
@@ -331,9 +328,8 @@ class FilterBank:
         z, cov = self._bank.state[each], self._bank.cov[each]
         blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
         more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
-        std = (
-            np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more.max(axis=1)[:, None]
-        )
+        var = np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)
+        std = np.sqrt(var) * more.max(axis=1)[:, None]
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         tau, tau_std = self.dead_times()
         of_bias = (cov[:, k.BIAS] + cov[:, k.MARKER])[:, [k.BIAS, k.MARKER]].sum(axis=1)
@@ -373,9 +369,7 @@ class FilterBank:
         ends = np.clip(np.vstack([acts, until]), begin, until)
         begins = np.vstack([np.full_like(tau, begin), ends[:-1]])
         drives = np.clip(stops, begins, ends) - begins
-        u = np.stack(
-            [u, np.full_like(u, np.nan)], axis=1
-        )  # what it hears, then its watchdog's stop
+        u = np.stack([u, np.full_like(u, np.nan)], axis=1)  # a command, then the watchdog
         seconds = np.stack([drives, ends - begins - drives], axis=1)
         k.drive(self._model, z, u.reshape(-1, len(tau)), seconds.reshape(-1, len(tau)))
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])

@@ -130,16 +130,13 @@ def _spread(cov, slopes):
     more = np.zeros((MOVED, SIZE))
     for _ in range(2):  # rows, then columns, which are the rows of the transposed matrix
         for j in range(MOVED):
-            for k in range(SIZE):
-                more[j, k] = 0.0
+            more[j, :] = 0.0
             for m in range(SIZE):
                 by = slopes[j, m]
                 if by != 0.0:
                     for k in range(SIZE):
                         more[j, k] += by * cov[m, k]
-        for j in range(MOVED):
-            for k in range(SIZE):
-                cov[j, k] += more[j, k]
+        cov[:MOVED] += more
         for j in range(SIZE):
             for k in range(j):
                 cov[j, k], cov[k, j] = cov[k, j], cov[j, k]
@@ -240,8 +237,7 @@ def _rate(model, i, z, u):
 
 @compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step, now):
-    """Add the hypotheses that robot i follows direction u [rad] from `now` [s] on, or did not
-    receive it.
+    """Add the hypotheses that robot i follows u [rad] from `now` [s] on, or did not receive it.
 
     The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
@@ -270,8 +266,7 @@ def _switch(bank, model, b, i, u, step, now):
 
 @compiled(**INLINE_FAST)
 def _stick(bank, b, i, seconds, now):
-    """Exchange probability between the hypotheses that robot i drives and that it is stuck, for the
-    `seconds` before `now`."""
+    """Exchange probability between driving and being stuck, for the `seconds` before `now`."""
     weight = bank.weight[b, i]
     best = np.argmax(weight[:FOLLOWS])
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
@@ -300,10 +295,7 @@ def _weigh(bank, b, i, model, pose, seconds):
             weight[s] += _measure(model, i, z, cov, scale, pose, found)
             if weight[s] > most:
                 most, best[:] = weight[s], found
-    total = 0.0
-    for s in range(SLOTS):
-        total += math.exp(weight[s] - most)
-    total = most + math.log(total)
+    total = most + math.log(np.exp(weight - most).sum())
     for s in range(SLOTS):
         if weight[s] > -math.inf:
             weight[s] = max(weight[s] - total, LEAST_WEIGHT)
@@ -345,8 +337,7 @@ def place(bank, b, i, model, pose):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
         z[X], z[Y], z[HEADING] = pose[0], pose[1], pose[2] - z[MARKER]
         for j in (X, Y, HEADING):
-            cov[j] = 0.0
-            cov[:, j] = 0.0
+            cov[j, :] = cov[:, j] = 0.0
             cov[j, j] = 4 * model.noise[j, i] ** 2
 
 

@@ -62,6 +62,10 @@ class Collision(Model):
     """
 
 
+MARKER_BIAS = 0.05
+"""Prior standard deviation of the angle between the measured heading and the course [rad]."""
+
+
 class PriorSection(Model):
     """Prior standard deviations of the motion's values in the spec."""
 
@@ -74,8 +78,6 @@ class PriorSection(Model):
     heading_bias: Positive = 0.05
     """Standard deviation of the angle between the direction sent and the direction that a robot
     turns towards [rad]."""
-    marker_bias: NonNegative = 0.05
-    """Standard deviation of the angle between the measured heading and the course [rad]."""
     flow: NonNegative | None = None
     """Standard deviation of each component of the flow that carries a robot, or of its slide
     [length unit/s]; by default a twentieth of the robots' mean speed."""
@@ -94,7 +96,7 @@ class PriorSection(Model):
             speed_std=self.speed,
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
-            marker_bias_std=self.marker_bias,
+            marker_bias_std=MARKER_BIAS,
             flow_std=FLOW * float(problem.speed.mean()) if self.flow is None else self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,

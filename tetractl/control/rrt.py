@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
-from pydantic import Field
 
 from tetractl.control.cost import evaluate
 from tetractl.control.estimator import StateEstimator
@@ -28,13 +27,19 @@ from tetractl.core.plan import End, Outcome, Plan, Problem, Region
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Bounds, Setup
-from tetractl.experiment.base import Fraction, NonNegative, Positive
+from tetractl.experiment.base import NonNegative, Positive
 from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
 SHARES = 3  # random numbers per draw: the choice of the target, and a point of the arena
 HEADING_FOR = 0.7  # a robot heads for a target if the cosine of the angle to it is at least this
+
+
+GOAL_BIAS = 0.1  # fraction of the draws that give the target instead of a random point
+DRAWS = 5000
+"""Largest number of points drawn to grow one tree. If the tree does not reach the target, the robot
+drives straight to it."""
 
 
 class RrtSection(ControllerSection):
@@ -47,17 +52,12 @@ class RrtSection(ControllerSection):
     reach: Positive = 2.5
     """Distance from which a corner of the path counts as passed, in units of the robot's v/a; at
     least the distance driven in a control period."""
-    goal_bias: Fraction = 0.1
-    """Fraction of the draws that give the target instead of a random point."""
-    draws_max: int = Field(default=5000, ge=1, le=100_000)
-    """Largest number of points drawn to grow one tree. If the tree does not reach the target, the
-    robot drives straight to it."""
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 
     def bounds(self) -> dict[str, str]:
         """Return the largest size of a tree, for display: {name: text}."""
-        return {"nodes of a tree": f"at most {self.draws_max}"}
+        return {"nodes of a tree": f"at most {DRAWS}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if there are several robots, or if the robot cannot move."""
@@ -136,9 +136,9 @@ class Rrt:
             self._path = self._path[1:]
         blocked = bool(region.cross(here[0], here[1], self._path[0, 0], self._path[0, 1]))
         if blocked and not region.contain(here[0], here[1]):
-            section, target = self.section, problem.targets[0]
-            draws = uniform(key, 0, SHARES * section.draws_max).reshape(-1, SHARES)
-            found = grow(region, self._arena, here, target, self._edge, section.goal_bias, draws)
+            target = problem.targets[0]
+            draws = uniform(key, 0, SHARES * DRAWS).reshape(-1, SHARES)
+            found = grow(region, self._arena, here, target, self._edge, draws)
             self._path = target[None] if found is None else found
         corner = self._path[0] - here
         u, heading = float(np.arctan2(corner[1], corner[0])), float(problem.poses.heading[0])
@@ -168,7 +168,6 @@ def grow(
     start: Floats,
     target: Floats,
     edge: float,
-    goal_bias: float,
     draws: Floats,
 ) -> Floats | None:
     """Grow a tree from `start` (2,); return the corners (M, 2) of a path to `target` (2,) or None.
@@ -181,7 +180,7 @@ def grow(
     nodes[0], count = start, 1
     low, size = np.array([arena.left, arena.bottom]), np.array([arena.width, arena.height])
     for share, *at in draws.tolist():
-        point = target if share < goal_bias else low + size * at
+        point = target if share < GOAL_BIAS else low + size * at
         ways = point - nodes[:count]
         far = np.hypot(ways[:, 0], ways[:, 1])
         nearest = int(np.argmin(far))

@@ -9,6 +9,11 @@ from tetractl.core.plan import StopReason
 from tetractl.core.poses import Floats
 from tetractl.experiment.base import Model, Positive
 
+WINDOW = 10
+"""Number z of iterations up to which no search stops early, and over which J has to fall."""
+DECREASE = 0.01
+"""Least decrease of J over WINDOW iterations that keeps the search going, as a fraction of J."""
+
 
 class PaperStop(Model):
     """Stop criterion of the paper's equation (20) as printed: it compares logarithms of lengths, so
@@ -18,14 +23,9 @@ class PaperStop(Model):
 
 
 class RelativeStop(Model):
-    """Stop when the best cost has fallen by less than the fraction `decrease` over `window`
-    iterations."""
+    """Stop when the best cost has fallen by less than 1 % over ten iterations."""
 
     type: Literal["relative"]
-    window: int = Field(default=10, ge=1, le=10_000)
-    """Length of the window, in iterations."""
-    decrease: float = Field(default=0.01, ge=0, lt=1, allow_inf_nan=False)
-    """Least relative decrease of J over the window that keeps the search going."""
 
 
 class TargetStop(Model):
@@ -58,11 +58,12 @@ def stopped(history: Floats, stop: StopCriterion) -> StopReason | None:
             return None
         case TargetStop(cost=cost):
             return StopReason.TARGET if history[-1] <= cost else None
-        case RelativeStop(window=window, decrease=decrease):
-            if len(history) <= max(window, 10) + 1:
+        case RelativeStop():
+            if len(history) <= WINDOW + 1:
                 return None
-            fallen = history[-1 - window] - history[-1]
-            return StopReason.CRITERION if fallen <= decrease * abs(history[-1 - window]) else None
+            before = history[-1 - WINDOW]
+            stops = before - history[-1] <= DECREASE * abs(before)
+            return StopReason.CRITERION if stops else None
         case PaperStop():
             return StopReason.CRITERION if paper_criterion(history) else None
 
@@ -76,7 +77,7 @@ def paper_criterion(history: Floats) -> bool:
     length.
     """
     z = len(history) - 1
-    if z <= 10:
+    if z <= WINDOW:
         return False
     last = history[z - 10 :]
     with np.errstate(divide="ignore"):

@@ -14,7 +14,7 @@ from tetractl.experiment.experiment import Experiment, Robot
 UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
 NEAR_WALL = 0.5  # cells that could swim to the arena's edge in this time are chosen last [s]
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
-MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
+CELLS_MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
@@ -30,7 +30,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
             f"{len(able)} of {len(cells)} cells respond to the field, {choice.choose} are needed",
             "use more cells, a stronger field, or fewer robots",
         )
-    able = sorted(able, key=lambda cell: -cell.a)[:MOST]
+    able = sorted(able, key=lambda cell: -cell.a)[:CELLS_MOST]
     if choice.wanted:
         return _found_again(choice, able)
     every = combinations(able, choice.choose)

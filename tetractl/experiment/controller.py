@@ -27,13 +27,11 @@ class NoWait(Model):
 
 class Square(Model):
     """The robots drive a square while the first plan is computed and return to their start (the
-    paper's section IV-B.1)."""
+    paper's section IV-B.1); in the lab, further squares until the plan is known."""
 
     type: Literal["square"]
     side: Positive = 2.0
     """Time for each side [s]: several times 1 over the turning rate, so that the square closes."""
-    laps: int = Field(default=1, ge=1, le=100)
-    """Number of whole squares to drive; in the lab, at least this number."""
 
 
 FirstPlan = Annotated[NoWait | Square, Field(discriminator="type")]

@@ -23,6 +23,11 @@ from tetractl.experiment.plant import Microscope, PlantSection
 from tetractl.experiment.registry_fields import KindSection
 from tetractl.experiment.yaml.problems import Loc
 
+UNTRACKED_STOP_S = 0.05
+"""A robot is stopped if it was not tracked for this time [s], unless the actuator cannot hold a
+single robot still."""
+STANDSTILL_MM_S = 10.0
+"""Speed below which a robot stands still [mm/s]."""
 STOPS = 10
 STOP_GAP_NS = SECOND // 50  # time between two of the ten stops that are sent [ns]
 
@@ -147,9 +152,6 @@ class LabLimits(Model):
     """All robots stop after this time without a new frame [s]."""
     stream_lost: Positive = 0.5
     """The run aborts after this time without a new frame [s]."""
-    untracked_stop: Positive = 0.05
-    """A robot is stopped if it was not tracked for this time [s], unless the actuator cannot hold a
-    single robot still."""
     untracked_abort: Positive = 0.3
     """The run aborts if a robot was not tracked for this time [s]."""
     identity: Positive = 3.0
@@ -166,10 +168,6 @@ class LabLimits(Model):
     """
     tilt: Positive = 0.5
     """Largest tilt of a body's upward axis from the vertical [rad]; a greater tilt is rejected."""
-    damaged_frames: int = Field(default=20, ge=1, le=100_000)
-    """The run aborts if more camera frames than this are damaged within a second."""
-    edge_mm: NonNegative = 0.0
-    """Least distance of robots' centres from the arena's edge [mm]."""
     separation_mm: NonNegative = 110.0
     """Least distance between the centres of two robots [mm]; 0 disables the test."""
     reaction: NonNegative = 0.15
@@ -190,10 +188,6 @@ class LabLimits(Model):
     placing: NonNegative = 0.0
     """Longest time to wait for robots to be put on their starts [s]; for a run that a person starts
     in a terminal there is no limit."""
-    standstill: Positive = 2.0
-    """Longest time after a stop until the camera sees the robots standing still [s]."""
-    standstill_mm: Positive = 10.0
-    """Speed below which a robot stands still [mm/s]."""
 
     @model_validator(mode="after")
     def _heights_in_order(self) -> Self:
@@ -238,7 +232,7 @@ class LabSection(PlantSection):
             **self.camera.bounds(),
             **self.actuator.bounds(),
             "all robots stop": f"{limits.stale:g} s after the last camera frame",
-            "a robot stops": f"{limits.untracked_stop:g} s after the robot was last tracked",
+            "a robot stops": f"{UNTRACKED_STOP_S:g} s after the robot was last tracked",
             "the trial aborts": (
                 f"{limits.stream_lost:g} s after the last frame, {limits.untracked_abort:g} s "
                 f"after a robot was last tracked, or {limits.late_steps} late control steps in "

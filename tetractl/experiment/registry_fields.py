@@ -112,14 +112,14 @@ def _kinds(value: Any) -> Iterator[tuple[Registry, str]]:
         for item in value:
             yield from _kinds(item)
     if isinstance(value, Model):
-        name = getattr(value, "type", None)
+        fields = dict(value)
+        name = fields.get("type")
         for registry in SPEC_REGISTRIES:  # two registries may have a kind of the same name
             if isinstance(name, str) and name in registry and type(value) is registry.load(name):
                 yield registry, name
         for field, about in type(value).model_fields.items():
-            inner = getattr(value, field)
+            inner = fields[field]
             yield from _kinds(inner)
             for mark in about.metadata:  # finds text fields with the name of a kind
-                registry = getattr(mark, "registry", None)
-                if isinstance(inner, str) and isinstance(registry, Registry):
-                    yield registry, inner
+                if isinstance(inner, str) and isinstance(mark, KindName):
+                    yield mark.registry, inner

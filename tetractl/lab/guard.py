@@ -18,7 +18,7 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
@@ -26,6 +26,7 @@ from tetractl.lab.swap_detection import SwapDetector
 
 JUMP_HEADING = 0.7  # allowed heading error beyond the turning rate [rad]
 NOISE_MM = 2.0  # largest error of a pose
+DAMAGED_FRAMES = 20  # the run aborts if more frames than this are damaged within a second
 RARELY = 3.0  # multiple of `untracked_abort`: the most time unseen, though not at once
 SWIMMERS = 0.7  # largest relative deviation of a cell's motion from the command
 
@@ -157,7 +158,7 @@ class Guard:
         self.emergency |= emergency
         if self.state is not GuardState.ABORT:
             self.state, self.reason = GuardState.ABORT, reason
-            limit, newest = self.rules.limits.untracked_stop * SECOND, self._last_frame_ns or 0
+            limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
             self._ghosts = {
                 i: track.refused
                 for i, track in enumerate(self._filters)
@@ -325,7 +326,7 @@ class Guard:
             self._warnings.append(text)
 
     def _tracked(self, now_ns: int) -> tuple[bool, ...]:
-        limit, newest = self.rules.limits.untracked_stop * SECOND, self._last_frame_ns or 0
+        limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
         # a stopped stream is reported as stopped, not as untracked robots
         return tuple(
             left and track.pose is not None and newest - track.seen_ns <= limit
@@ -338,7 +339,7 @@ class Guard:
             lost_ns = newest - track.seen_ns
             if i in self.lost:
                 continue
-            if i in self._disobedient and lost_ns > limits.untracked_stop * SECOND:
+            if i in self._disobedient and lost_ns > UNTRACKED_STOP_S * SECOND:
                 self.abort(f"{name} {track.refused}")
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
@@ -396,5 +397,5 @@ class Guard:
         while self._damaged and self._damaged[0][0] < now_ns - SECOND:
             self._damaged.popleft()
         within = total - self._damaged[0][1]
-        if within > self.rules.limits.damaged_frames and self._active:
+        if within > DAMAGED_FRAMES and self._active:
             self.abort(f"{within} damaged camera frames within a second")

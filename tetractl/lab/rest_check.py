@@ -4,9 +4,11 @@ import math
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
+from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
 from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rig import Rig
 
+STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots stand still [s]
 REST_NS = SECOND // 4  # time for which the camera must see robots stand still
 WATCHED = 0.6  # fraction of REST_NS that the frames of each robot must span
 TURNING = 0.3  # a robot that turns more slowly stands still [rad/s]
@@ -27,7 +29,7 @@ def wait_for_rest(rig: Rig) -> str:
     """Wait until the camera sees every robot stand still; repeat the stop while any robot moves.
     Robots that cannot stand only have to be tracked.
 
-    Returns a text that names the robots not at rest or not tracked within `limits.standstill`, ""
+    Returns a text that names the robots not at rest or not tracked within STANDSTILL_S, ""
     if there are none.
     """
     halts, began = rig.actuator.halts, rig.clock.now()
@@ -37,8 +39,8 @@ def wait_for_rest(rig: Rig) -> str:
         watched = not halts or (newest and newest.frame.received_ns - began >= REST_NS)
         if watched and not lines:
             return ""
-        if waited >= rig.limits.standstill * SECOND:
-            return f"{rig.limits.standstill:g} s after the stop: {'; '.join(lines)}"
+        if waited >= STANDSTILL_S * SECOND:
+            return f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
         if halts and lines and waited >= ROLLING_NS:
             rig.loop.stop()
         rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
@@ -64,12 +66,12 @@ def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
     """
     name, newest = rig.setup.names[i], window[-1].frame.sampled_ns
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
-    if not seen or newest - seen[-1][0] > rig.limits.untracked_stop * SECOND:
+    if not seen or newest - seen[-1][0] > UNTRACKED_STOP_S * SECOND:
         return f"{rig.not_tracked(i)}, so it is not seen to stand"
     if seen[-1][0] - seen[0][0] < WATCHED * REST_NS:
         return f"{name} has not been watched long enough"
     speed, turning = _speeds(*seen[0], *seen[-1])
-    moves = speed * rig.mm > rig.limits.standstill_mm or turning > TURNING
+    moves = speed * rig.mm > STANDSTILL_MM_S or turning > TURNING
     return f"{name} still moves" if moves else ""
 
 

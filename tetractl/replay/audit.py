@@ -13,7 +13,7 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Poses
 from tetractl.core.setup import MM
 from tetractl.core.trial import Result, Step
-from tetractl.experiment.lab_section import LabSection
+from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S, LabSection
 from tetractl.lab.rest_check import REST_NS
 from tetractl.log.format.metadata import FORMAT, run_metadata
 from tetractl.log.read.reader import path_verdict, trial_path
@@ -234,7 +234,7 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
             continue
         seen = np.flatnonzero(log.valid[:, i])
         unseen_s = seconds(int(now[-1] - (now[seen[-1]] if len(seen) else 0)))
-        if unseen_s > SLACK * lab.limits.untracked_stop:
+        if unseen_s > SLACK * UNTRACKED_STOP_S:
             text = f"complete, but {name} was not tracked for the last {unseen_s:.2f} s"
             yield Difference(None, "result.outcome", text)
             continue
@@ -242,7 +242,7 @@ def _rest(log: TrialLog) -> Iterator[Difference]:
         gone_mm = np.hypot(*(log.mocap[last[-1], i, :2] - log.mocap[last[0], i, :2]))
         gone_mm *= log.start.setup.metres / MM
         span_s = seconds(int(now[last[-1]] - now[last[0]]))
-        if halts and gone_mm > SLACK * lab.limits.standstill_mm * span_s:
+        if halts and gone_mm > SLACK * STANDSTILL_MM_S * span_s:
             text = f"complete, but {name} moved by {gone_mm:.0f} mm in the last {span_s:.2f} s"
             yield Difference(None, "result.outcome", text)
 

@@ -18,7 +18,7 @@ from tetractl.core.table.table import NONE, lengths
 CONFIDENCE = 0.95
 
 FAR = 10  # errors above this multiple of the median are the tail, if the spec states no bound
-_FEWEST = 3  # least number of values for an interval of a mean: two have no skewness
+VALUES_MIN = 3  # least number of values for an interval of a mean: two have no skewness
 _NAN = math.nan
 Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""
@@ -193,8 +193,8 @@ def _mean_interval(values: Floats, mean: float, std: float) -> Interval:
         return Interval.none("one value has no spread")
     if not std > 0:
         return Interval.none(f"all {n} values are equal")
-    if n < _FEWEST:
-        return Interval.none(f"an interval needs {_FEWEST} values")
+    if n < VALUES_MIN:
+        return Interval.none(f"an interval needs {VALUES_MIN} values")
     if values[0] < 0:
         half = t_quantile(n - 1) * std / math.sqrt(n)
         return Interval(float(mean - half), float(mean + half), "t")

@@ -184,11 +184,11 @@ class Trial:
             if info.virtual:  # virtual time must not depend on this host's speed
                 with self.interrupt.breakable():
                     wait([planning])
-            laps = 0
-            while laps < square.laps or not planning.done():
+            driven = False
+            while not (driven and planning.done()):
                 for direction in directions(observation.poses.heading):
                     self._drive_side(direction, self.clock.now() + side)
-                laps += 1
+                driven = True
             return planning.result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -34,8 +34,7 @@ def limits(experiment: Experiment) -> dict[str, str]:
         "path of a robot": f"at most {fastest * longest:g} {unit}",
     } | control.bounds()
     if isinstance(control.first_plan, Square):
-        square = control.first_plan
-        found["before step 0"] = f"{square.laps} squares of {4 * square.side:g} s"
+        found["before step 0"] = f"a square of {4 * control.first_plan.side:g} s"
     return found | experiment.plant.bounds()
 
 

@@ -23,7 +23,7 @@ from tetractl.study.row_store import Store
 TRIALS, TIMES = "trials.csv", "times.csv"
 HOST_COLUMNS = ("deadline_misses",)
 """Columns of `export` that differ between two runs of a trial; only `times.csv` has them."""
-MOST = 100  # largest number of arms in the printed table
+LISTED = 100  # largest number of arms in the printed table
 
 
 def counted_rows(loaded: LoadedStudy, store: Store) -> Iterator[tuple[Arm, Row]]:
@@ -135,7 +135,7 @@ def numeric(found: Iterable[FieldValue]) -> bool:
 
 def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     """Return the table of arms: total error, aborted trials, and plant."""
-    arms, plants = loaded.arms[:MOST], origins(loaded)[:MOST]
+    arms, plants = loaded.arms[:LISTED], origins(loaded)[:LISTED]
     named = [(arm.name, error_of(loaded, store, [arm])) for arm in arms]
     found = list(counted_rows(loaded, store))
     aborted = Counter(arm.name for arm, row in found if not row.complete)
@@ -143,8 +143,8 @@ def arms_table(loaded: LoadedStudy, store: Store) -> Table:
     notes = [processors_note(row.processor for _, row in found)]
     if Origin.DISTURBED in plants:
         notes.append("disturbances are assumed in the spec, not measured")
-    if len(loaded.arms) > MOST:
-        more = len(loaded.arms) - MOST
+    if len(loaded.arms) > LISTED:
+        more = len(loaded.arms) - LISTED
         notes.append(f"and {more} more arms, listed in the table of trials")
     first, n, mean, std, *_, interval = errors.columns
     label = f"above {'error_bound' if named[0][1].tail.stated else '10 medians'}"

@@ -13,7 +13,7 @@ from matplotlib.transforms import ScaledTranslation
 
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import unit_of
-from tetractl.study.arm_table import MOST, FieldValue, error_of, field_values, numeric, origins
+from tetractl.study.arm_table import LISTED, FieldValue, error_of, field_values, numeric, origins
 from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
@@ -42,12 +42,12 @@ def write_figures(loaded: LoadedStudy, store: Store) -> list[Path]:
 
 def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None:
     """Draw the mean total error with its 95 % interval against a field, or by arm for the field
-    ARMS, at most MOST arms; None if no trial has an error.
+    ARMS, at most LISTED arms; None if no trial has an error.
 
     If several arms share a value, each trial is represented by its mean over these arms.
     """
     by_arm = field == ARMS
-    shown = loaded.arms[:MOST] if by_arm else loaded.arms
+    shown = loaded.arms[:LISTED] if by_arm else loaded.arms
     names = dict.fromkeys(arm.controller for arm in shown)
     curves = dict[str, list[FieldValue]]()
     for name in names:
@@ -76,7 +76,7 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             _draw(axes, x, found, "-o" if joined else "o", name, look)
         if by_arm:
             axes.set_xticks(list(places.values()), [str(group.value) for group in every])
-            axes.tick_params(axis="x", rotation=90, labelsize=6 if len(every) < MOST / 2 else 4)
+            axes.tick_params(axis="x", rotation=90, labelsize=6 if len(every) < LISTED / 2 else 4)
         axes.set_xlabel("" if by_arm else field)
         axes.set_ylabel(f"total error [{unit_of(loaded.unit)}]")
         axes.set_ylim(bottom=0)

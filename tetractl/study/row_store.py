@@ -16,9 +16,6 @@ from tetractl.run.store import made_and_locked, make_folder, set_aside
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
 
-DECIDING = ("code", "processor", "count")
-"""Two rows of a trial that agree in these fields must have the same digest."""
-
 
 class Store:
     """The rows of a study by arm and trial; each is written to disk as soon as it is added.
@@ -118,8 +115,7 @@ class Store:
         """
         twin = self.rows[arm.name].get(row.trial)
         if twin is not None:
-            alike = all(getattr(twin, name) == getattr(row, name) for name in DECIDING)
-            if alike and twin.trial_digest != row.trial_digest:
+            if deciding(twin) == deciding(row) and twin.trial_digest != row.trial_digest:
                 raise UsageError(
                     f"{folder}: trial {row.trial} of {arm.name} differs from that in {self.folder},"
                     " though code and type of processor are the same"
@@ -131,6 +127,11 @@ class Store:
             keep_log(log_path(self.place(arm.name, row.trial), row.trial), source)
         self.add_row(arm, row)
         return True
+
+
+def deciding(row: Row) -> tuple[str, str, int]:
+    """Return what decides a row: two rows of a trial with the same must have the same digest."""
+    return row.code, row.processor, row.count
 
 
 def rows_of(folder: Path, arm: Arm, mend: bool = False) -> dict[int, Row]:

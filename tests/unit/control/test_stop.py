@@ -94,15 +94,15 @@ def test_20_depends_on_the_unit_of_length():
 
 
 def test_the_relative_stop_looks_over_its_window():
-    stop = RelativeStop(type="relative", window=20, decrease=0.1)
+    stop = RelativeStop(type="relative")
     flat = np.full(40, 100.0)
-    assert stopped(flat[:21], stop) is None  # z = 20: the window is only just full
-    assert stopped(flat[:22], stop) == "criterion"
+    assert stopped(flat[:11], stop) is None  # z = 10: the window is only just full
+    assert stopped(flat[:12], stop) == "criterion"
     falling_enough = np.linspace(100, 50, 40)
     assert stopped(falling_enough, stop) is None
     assert stopped(falling_enough / 1e6, stop) is None  # unit-free
-    just = np.array([100.0] * 5 + [90.0] * 20)
-    assert stopped(just, stop) == "criterion"  # fell by the tenth, not by more
+    just = np.array([100.0] * 5 + [99.0] * 10)
+    assert stopped(just, stop) == "criterion"  # fell by the hundredth, not by more
 
 
 def test_the_other_stops():

@@ -75,9 +75,7 @@ NUMBERS = st.floats(-1e6, 1e6)
 POSITIVE = st.floats(1e-6, 1e6)
 PERIODS = st.floats(1e-3, 500)  # longer ones have too many samples to simulate
 INSIDE = st.tuples(st.floats(0, 100), st.floats(0, 100))
-STOPS = st.sampled_from(
-    [{"type": "paper"}, {"type": "relative", "window": 3}, {"type": "target", "cost": 1e-5}]
-)
+STOPS = st.sampled_from([{"type": "paper"}, {"type": "relative"}, {"type": "target", "cost": 1e-5}])
 
 
 @st.composite

@@ -26,7 +26,8 @@ obstacles:
 controller:
   type: pso-mpc
   optimizer:
-    stop: {type: relative, window: 5}
+    stop: {type: target, cost: 5}
+    particles: 5
 """
 
 
@@ -55,9 +56,8 @@ controller:\n -> controller:\n  motoin: exact\n
 controller:\n -> controller:\n  particles: 3\n
   s.yaml:10:3: controller.particles: unknown key here; did you mean
     'controller.optimizer.particles'?
-window: 5 -> frobnicate: 5
-  s.yaml:12:28: controller.optimizer.stop.frobnicate: unknown key; known here: type, window,
-    decrease
+cost: 5 -> cost: 5, frobnicate: 5
+  s.yaml:12:35: controller.optimizer.stop.frobnicate: unknown key; known here: type, cost
 type: circle, -> type: circle, circle: 3,
   s.yaml:8:20: obstacles.1.circle: unknown key; known here: type, center, radius
 a: 3 -> a: -3
@@ -78,10 +78,10 @@ a: 3 -> a:
   s.yaml:4:54: robots.0.a: has no value; must be a number
 a: 3 -> a: [3]
   s.yaml:4:55: robots.0.a: [3]: must be a number
-window: 5 -> window: 5.5
-  stop.window: 5.5: must be a whole number
-window: 5 -> window: 0
-  stop.window: 0: must be at least 1
+particles: 5 -> particles: 5.5
+  optimizer.particles: 5.5: must be a whole number
+particles: 5 -> particles: 0
+  optimizer.particles: 0: must be at least 1
 [10, 10] -> [10]
   s.yaml:4:24: robots.0.start: [10]: must have 2 entries
 [10, 10] -> [1, 2, 3]
@@ -122,9 +122,9 @@ center: [60, 20] -> center: [104, 104]
   s.yaml:8:5: obstacles.1: is entirely outside the arena, which is x 0 to 100, y 0 to 100
 name: two -> name: one
   s.yaml:5:12: robots.1.name: one: robots.0 has this name already; names must differ
-type: relative, window: 5 -> type: 3
+type: target, cost: 5 -> type: 3
   stop.type: 3: must be one of paper, relative
-{type: relative, window: 5} -> paper
+{type: target, cost: 5} -> paper
   stop: paper: must be a mapping of keys to values
 """  # what is replaced in GOOD, and the line that says so
 
@@ -336,7 +336,7 @@ def test_the_hash_follows_the_experiment_and_not_its_text():
     assert len(base) == 64
     same = "# a comment\n" + GOOD.replace("a: 3", "a: 3.0") + "trials: {seed: 1, count: 20}\n"
     assert spec_hash(parse_spec(same, "other.yaml").experiment) == base
-    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.window=6"):
+    for setting in ("trials.seed=2", "robots.0.a=3.0000001", "controller.optimizer.stop.cost=6"):
         assert spec_hash(parse_spec(GOOD, "s.yaml", [setting]).experiment) != base
 
 

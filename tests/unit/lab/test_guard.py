@@ -9,7 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.guard import Guard, GuardRules, GuardState
 
 MS = 1_000_000
@@ -449,7 +449,7 @@ class GuardMachine(RuleBasedStateMachine):
         for i, moving in enumerate(ruling.moving):
             if moving:
                 assert self.now - self.exposed <= RULES.limits.stale * SECOND
-                assert self.exposed - self.seen[i] <= RULES.limits.untracked_stop * SECOND
+                assert self.exposed - self.seen[i] <= UNTRACKED_STOP_S * SECOND
                 pose = ruling.poses[i]
                 assert pose is not None
 

@@ -9,6 +9,7 @@ from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.control.kernels.rollout import costs
 from tetractl.control.kernels.update import move
+from tetractl.control.stop import DECREASE, WINDOW
 from tetractl.core.poses import Floats
 
 CRITERION, ITERATIONS, TARGET, EVALUATIONS, PAUSED, NOT_FINITE = range(6)
@@ -39,8 +40,6 @@ class SwarmRules(NamedTuple):
     budget: int  # largest number of evaluations; `spent` of them precede the first iteration
     spent: int
     stop: int
-    window: int
-    decrease: float
     target: float
 
 
@@ -81,11 +80,11 @@ def stop_reason(history, z, rules):
     """
     if rules.stop == TARGET_STOP and history[z] <= rules.target:
         return TARGET
-    if rules.stop == RELATIVE_STOP and z > max(rules.window, 10):
-        before = history[z - rules.window]
-        if before - history[z] <= rules.decrease * abs(before):
+    if rules.stop == RELATIVE_STOP and z > WINDOW:
+        before = history[z - WINDOW]
+        if before - history[z] <= DECREASE * abs(before):
             return CRITERION
-    if rules.stop == PAPER_STOP and z > 10:  # (20)
+    if rules.stop == PAPER_STOP and z > WINDOW:  # (20)
         c = math.log(history[z - 10])
         delta = 0.0
         for m in range(z - 9, z + 1):

@@ -28,6 +28,10 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
+ELITE = 16  # one in so many samples of an iteration belongs to the elite
+SPREAD_WARM = 0.3  # initial standard deviation of the knots around a warm start [rad]
+SMOOTHING = 0.4  # weight alpha of the elite when the distribution is updated
+
 
 class CrossEntropy(OptimizerSection):
     """The cross-entropy method of Rubinstein and Kroese over the knots of smooth sequences."""
@@ -35,18 +39,12 @@ class CrossEntropy(OptimizerSection):
     type: Literal["cem"] = "cem"
     particles: int = Field(default=256, ge=2, le=1_000_000)
     """Number P of samples in an iteration."""
-    elite: int = Field(default=16, ge=1, le=1_000_000)
-    """Number E of best samples of an iteration, towards which the distribution is moved."""
     iterations: int = Field(default=80, ge=1, le=1_000_000)
     """Largest number of iterations of one search."""
     knots: int = Field(default=24, ge=2, le=1000)
     """Number K of directions drawn for a sequence, evenly spread over its length."""
     spread: Positive = 3.0
     """Initial standard deviation of the knots without a warm start [rad]."""
-    spread_warm: Positive = 0.3
-    """Initial standard deviation of the knots around a warm start [rad]."""
-    smoothing: float = Field(default=0.4, gt=0, le=1, allow_inf_nan=False)
-    """Weight alpha of the elite when the distribution is updated."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
@@ -80,7 +78,7 @@ class CrossEntropy(OptimizerSection):
             progress.add(warm[:, None], compiled_costs(problem, 1)(warm[:, None]))
         shape = (min(self.knots, length), self.particles)
         mean = np.zeros((shape[0], 1))
-        std = np.full_like(mean, self.spread if warm is None else self.spread_warm)
+        std = np.full_like(mean, self.spread if warm is None else SPREAD_WARM)
         for z in range(self.iterations):
             if progress.history and progress.cost <= self.tolerance:
                 progress.ended = StopReason.TARGET
@@ -91,7 +89,7 @@ class CrossEntropy(OptimizerSection):
             signals = wrap(base[:, None] + interpolate(knots, length))
             found = costs(signals)
             progress.add(signals, found)
-            elite = knots[:, np.argsort(found, kind="stable")[: self.elite]]
-            mean += self.smoothing * (elite.mean(axis=1, keepdims=True) - mean)
-            std += self.smoothing * (elite.std(axis=1, keepdims=True) - std)
+            elite = knots[:, np.argsort(found, kind="stable")[: max(1, self.particles // ELITE)]]
+            mean += SMOOTHING * (elite.mean(axis=1, keepdims=True) - mean)
+            std += SMOOTHING * (elite.std(axis=1, keepdims=True) - std)
         return progress.search()

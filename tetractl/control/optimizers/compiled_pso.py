@@ -78,7 +78,7 @@ def scatter(
 
 def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kernel.SwarmRules:
     """Return the parameters of equations (14)-(20) for the kernel; `spent` evaluations are done."""
-    stop, window, decrease, target = _stop(section.stop)
+    stop, target = _stop(section.stop)
     return kernel.SwarmRules(
         key=np.uint64(mix(key, 1)),
         inertia=section.inertia,
@@ -88,19 +88,17 @@ def make_rules(section: PsoFields, key: int, spent: int, limits: Limits) -> kern
         budget=NO_LIMIT if limits.evaluations is None else limits.evaluations,
         spent=spent,
         stop=stop,
-        window=window,
-        decrease=decrease,
         target=target,
     )
 
 
-def _stop(stop: StopCriterion) -> tuple[int, int, float, float]:
+def _stop(stop: StopCriterion) -> tuple[int, float]:
     match stop:
         case PaperStop():
-            return kernel.PAPER_STOP, 10, 0.0, 0.0
-        case RelativeStop(window=window, decrease=decrease):
-            return kernel.RELATIVE_STOP, window, decrease, 0.0
+            return kernel.PAPER_STOP, 0.0
+        case RelativeStop():
+            return kernel.RELATIVE_STOP, 0.0
         case TargetStop(cost=cost):
-            return kernel.TARGET_STOP, 10, 0.0, cost
+            return kernel.TARGET_STOP, cost
         case BudgetStop():
-            return kernel.BUDGET_STOP, 10, 0.0, 0.0
+            return kernel.BUDGET_STOP, 0.0

@@ -10,8 +10,8 @@ by the mean of the perturbations under the weights of a Boltzmann distribution o
     w_p = exp(-(J(u + e_p) - min J) / lambda) / sum_q exp(-(J(u + e_q) - min J) / lambda)
     u  <- u + sum_p w_p e_p
 
-The temperature lambda is `temperature`, which has no unit, times the standard deviation of the
-iteration's costs; s is multiplied by `cooling` after each iteration. The nominal sequence
+The temperature lambda is TEMPERATURE, which has no unit, times the standard deviation of the
+iteration's costs; s is multiplied by COOLING after each iteration. The nominal sequence
 is the first sample of each iteration, with e_1 = 0; the result is the best of all samples.
 """
 
@@ -29,6 +29,10 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
+NOISE_WARM = 0.3  # standard deviation of the knots around a warm start [rad]
+COOLING = 0.97  # factor of the standard deviation after each iteration
+TEMPERATURE = 0.02  # lambda over the standard deviation of an iteration's costs
+
 
 class Mppi(OptimizerSection):
     """Model predictive path integral control of Williams et al., iterated with falling noise."""
@@ -42,12 +46,6 @@ class Mppi(OptimizerSection):
     """Number K of normally distributed knots of a perturbation, evenly spread over its length."""
     noise: Positive = 2.0
     """Initial standard deviation s of the knots without a warm start [rad]."""
-    noise_warm: Positive = 0.3
-    """Initial standard deviation s of the knots around a warm start [rad]."""
-    cooling: float = Field(default=0.97, gt=0, le=1, allow_inf_nan=False)
-    """Factor by which s is multiplied after each iteration."""
-    temperature: Positive = 0.02
-    """Temperature lambda, in units of the standard deviation of the iteration's costs."""
     tolerance: Positive = 1.0
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
@@ -77,7 +75,7 @@ class Mppi(OptimizerSection):
         """Search sequences of `length` signals from the warm start or the targets' bearing."""
         progress, costs = Progress(length, limits), compiled_costs(problem, self.particles)
         nominal = np.full(length, bearing(problem)) if warm is None else warm.copy()
-        std = self.noise if warm is None else self.noise_warm
+        std = self.noise if warm is None else NOISE_WARM
         shape = (min(self.knots, length), self.particles)
         count = shape[0] * self.particles
         for z in range(self.iterations):
@@ -92,7 +90,7 @@ class Mppi(OptimizerSection):
             if progress.cost <= self.tolerance:
                 progress.ended = StopReason.TARGET
                 break
-            weights = np.exp((found.min() - found) / (self.temperature * found.std() + 1e-300))
+            weights = np.exp((found.min() - found) / (TEMPERATURE * found.std() + 1e-300))
             nominal = nominal + moves @ (weights / weights.sum())
-            std *= self.cooling
+            std *= COOLING
         return progress.search()

@@ -34,7 +34,9 @@ SLACK = 0.01  # clearance of a path pushed out of an obstacle, per step of the f
 HOPS = 1000  # hops of a thorough search for up to 3 robots; for N robots times (N / 3)^2
 HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search: some seconds
 POOL = 6  # number of sequences from which hops start
-# Levenberg-Marquardt iterations of a hop, and its patience
+STEPS, PATIENCE = 40, 6
+"""Most Levenberg-Marquardt iterations of a start; it ends if PATIENCE bring no fall by a fifth."""
+# the same for a hop
 HOP_STEPS, HOP_PATIENCE = 60, 12
 HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
 # cost of a position left in an obstacle by a hop, as a fraction of the fastest robot's step
@@ -58,25 +60,20 @@ class Multistart(OptimizerSection):
     """
     polished: int = Field(default=4, ge=1, le=10_000)
     """Number of sequences polished in each round, the best of the scattered ones."""
-    patience: int = Field(default=6, ge=1, le=10_000)
-    """Polishing a start ends if its merit has not fallen by a fifth within this many iterations.
-    """
-    polish_steps: int = Field(default=40, ge=1, le=10_000)
-    """Largest number of Levenberg-Marquardt iterations for one start."""
     rounds: int = Field(default=10, ge=1, le=10_000)
     """Number of rounds of a search without a warm start. With a warm start there is one round, and
     only if polishing the start fails.
     """
     grows: bool = True
-    """Whether `knots`, `patience` and `polish_steps` are multiplied by (N / 3)^2 if there are more
-    than three robots."""
+    """Whether `knots` and the iterations that polish a start are multiplied by (N / 3)^2 if there
+    are more than three robots."""
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
     @property
     def iterations_max(self) -> int:
         """Largest number of Levenberg-Marquardt iterations for one start."""
-        return self.polish_steps
+        return STEPS
 
     @property
     def evaluations_min(self) -> int:
@@ -89,7 +86,7 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor by which `knots`, `patience` and `polish_steps` are multiplied."""
+        """Return the factor by which `knots`, STEPS and PATIENCE are multiplied."""
         return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
@@ -146,8 +143,8 @@ class _PolishedProgress(Progress):
         self.slack = SLACK * float(problem.speed.max()) * problem.period
         rows, growth = len(self.work.residual), section.growth(problem)
         self.factor = np.empty((rows, rows))
-        self.patience = round(section.patience * growth)
-        steps = round(section.polish_steps * growth)
+        self.patience = round(PATIENCE * growth)
+        steps = round(STEPS * growth)
         if limits.thorough:
             self.patience, steps = HOP_PATIENCE, HOP_STEPS
             self.hops = round(HOPS * max(1.0, (len(problem.a) / 3) ** 2))

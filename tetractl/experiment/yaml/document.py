@@ -98,9 +98,10 @@ def read_text(path: Path) -> str:
         raise refusal("there is no such file") from None
     except IsADirectoryError:
         raise refusal("is a folder; name a YAML file in it") from None
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise refusal(f"cannot be read: {reason}") from None
+    except OSError as error:
+        raise refusal(f"cannot be read: {error.strerror or error}") from None
+    except ValueError as error:  # a null character in the name
+        raise refusal(f"cannot be read: {error}") from None
     if len(raw) > MAX_BYTES:
         raise refusal(f"is larger than {MAX_BYTES >> 20} MiB; a spec is a few kilobytes of YAML")
     if b"\0" in raw:

@@ -6,7 +6,7 @@ and `timing` have the items of the log's metadata records of these names.
 
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
@@ -59,11 +59,19 @@ class Row:
 
     def line(self, experiment: Experiment) -> str:
         """Return the row as a line of JSON."""
-        stated = {one.name: getattr(self, one.name) for one in fields(self)}
-        del stated["place"], stated[WARNINGS]
-        unit = experiment.units.length
-        stated["result"] = result_metadata(self.result, unit, self.warnings)
-        stated["timing"] = timing_metadata(self.result)
+        stated = {
+            "trial": self.trial,
+            "arm_hash": self.arm_hash,
+            "code": self.code,
+            "processor": self.processor,
+            "trial_digest": self.trial_digest,
+            "count": self.count,
+            "logged": self.logged,
+            "wall_s": self.wall_s,
+            "cpu_s": self.cpu_s,
+            "result": result_metadata(self.result, experiment.units.length, self.warnings),
+            "timing": timing_metadata(self.result),
+        }
         return json.dumps(stated, allow_nan=False) + "\n"
 
     @classmethod

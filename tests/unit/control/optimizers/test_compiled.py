@@ -17,8 +17,7 @@ MODELS = st.sampled_from(["euler", "arc", "exact"])
 STOPS = st.sampled_from(
     [
         {"type": "paper"},
-        {"type": "relative", "window": 5, "decrease": 0.05},
-        {"type": "relative", "window": 13, "decrease": 0.2},
+        {"type": "relative"},
         {"type": "target", "cost": 900},
         {"type": "budget"},
     ]

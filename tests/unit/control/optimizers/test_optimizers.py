@@ -22,11 +22,11 @@ from tetractl.core.plan import Limits, StopReason
 from tetractl.experiment.load import load_spec
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi_paper.yaml"
-SMALL = [CrossEntropy(particles=12, elite=3, iterations=8), Mppi(particles=12, iterations=8)]
+SMALL = [CrossEntropy(particles=12, iterations=8), Mppi(particles=12, iterations=8)]
 SAMPLING = pytest.mark.parametrize("optimizer", SMALL, ids=["cem", "mppi"])
 EVERY = [
     *SMALL,
-    Multistart(particles=12, polished=2, rounds=2, polish_steps=15),
+    Multistart(particles=12, polished=2, rounds=2),
     Pso(particles=12, iterations=8),
 ]
 OPTIMIZERS = pytest.mark.parametrize("optimizer", EVERY, ids=["cem", "mppi", "multistart", "pso"])

@@ -121,8 +121,6 @@ class FieldSection(ActuatorSection):
     """Time without a command after which the driver's firmware switches the field off [s]."""
     supply_min_v: NonNegative = 0.0
     """A run does not start below this supply voltage of the driver [V]; 0 disables the test."""
-    temperature_max_c: Positive = 60.0
-    """A run does not start with coils above this temperature [degrees Celsius]."""
 
     @model_validator(mode="after")
     def _limits_agree(self) -> Self:

@@ -16,6 +16,7 @@ from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
 
+BATTERY_REFUSED_V = 4.0  # a run does not start with a robot below this battery voltage
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
 AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
@@ -128,7 +129,7 @@ class M3piActuator:
         if answer.emergency_stopped:
             line = f"{name} is emergency-stopped: switch it off and on again"
             return RobotStatus(True, volts, (line,))
-        if volts is not None and volts < self.section.battery_refuse:
+        if volts is not None and volts < BATTERY_REFUSED_V:
             line = f"{name}'s battery is at {volts:.2f} V: charge it"
             return RobotStatus(True, volts, (line,))
         if volts is not None and volts < self.section.battery_warn:

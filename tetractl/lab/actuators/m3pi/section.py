@@ -83,8 +83,6 @@ class M3piSection(XbeeSection, ActuatorSection):
     """Protocol of the robots' program: one broadcast for all, or one message each."""
     robots: tuple[M3piRobot, ...] = Field(min_length=1, max_length=32)
     """One entry for each robot of the spec, with its radio address and wheels."""
-    battery_refuse: NonNegative = 4.0
-    """A run does not start with a robot below this battery voltage [V]."""
     battery_warn: NonNegative = 4.4
     """A warning is printed for a robot below this battery voltage [V]."""
 

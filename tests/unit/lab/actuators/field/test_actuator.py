@@ -178,7 +178,6 @@ def test_leaving_switches_the_field_off_before_the_watchdog_would():
         ),
         (DriverLimits(2000, 100_000, 500), {}, "watchdog is 0.5 s, not the spec's 0.25 s"),
         (LIMITS, {"supply_min_v": 20.0}, "supply is at 12.00 V"),
-        (LIMITS, {"temperature_max_c": 20.0}, "the coils are at 25 °C"),
     ],
 )
 def test_a_driver_that_would_not_do_is_a_problem(limits, changes, says):

@@ -25,10 +25,10 @@ from tetractl.analysis.choices import predicted, ranked
 from tetractl.analysis.closed_loop import Noise
 from tetractl.core.errors import TetractlError
 from tetractl.core.protocols import LabSupervision
+from tetractl.core.setup import Setup
 from tetractl.core.trial import Start, Step
 from tetractl.experiment.choice import FoundCell
-from tetractl.experiment.choosing import of_robots
-from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.experiment import Experiment, Robot
 from tetractl.experiment.load import load_spec
 from tetractl.lab.find_cells import turn_field
 from tetractl.lab.rig import build_rig
@@ -56,6 +56,20 @@ class Witness:
 
     def __getattr__(self, name: str) -> Callable[..., None]:
         return lambda *args: None
+
+
+def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
+    """Return the experiment with the robots of `setup`, as found by one of its trials."""
+    columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
+    rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
+    robots = tuple(
+        Robot(name=name, start=(x, y), heading=turn, target=tuple(target), a=a, speed=speed)
+        for name, (x, y, turn), target, a, speed in rows
+    )
+    chosen = experiment.chosen and experiment.chosen.model_copy(update={"found": True})
+    copied = experiment.model_copy(update={"robots": robots, "chosen": chosen})
+    vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
+    return copied
 
 
 def trials(count: int) -> None:

@@ -99,7 +99,7 @@ def check_motion(expect, played):
 
 def check_space(expect, played):
     """True positions: inside the arena, and apart from one another, where that is expected."""
-    arena = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.arena
+    arena = load_spec(Path(ROOT / "experiments" / "three_m3pi_lab.yaml")).experiment.arena.bounds
     for truth in played.of("truth"):
         spots = [complex(x, y) for x, y, _ in truth["poses"]]
         if expect.inside:

@@ -55,23 +55,7 @@ def settled(experiment: Experiment, cells: Sequence[FoundCell]) -> Experiment:
         )
         for i, (cell, goal) in enumerate(zip(cells, dealt(places, goals), strict=True), 1)
     ]
-    return _of(experiment, robots)
-
-
-def of_robots(experiment: Experiment, setup: Setup) -> Experiment:
-    """Return the experiment with the robots of `setup`, as found by one of its trials."""
-    columns = (setup.starts.array(), setup.targets, setup.a, setup.speed)
-    rows = zip(setup.names, *(column.tolist() for column in columns), strict=True)
-    robots = [
-        Robot(name=name, start=(x, y), heading=turn, target=tuple(target), a=a, speed=speed)
-        for name, (x, y, turn), target, a, speed in rows
-    ]
-    return _of(experiment, robots)
-
-
-def _of(experiment: Experiment, robots: Sequence[Robot]) -> Experiment:
-    assert experiment.chosen is not None, "the spec must have robots: {choose: N}"
-    found = experiment.chosen.model_copy(update={"found": True})
+    found = choice.model_copy(update={"found": True})
     copied = experiment.model_copy(update={"robots": tuple(robots), "chosen": found})
     vars(copied).pop("setup", None)  # the cached setup is that of the placeholder robots
     return copied

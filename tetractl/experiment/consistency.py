@@ -46,7 +46,7 @@ def misplaced(
     inside = {j: _inside(obstacle, points) for j, obstacle in obstacles.items()}
     for row, (i, field, point) in enumerate(places):
         loc: Loc = ("robots", i, *field)
-        if arena is not None and not arena.contains(*point):
+        if arena is not None and not arena.bounds.contains(*point):
             yield loc, f"is outside the arena; must be within {_extent(arena)}"
         for j, obstacle in obstacles.items():
             if inside[j][row]:
@@ -111,8 +111,8 @@ def section_contradictions(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
 
 
 def _extent(arena: Arena) -> str:
-    right, top = arena.left + arena.width, arena.bottom + arena.height
-    return f"x {arena.left:g} to {right:g}, y {arena.bottom:g} to {top:g}"
+    at = arena.bounds
+    return f"x {at.left:g} to {at.right:g}, y {at.bottom:g} to {at.top:g}"
 
 
 def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
@@ -123,10 +123,10 @@ def _inside(obstacle: ShapeSection, points: Floats) -> Bools:
 
 def _touches(arena: Arena, obstacle: ShapeSection) -> bool:
     """Return whether an obstacle meets the arena's edge or has a corner inside the arena."""
-    right, top = arena.left + arena.width, arena.bottom + arena.height
-    x = np.array([arena.left, right, right, arena.left])
-    y = np.array([arena.bottom, arena.bottom, top, top])
+    at = arena.bounds
+    x = np.array([at.left, at.right, at.right, at.left])
+    y = np.array([at.bottom, at.bottom, at.top, at.top])
     with np.errstate(over="ignore", invalid="ignore"):
         if obstacle.shape().cross(x, y, np.roll(x, -1), np.roll(y, -1)).any():
             return True
-    return any(arena.contains(*corner) for corner in obstacle.shape().outline().tolist())
+    return any(at.contains(*corner) for corner in obstacle.shape().outline().tolist())

@@ -55,10 +55,10 @@ class Arena(Model):
     height: Positive
     """Extent in y [length unit]."""
 
-    def contains(self, x: float, y: float) -> bool:
-        """Return whether a point lies in the arena or on its edge."""
-        inside_x = self.left <= x <= self.left + self.width
-        return inside_x and self.bottom <= y <= self.bottom + self.height
+    @property
+    def bounds(self) -> Bounds:
+        """The arena as a rectangle."""
+        return Bounds(self.left, self.bottom, self.left + self.width, self.bottom + self.height)
 
 
 class Robot(Model):
@@ -261,7 +261,7 @@ class Experiment(Model):
     def setup(self) -> Setup:
         """The experiment's numbers as arrays."""
         starts = [(*robot.start, robot.heading) for robot in self.robots]
-        arena, control = self.arena, self.controller
+        control = self.controller
         return Setup(
             name=self.name,
             unit=self.units.length,
@@ -272,9 +272,7 @@ class Experiment(Model):
             targets=np.array([robot.target for robot in self.robots], dtype=np.float64),
             a=np.array([robot.a for robot in self.robots], dtype=np.float64),
             speed=np.array([robot.speed for robot in self.robots], dtype=np.float64),
-            arena=Bounds(
-                arena.left, arena.bottom, arena.left + arena.width, arena.bottom + arena.height
-            ),
+            arena=self.arena.bounds,
             obstacles=tuple(obstacle.shape() for obstacle in self.obstacles),
             period_s=control.period,
             steps_max=control.steps_max,

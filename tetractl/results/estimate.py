@@ -24,11 +24,6 @@ Z = float(special.ndtri((1 + CONFIDENCE) / 2))
 """Quantile z of the normal distribution for the confidence of the intervals."""
 
 
-def finite(value: float) -> float | None:
-    """Return a number for JSON, None if it is not finite."""
-    return value if math.isfinite(value) else None
-
-
 @dataclass(frozen=True, slots=True)
 class Interval:
     """A 95 % interval; if there is none, `low` and `high` are NaN and `reason` is the cause."""
@@ -91,7 +86,7 @@ class Tail:
         """Return the items of JSON that describe the tail."""
         known = math.isfinite(self.bound)
         return {
-            "bound": finite(self.bound),
+            "bound": self.bound,
             "stated": self.stated,
             "n_above": self.above if known else None,
             "ci95": self.ci95.ends,
@@ -116,14 +111,14 @@ class Distribution:
     tail: Tail
 
     def as_dict(self) -> dict[str, Any]:
-        """Return the items of JSON that describe the values; None for unknown ones."""
+        """Return the items of JSON that describe the values."""
         return {
             "n": self.n,
-            "mean": finite(self.mean),
-            "std": finite(self.std),
-            "median": finite(self.median),
-            "min": finite(self.min),
-            "max": finite(self.max),
+            "mean": self.mean,
+            "std": self.std,
+            "median": self.median,
+            "min": self.min,
+            "max": self.max,
             **self.ci95.as_dict(),
             "tail": self.tail.as_dict(),
         }

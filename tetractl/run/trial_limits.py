@@ -69,7 +69,7 @@ def check_square(experiment: Experiment, square: Square) -> None:
         path_x, path_y, turned = step(x, y, headings, np.array(direction), a, speed, t)
         for i, robot in enumerate(robots):
             where = zip(path_x[:, i], path_y[:, i], strict=True)
-            if not all(experiment.arena.contains(px, py) for px, py in where):
+            if not all(experiment.arena.bounds.contains(px, py) for px, py in where):
                 raise _refusal(robot.name, "leave the arena")
         if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
             raise _refusal(robots[int(hit.argmax())].name, "enter an obstacle")

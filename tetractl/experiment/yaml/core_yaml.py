@@ -6,17 +6,16 @@ accepted.
 """
 
 import re
-from typing import Any
+from typing import Any, ClassVar
 
 import yaml
-from yaml.composer import Composer
 from yaml.error import Mark, MarkedYAMLError
 from yaml.events import StreamEndEvent
 from yaml.nodes import Node, ScalarNode
-from yaml.parser import Parser
-from yaml.reader import Reader, ReaderError
-from yaml.resolver import BaseResolver
-from yaml.scanner import Scanner
+from yaml.reader import ReaderError
+
+from tetractl.core.errors import printable
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 MAX_DEPTH = 32
 MAX_NODES = 100_000
@@ -37,36 +36,32 @@ SCALARS = {
 }
 
 
-class NotYamlError(Exception):
-    """Text that is not one YAML document within the limits; line and column count from 1."""
-
-    def __init__(self, message: str, mark: Mark | None = None) -> None:
-        super().__init__(message)
-        self.line = None if mark is None else mark.line + 1
-        self.column = None if mark is None else mark.column + 1
+def not_yaml(origin: str, message: str, mark: Mark | None) -> InvalidSpecError:
+    """Return the error of text that is not one YAML document within the limits."""
+    line, column = (None, None) if mark is None else (mark.line + 1, mark.column + 1)
+    return InvalidSpecError([SpecProblem(origin, printable(message, 300), line, column)])
 
 
-def within_limits(depth: int, nodes: int, mark: Mark) -> None:
-    """Raise NotYamlError at `mark` if nesting is too deep or there are too many values."""
+def within_limits(origin: str, depth: int, nodes: int, mark: Mark) -> None:
+    """Raise InvalidSpecError at `mark` if nesting is too deep or there are too many values."""
     if depth > MAX_DEPTH:
-        raise NotYamlError(f"nested deeper than {MAX_DEPTH} levels", mark)
+        raise not_yaml(origin, f"nested deeper than {MAX_DEPTH} levels", mark)
     if nodes > MAX_NODES:
-        raise NotYamlError(f"more than {MAX_NODES} values, counting every use of an alias", mark)
+        text = f"more than {MAX_NODES} values, counting every use of an alias"
+        raise not_yaml(origin, text, mark)
 
 
-class _Composer(Reader, Scanner, Parser, Composer, BaseResolver):
-    def __init__(self, text: str) -> None:
-        Reader.__init__(self, text)
-        Scanner.__init__(self)
-        Parser.__init__(self)
-        Composer.__init__(self)
-        BaseResolver.__init__(self)
-        self.depth = self.nodes = 0
+class _Composer(yaml.SafeLoader):
+    yaml_implicit_resolvers: ClassVar = {}
+
+    def __init__(self, text: str, origin: str) -> None:
+        super().__init__(text)
+        self.origin, self.depth, self.nodes = origin, 0, 0
 
     def compose_node(self, parent: Node | None, index: Any) -> Node | None:
         self.depth += 1
         self.nodes += 1
-        within_limits(self.depth, self.nodes, self.peek_event().start_mark)
+        within_limits(self.origin, self.depth, self.nodes, self.peek_event().start_mark)
         node = super().compose_node(parent, index)
         self.depth -= 1
         return node
@@ -87,27 +82,27 @@ for _tag, (_pattern, _first) in SCALARS.items():
         _resolver.add_implicit_resolver(_tag, re.compile(_pattern), _first)
 
 
-def compose(text: str) -> Node | None:
-    """Return the node graph of a text, None if the text is empty; raises NotYamlError."""
+def compose(text: str, origin: str) -> Node | None:
+    """Return the node graph of a text, None if it is empty; InvalidSpecError if it is not YAML."""
     try:
-        composer = _Composer(text)
+        composer = _Composer(text, origin)
         composer.get_event()  # the stream's start
         if composer.check_event(StreamEndEvent):
             return None
         root = composer.compose_document()
         if not composer.check_event(StreamEndEvent):
             mark = composer.peek_event().start_mark
-            raise NotYamlError("a second document starts here; a spec is one document", mark)
+            raise not_yaml(origin, "a second document starts here; a spec is one document", mark)
     except ReaderError as error:
         before = text[: error.position]
         mark = Mark("", 0, before.count("\n"), len(before) - before.rfind("\n") - 1, None, 0)
         message = f"not valid YAML: the character U+{error.character:04X} is not allowed"
-        raise NotYamlError(message, mark) from None
+        raise not_yaml(origin, message, mark) from None
     except MarkedYAMLError as error:
         context = f" ({error.context})" if error.context else ""
         tabs = "; indent with spaces, not tabs" if "'\\t'" in (error.problem or "") else ""
         message = f"not valid YAML: {error.problem}{context}{tabs}"
-        raise NotYamlError(message, error.problem_mark or error.context_mark) from None
+        raise not_yaml(origin, message, error.problem_mark or error.context_mark) from None
     unwritten = isinstance(root, ScalarNode) and root.start_mark.index == root.end_mark.index
     return None if unwritten else root
 

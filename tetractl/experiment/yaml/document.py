@@ -8,15 +8,7 @@ from typing import Any
 from yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 
 from tetractl.core.errors import printable
-from tetractl.experiment.yaml.core_yaml import (
-    CORE,
-    STR,
-    NotYamlError,
-    compose,
-    scalar,
-    short_tag,
-    within_limits,
-)
+from tetractl.experiment.yaml.core_yaml import CORE, STR, compose, scalar, short_tag, within_limits
 from tetractl.experiment.yaml.problems import (
     SHOWN_LENGTH,
     InvalidSpecError,
@@ -121,7 +113,7 @@ def parse_document(text: str, origin: str) -> Document:
     """
     text = text.removeprefix("\ufeff")
     document = Document(printable(origin))
-    root = _compose(text, document.origin)
+    root = compose(text, document.origin)
     if root is None:
         message = "is empty; a spec starts with 'name:'"
         raise InvalidSpecError([SpecProblem(document.origin, message)])
@@ -142,24 +134,13 @@ def parse_value(text: str, origin: str, loc: Loc = ()) -> Any:
     document = Document(printable(origin))
     value, found = None, ()
     try:
-        root = _compose(text, origin)
+        root = compose(text, document.origin)
         value = None if root is None else _Builder(text, document).build(root, loc, 0)
     except InvalidSpecError as error:
         found = error.problems
     if found := [*found, *document.found]:
         raise InvalidSpecError(SpecProblem(p.origin, p.message, field=p.field) for p in found)
     return value
-
-
-def _compose(text: str, origin: str) -> Node | None:
-    try:
-        return compose(text)
-    except NotYamlError as error:
-        raise InvalidSpecError([_syntax_problem(error, origin)]) from None
-
-
-def _syntax_problem(error: NotYamlError, origin: str) -> SpecProblem:
-    return SpecProblem(origin, printable(str(error), 300), error.line, error.column)
 
 
 class _Builder:
@@ -173,10 +154,7 @@ class _Builder:
     def build(self, node: Node, loc: Loc, depth: int) -> Any:
         """Return the plain data of a node, and store the location of each value."""
         self.count += 1
-        try:
-            within_limits(depth, self.count, node.start_mark)
-        except NotYamlError as error:
-            raise InvalidSpecError([_syntax_problem(error, self.document.origin)]) from None
+        within_limits(self.document.origin, depth, self.count, node.start_mark)
         self.document.values[loc] = self.place(node)
         if isinstance(node, MappingNode) and node.tag == CORE + "map":
             items = self._items(node, loc)

@@ -5,8 +5,9 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.experiment.yaml.core_yaml import NotYamlError, compose, dump
+from tetractl.experiment.yaml.core_yaml import compose, dump
 from tetractl.experiment.yaml.document import parse_value
+from tetractl.experiment.yaml.problems import InvalidSpecError
 
 
 @pytest.mark.parametrize(
@@ -68,14 +69,15 @@ def test_infinity_and_nan_are_numbers_here():
     ],
 )
 def test_what_is_no_yaml_is_refused_at_its_place(text, line, column, words):
-    with pytest.raises(NotYamlError, match=words.replace("+", r"\+")) as caught:
-        compose(text)
-    assert (caught.value.line, caught.value.column) == (line, column)
+    with pytest.raises(InvalidSpecError, match=words.replace("+", r"\+")) as caught:
+        compose(text, "here")
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.column) == (line, column)
 
 
 @pytest.mark.parametrize("text", ["", "\n\n", "# nothing\n", "---\n", "--- # nothing\n...\n"])
 def test_a_text_without_content_composes_to_nothing(text):
-    assert compose(text) is None
+    assert compose(text, "here") is None
 
 
 PLAIN = st.recursive(

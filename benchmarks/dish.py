@@ -19,7 +19,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
 from scipy.optimize import linear_sum_assignment
-from support.virtual_dish import DISH, VirtualDish, virtual_dish
+from support.virtual_lab import DISH, VirtualLab, virtual_dish
 
 from tetractl.analysis.choices import predicted, ranked
 from tetractl.analysis.closed_loop import Noise
@@ -43,7 +43,7 @@ TESTED = 64  # plans
 class Witness:
     """Which true cell each robot is at each control step, by its place; an observer."""
 
-    def __init__(self, dish: VirtualDish) -> None:
+    def __init__(self, dish: VirtualLab) -> None:
         self.dish, self.who = dish, []
 
     def on_start(self, start: Start) -> None:
@@ -163,7 +163,7 @@ def reseeded(experiment: Experiment, seed: int) -> Experiment:
     return experiment.model_copy(update={"trials": trials})
 
 
-def true_cells(found: Sequence[FoundCell], dish: VirtualDish) -> dict[int, FoundCell]:
+def true_cells(found: Sequence[FoundCell], dish: VirtualLab) -> dict[int, FoundCell]:
     """The cells found, by number, with the a and speed that each truly has.
 
     Where two have met, places alone do not say which is which: then the speed does.

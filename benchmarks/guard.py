@@ -24,9 +24,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
-from support.bench_agreement import VirtualLab  # noqa: E402
-from support.ghosts import CAMERA, KINDS, Ghost, trial_of  # noqa: E402
-from support.labs import CAMERA_HZ  # noqa: E402
+from support.ghosts import CAMERA, CAMERA_HZ, KINDS, Ghost, trial_of  # noqa: E402
+from support.virtual_lab import VirtualLab  # noqa: E402
 
 from tetractl.emulate import virtual_wires  # noqa: E402
 from tetractl.lab.drift_check import LIMIT  # noqa: E402

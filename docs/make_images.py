@@ -16,7 +16,7 @@ IMAGES = ROOT / "docs" / "images"
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.chromium import chromium  # noqa: E402
-from support.virtual_dish import virtual_dish  # noqa: E402
+from support.virtual_lab import virtual_dish  # noqa: E402
 
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.run.interrupt import Interrupt  # noqa: E402

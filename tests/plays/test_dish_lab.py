@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 from support.cli import tetractl
-from support.virtual_dish import DISH, virtual_dish
+from support.virtual_lab import DISH, virtual_dish
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
@@ -120,7 +120,7 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
 
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
     with virtual_dish(tmp_path, 1, SMALL, FEW) as dish:
-        words = [word for setting in dish.sets for word in ("--set", setting)]
+        words = [word for setting in dish.settings for word in ("--set", setting)]
         done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words)
         assert done.returncode == 0, done.stderr
         magnets = np.sort(dish.cells.a[dish.cells.a > 0])

@@ -2,7 +2,7 @@
 
 import pytest
 from support.fault_checks import IN_PROCESS, check
-from support.virtual_play import play
+from support.virtual_lab import play
 
 from tetractl.emulate.script import load_script
 

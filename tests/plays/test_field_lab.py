@@ -2,22 +2,19 @@
 
 import numpy as np
 import pytest
-from support.devices import running
-from support.emulated_lab import FIELD_SPEC
+from support.lab_specs import FIELD_SPEC
+from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Steer
-from tetractl.core.protocols import LabSupervision
 from tetractl.emulate import firmware
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 
 
 def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_path):
-    with running(tmp_path, FIELD_SPEC) as (lab, experiment, clock):
-        plant = experiment.lab.build(
-            experiment.setup, clock, np.random.SeedSequence(1), LabSupervision()
-        )
+    with virtual_lab(tmp_path, spec=FIELD_SPEC) as lab:
+        plant, clock = lab.plant, lab.clock
         try:
             info = plant.open()
             assert info.facts["field_driver_version"] == "1"
@@ -39,7 +36,7 @@ def test_cells_are_steered_without_any_wheels_and_swim_on_after_the_stop(tmp_pat
         assert verdict.not_at_rest == ""
         others = [item for item in plant.news() if isinstance(item, Command)]
         assert len(others) > 10
-        before = [(body.x, body.y) for body in lab.actuator.bodies]
+        before = [(body.x, body.y) for body in lab.robots]
         clock.sleep_until(clock.now() + SECOND // 5)
-        after = [(body.x, body.y) for body in lab.actuator.bodies]
+        after = [(body.x, body.y) for body in lab.robots]
         assert all(a != b for a, b in zip(before, after, strict=True))

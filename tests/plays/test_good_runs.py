@@ -2,7 +2,7 @@
 
 import pytest
 from support.good_runs import RUNS, check, script_of
-from support.virtual_play import play
+from support.virtual_lab import play
 
 from tetractl.emulate.script import load_script
 

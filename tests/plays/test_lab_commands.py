@@ -6,8 +6,8 @@ import json
 
 import pytest
 from support.cli import tetractl
-from support.lab_processes import SPEC, flags
-from support.virtual_play import virtual_lab
+from support.lab_processes import SMALL, SPEC, flags
+from support.virtual_lab import virtual_lab
 
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.load import load_spec
@@ -35,7 +35,8 @@ def lab(tmp_path):
 
         def start(script="about: nothing goes wrong", replace_after=None):
             play = parse_script(script, "script.yaml")
-            return stack.enter_context(virtual_lab(tmp_path, play, replace_after=replace_after))
+            how = {"script": play, "replace_after": replace_after, "ahead_s": 0.5}
+            return stack.enter_context(virtual_lab(tmp_path, *SMALL, spec=SPEC, **how))
 
         yield start
 

@@ -4,8 +4,8 @@ import json
 
 import pytest
 from support.cli import tetractl
-from support.lab_processes import SPEC, flags
-from support.virtual_play import virtual_lab
+from support.lab_processes import SMALL, SPEC, flags
+from support.virtual_lab import virtual_lab
 
 from tetractl.log.read.reader import read_trial
 
@@ -16,7 +16,8 @@ def test_a_design_is_driven_and_its_commands_are_driven_again(tmp_path):
         assert done.returncode == 0, done.stderr
         return done.stdout
 
-    with virtual_lab(tmp_path, sets=("lab.limits.placing=30",), replace_after=0.2) as lab:
+    sets = (*SMALL, "lab.limits.placing=30")
+    with virtual_lab(tmp_path, *sets, spec=SPEC, replace_after=0.2, ahead_s=0.5) as lab:
         design = ("design", SPEC, "--seconds", "4", "--plant", "lab", "--yes")
         said = call(*design, "--logs", "design", "--json", *flags(lab.settings))
         found = json.loads(said)

@@ -8,7 +8,7 @@ wheels do not slip, so the bench's do not either.
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 
 import numpy as np
@@ -19,7 +19,6 @@ from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import EPOCH_NS, Result, TrialRecords
-from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.log.write.recorder import Recorder
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
@@ -92,13 +91,13 @@ def lab_trial(
     spec: LoadedSpec,
     trial: int,
     gain_error: float | None = None,
-    noise: tuple[float, float] = (0.0, 0.0),
+    camera: Mapping[str, float] = {},
     change: Callable[[VirtualLab], None] = lambda lab: None,
 ) -> TrialRecords:
     """Run one trial of `lab_spec` in the emulated lab, in virtual time.
 
-    `gain_error` bounds that of each wheel, the bench's by default; `noise` is the camera's, and
-    `change` may change the lab before it starts.
+    `gain_error` bounds that of each wheel, the bench's by default; `camera` are settings of the
+    emulated one, and `change` may change the lab before it starts.
     """
     experiment = spec.experiment
     setup, drive = experiment.setup, bench().drive
@@ -123,14 +122,14 @@ def lab_trial(
         for name in setup.names
     ]
     off = rng.uniform(-1, 1, (3, len(robots))) * [[put.position], [put.position], [put.heading]]
-    settings = M3piSettings.model_validate(
-        {"loss": part(RadioSection).loss, "robots": tuple(robots)}
-    )
     places = setup.starts.array() + off.T
-    lab = virtual_lab(experiment, settings, places, int(key % 2**31), noise)
-    change(lab)
-    inner = build_controller(experiment, key)
-    busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
-    path = Recorder()
-    run(spec, trial, lab.plant, busy, lab.clock, path)
+    actuator = {"loss": part(RadioSection).loss, "robots": robots}
+    script = "emulation: " + json.dumps({"camera": dict(camera), "actuator": actuator})
+    with virtual_lab(None, spec=spec, script=script, seed=int(key % 2**31)) as lab:
+        for robot, place in zip(lab.robots, places.tolist(), strict=True):
+            robot.place(*place)
+        change(lab)
+        inner, path = build_controller(experiment, key), Recorder()
+        busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
+        run(spec, trial, lab.plant, busy, lab.clock, path)
     return path.trial

@@ -10,8 +10,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.emulated_lab import APRILTAG_SPEC, FIELD_SPEC, SPEC, emulated, in_virtual_time
+from support.lab_processes import emulated
+from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
 from support.labs import STEP_NS, FakeActuator, FakeCamera, World
+from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import MonotonicClock
 from tetractl.emulate.virtual_wires import LabClock
@@ -54,31 +56,25 @@ def fake_actuator(folder):
 
 
 @contextmanager
-def running(folder, spec=SPEC):
-    """An emulated lab in virtual time, the experiment that leads to it, and the clock."""
-    with in_virtual_time(folder, spec=spec) as (lab, clock, settings):
-        yield lab, parse_spec(spec, "emulated", settings).experiment, clock
-
-
-@contextmanager
 def optitrack(folder):
-    with running(folder) as (lab, experiment, clock):
+    with virtual_lab(folder) as lab:
 
         def hide(name):
-            lab.camera.tracked_body(name).tracked = False
+            lab.emulation.camera.tracked_body(name).tracked = False
 
-        yield experiment.lab.camera, experiment.setup, SeenRobots(clock, poses(lab), hide)
+        scene = SeenRobots(lab.clock, poses(lab.emulation), hide)
+        yield lab.spec.experiment.plant.camera, lab.spec.experiment.setup, scene
 
 
 @contextmanager
 def actuator(folder, spec):
-    with running(folder, spec) as (lab, experiment, clock):
+    with virtual_lab(folder, spec=spec) as lab:
 
         def moves():
-            return [not body.standing for body in lab.actuator.bodies]
+            return [not body.standing for body in lab.robots]
 
-        robots = MovedRobots(clock, moves, lambda: lab.actuator.plugged(False))
-        yield experiment.lab.actuator, experiment.setup, robots
+        robots = MovedRobots(lab.clock, moves, lambda: lab.emulation.actuator.plugged(False))
+        yield lab.spec.experiment.plant.actuator, lab.spec.experiment.setup, robots
 
 
 @contextmanager

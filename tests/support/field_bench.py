@@ -1,6 +1,6 @@
 """A current driver, a section of the spec for it, in virtual time."""
 
-from support.virtual_wires import PatientClock
+from support.virtual_lab import PatientClock
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.field import CurrentDriver

@@ -6,16 +6,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from support.bench_agreement import lab_spec, lab_trial
-from support.labs import CAMERA_HZ
 from support.virtual_lab import VirtualLab
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.core.trial import Result
-from tetractl.emulate.optitrack.motive import OptitrackSettings
 from tetractl.lab.guard import GuardState
 
-NOISE = 0.3, 0.004  # mm, rad: of a real capture
+CAMERA_HZ = 120.0
+NOISE = {"noise_mm": 0.3, "noise_rad": 0.004}  # of a real capture
 WHEEL_M = 0.04  # from a wheel to the robot's centre
 KINDS = ("frozen", "along", "against", "sideways", "heading", "curve", "turn")
 CAMERA = ("origin", "scale", "rotation")
@@ -49,8 +48,27 @@ class Ghost:
         self._began: int | None = None
         self._turned, self._paths = 0.0, {}
         self._shown, self._last = {}, {}
-        lab.eye.shown = self._show
+        motive = lab.emulation.camera.motive
+        motive._expose = self._exposed(motive._expose)
         lab.clock.steps.append(self._watch)
+
+    def _exposed(self, expose):
+        """What the cameras report, of bodies that are put where the ghost is."""
+
+        def exposed():
+            true = tuple(Pose(robot.x, robot.y, robot.heading) for robot in self.lab.robots)
+            shown = self._show(true)
+            bodies = self.lab.emulation.camera.tracked
+            for body, pose, now in zip(bodies, true, shown, strict=True):
+                body.shift, body.turned = (
+                    (now.x - pose.x, now.y - pose.y),
+                    now.heading - pose.heading,
+                )
+            for i in self._shown if self.kind == "frozen" else ():
+                bodies[i].repeats = True
+            return expose()
+
+        return exposed
 
     @property
     def _since_s(self) -> float:
@@ -124,12 +142,7 @@ def trial_of(
     change: Callable[[VirtualLab], None], trial: int = 0, rate_hz: float = CAMERA_HZ
 ) -> Result:
     """Run a trial of the lab changed by `change`, with noisy frames and wheels up to 10 % off."""
-
-    def changed(lab: VirtualLab) -> None:
-        lab.eye.settings = OptitrackSettings(rate=rate_hz)
-        change(lab)
-
     spec = lab_spec("controller.optimizer.rounds=2")
-    result = lab_trial(spec, trial, 0.1, NOISE, changed).result
+    result = lab_trial(spec, trial, 0.1, NOISE | {"rate": rate_hz}, change).result
     assert result is not None
     return result

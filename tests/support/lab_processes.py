@@ -1,5 +1,6 @@
-"""Plays a fault script end to end: emulator process, runner process, and what became of it.
+"""The emulated lab on this computer's wires: in a process, or turned by hand in this one.
 
+`play` plays a fault script end to end: emulator process, runner process, and what became of it.
 Nothing sleeps: the emulator says when things happen, and the stage waits for it to say so.
 """
 
@@ -15,7 +16,14 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from support.lab_specs import SPEC as TWO
 from support.paths import ROOT
+
+from tetractl.emulate.emulated_lab import EmulatedLab
+from tetractl.emulate.script import NOTHING, parse_script
+from tetractl.emulate.sides import Options
+from tetractl.experiment.load import parse_spec
+from tetractl.experiment.plants import lab_of
 
 SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 TETRACTL = str(Path(sys.executable).with_name("tetractl"))
@@ -271,3 +279,25 @@ def _attend(emulator, runners, script, folder, settings):
             resource.prlimit(first.pid, resource.RLIMIT_FSIZE, (limit, limit))
         elif mark == "second" and script.runner.second:
             runners.append(Runner(folder, "second", settings))
+
+
+def emulated(folder, *sets, script=NOTHING, tell=None, spec=TWO, **options):
+    """Return an EmulatedLab on this computer's wires, not yet entered; `script` may be YAML."""
+    loaded = parse_spec(spec, "emulated.yaml", sets)
+    lab = lab_of(loaded.experiment, loaded.name)
+    if isinstance(script, str):
+        types = lab.camera.type, lab.actuator.type
+        script = parse_script("about: a test\n" + script, "script.yaml", *types)
+    places = {"link": Path(folder) / "radio", "record": Path(folder) / "record.jsonl"}
+    chosen = Options(command_port=0, data_port=0, **places, **options)
+    extra = {} if tell is None else {"report": tell}
+    return EmulatedLab(lab, loaded.experiment.setup, script, chosen, **extra)
+
+
+def turn_until(lab, condition, turns=20_000):
+    """Turn the emulation's loop until `condition()`; return what it returned."""
+    for _ in range(turns):
+        if found := condition():
+            return found
+        lab.loop.turn()
+    raise AssertionError("it did not happen")

@@ -16,7 +16,7 @@ from mcap.records import Attachment, Metadata
 from support.mutate import changed, other, places, rewrite
 
 from tetractl.core.errors import LogError
-from tetractl.experiment.load import parse_spec
+from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
 from tetractl.log.read.raw_log import RawLog
@@ -64,24 +64,14 @@ def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
 
 def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one trial of the emulated lab in virtual time; return its log."""
-    from support.bench_agreement import LAB, run
+    from support.bench_agreement import LAB
     from support.virtual_lab import virtual_lab
 
-    from tetractl.control.build import build_controller
-    from tetractl.emulate.m3pi.side import M3piSettings
-    from tetractl.experiment.load import load_spec
-    from tetractl.experiment.plants import on_plant
-    from tetractl.log.write.writer import LogWriter
-    from tetractl.run.task import trial_seeds
-
-    loaded = load_spec(LAB, ["controller.steps_max=8", "controller.horizon_max=8", *sets])
-    spec, experiment, path = on_plant(loaded, "lab"), loaded.experiment, log_path(folder, 0)
-    key, _ = trial_seeds(experiment.trials.seed, 0)
-    settings = M3piSettings.model_validate({"loss": 0.3})
-    lab = virtual_lab(experiment, settings, experiment.setup.starts.array(), int(key % 2**31))
-    with LogWriter(path) as writer:
-        run(spec, 0, lab.plant, build_controller(experiment, key), lab.clock, writer)
-    return path
+    short = ("controller.steps_max=8", "controller.horizon_max=8", "controller.deadline=60")
+    loaded, lossy = load_spec(LAB, [*short, *sets]), "emulation: {actuator: {loss: 0.3}}"
+    with virtual_lab(None, spec=loaded, script=lossy) as lab:
+        run_trial(lab.spec, folder, 0, (), Interrupt())
+    return log_path(folder, 0)
 
 
 def tamperings(log: RawLog, count: int, seed: int = 1) -> Iterator[Tampering]:

@@ -1,121 +1,183 @@
-"""The emulated m3pi lab in virtual time: its radio, its robots with their firmware, our whole side.
+"""The emulated lab and our side of it in this process: in virtual time, on wires in memory.
 
-Everything of the lab's side that is not a wire is the real code: plant, guard, inner loop, actuator
-and XBee frames on ours; module, air, loss, firmware, wheels on the other. Virtual time and the
-serial port in memory are what differs from `tetractl lab emulate`, so that a loaded host changes
+Command line, plant, guard, inner loop, camera, actuator, frames, module, radio, firmware, cells and
+pictures are the real ones; wires, threads and the clock are not, so that a loaded host changes
 nothing.
 """
 
-import random
-from collections.abc import Callable, Sequence
+import contextlib
+import json
 from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import ClassVar
+from unittest import mock
 
 import numpy as np
-from support.labs import CAMERA_HZ
+import pytest
+from support.lab_processes import Played, flags
+from support.lab_specs import SPEC
+from support.paths import ROOT
 
-from tetractl.core.clock import SECOND, VirtualClock
-from tetractl.core.commands import Command, Health
-from tetractl.core.plan import End, Outcome, Plan
-from tetractl.core.poses import CameraFrame, Observation, Pose
-from tetractl.core.protocols import Controller, LabSupervision
-from tetractl.emulate.loop import Timeline
-from tetractl.emulate.m3pi.robot import EmulatedRobot
-from tetractl.emulate.m3pi.side import EmulatedM3pi, M3piSettings
-from tetractl.emulate.optitrack.motive import JITTER_S, OptitrackSettings
-from tetractl.emulate.sides import Options, Stage
-from tetractl.emulate.virtual_wires import STEP_NS, LabClock, VirtualLoop, memory_wires
-from tetractl.experiment.experiment import Experiment
-from tetractl.lab.actuators.m3pi.actuator import M3piActuator
-from tetractl.lab.inner_loop import IDLE_S
-from tetractl.lab.rig import Rig
-from tetractl.plant.lab_plant import LabPlant
+from tetractl.control.build import build_controller
+from tetractl.core.clock import SECOND, wait_for
+from tetractl.core.protocols import LabSupervision
+from tetractl.core.registry import imported
+from tetractl.emulate.emulated_lab import EmulatedLab
+from tetractl.emulate.script import NOTHING, parse_script
+from tetractl.emulate.sides import Options
+from tetractl.emulate.virtual_wires import LabClock, started
+from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec
+from tetractl.experiment.plants import lab_of, on_plant
+from tetractl.lab.cameras.cells.section import CellsSection
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+from tetractl.lab.inner_loop import InnerLoop
+
+DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
+PATIENCE_S = 10.0
+AFTER_NS = SECOND  # a lab is watched for that long after a play
+HOST_CLOCKS = (
+    "tetractl.core.clock",
+    "tetractl.experiment.lab_section",
+    "tetractl.lab.actuators.m3pi.calibrate",
+    "tetractl.lab.actuators.m3pi.stop_sequence",
+    "tetractl.plant.lab_plant",
+)
 
 
-class EmulatedEye:
-    """A camera, at 120 Hz by default, that sees the robots with the emulated Motive's delays.
+class PatientClock(LabClock):
+    """A clock on which a test waits for what happens."""
 
-    `noise` are the standard deviations of a pose [mm, rad]. `shown` changes what is seen: of the
-    robots' poses, in each frame.
-    """
+    def wait(self, condition, patience_s=PATIENCE_S):
+        """Let time pass until a condition holds; return whether it does."""
+        return wait_for(self, condition, patience_s)
 
-    def __init__(
-        self,
-        clock: LabClock,
-        robots: Sequence[EmulatedRobot],
-        seed: int,
-        noise: tuple[float, float] = (0.0, 0.0),
-    ) -> None:
-        self.clock, self.robots, self.noise = clock, robots, noise
-        self.shown: Callable[[tuple[Pose, ...]], tuple[Pose | None, ...]] = lambda poses: poses
-        self.newest: CameraFrame | None = None
-        self.damaged = 0
-        self.settings = OptitrackSettings(rate=CAMERA_HZ)
-        self._random = random.Random(seed)
-        self._fresh: list[CameraFrame] = []
-        self._count = 0
 
-    def __enter__(self):
-        self._start_ns = self.clock.now()
-        self._expose()
-        while self.newest is None:
-            self.clock.sleep_until(self.clock.now() + STEP_NS)
-        return self
+class TrialClock:
+    """A clock that starts at 0 when it is made, as a trial's does; `base` goes on below it."""
 
-    def __exit__(self, *_: object) -> None:
-        pass
+    def __init__(self, base):
+        self._base, self._start = base, base.now()
 
-    def check(self) -> Health:
-        return Health(facts={"camera": "emulated"})
+    def now(self):
+        return self._base.now() - self._start
+
+    def sleep_until(self, when):
+        self._base.sleep_until(self._start + when)
+
+
+class Joined:
+    """Our camera on the wires of the present emulation: the `device` of its section."""
+
+    lab: EmulatedLab
+    devices: ClassVar = {kind: kind.device for kind in (OptitrackSection, CellsSection)}
+
+    def __new__(cls, section, setup, clock, wake):
+        return imported(cls.devices[type(section)])(
+            section, setup, clock, wake, cls.lab.camera.join
+        )
+
+
+@contextlib.contextmanager
+def joined(lab, clock):
+    """Let the lab's code in this process find an emulation's wires and clock, not the host's."""
+    Joined.lab = lab
+
+    def close(loop):
+        if loop.turn in clock.steps:
+            clock.steps.remove(loop.turn)
+
+    with contextlib.ExitStack() as stack:
+        for name, value in (
+            *((f"{module}.MonotonicClock", lambda: TrialClock(clock)) for module in HOST_CLOCKS),
+            ("tetractl.lab.actuators.xbee.link.SerialPort", lab.wires.ports),
+            ("tetractl.lab.actuators.field.driver.SerialPort", lab.wires.ports),
+            ("tetractl.lab.serial_port.require_port", lambda name, device: None),
+        ):
+            stack.enter_context(mock.patch(name, value))
+        start = mock.patch.object(InnerLoop, "start", lambda loop: clock.steps.append(loop.turn))
+        stack.enter_context(start)
+        stack.enter_context(mock.patch.object(InnerLoop, "close", close))
+        for kind in Joined.devices:
+            device = f"{__name__}:{Joined.__name__}"
+            stack.enter_context(mock.patch.object(kind, "device", device))
+        yield
+
+
+@dataclass
+class VirtualLab:
+    """An emulated lab; `spec` leads to it, and `settings` lead commands of this process to it."""
+
+    emulation: EmulatedLab
+    clock: PatientClock
+    spec: LoadedSpec
+    settings: tuple
+    record: Path
 
     @property
-    def waiting(self) -> bool:
-        return bool(self._fresh)
+    def robots(self):
+        """The robots or cells as they truly are."""
+        return self.emulation.actuator.bodies
 
-    def frames(self) -> list[CameraFrame]:
-        fresh, self._fresh = self._fresh, []
-        return fresh
+    @property
+    def cells(self):
+        """The cells of a dish as they truly are."""
+        return self.robots[0].dish.cells
 
-    def _expose(self) -> None:
-        now, s, draw = self.clock.timeline.now_ns, self.settings, self._random
-        delay = s.latency + min(max(draw.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
-        if draw.random() < 1 / 250:
-            delay += draw.uniform(0, 0.45 / s.rate)
-        way, turn = self.noise
-        poses = tuple(
-            Pose(
-                robot.x + draw.gauss(0, way),
-                robot.y + draw.gauss(0, way),
-                robot.heading + draw.gauss(0, turn),
-            )
-            for robot in self.robots
-        )
-        arrives = now + round(delay * SECOND)
-        self._count += 1
-        frame = CameraFrame(self._count, now, arrives, self.shown(poses))
-        self.clock.timeline.at(arrives, lambda: self._arrive(frame))
-        due = self._start_ns + round(self._count * SECOND / s.rate)
-        self.clock.timeline.at(due, self._expose)
+    @cached_property
+    def plant(self):
+        """Our plant of it."""
+        section, setup = self.spec.experiment.plant, self.spec.experiment.setup
+        return section.build(setup, self.clock, np.random.SeedSequence(1), LabSupervision())
 
-    def _arrive(self, frame: CameraFrame) -> None:
-        self.newest = frame
-        self._fresh.append(frame)
+    def events(self, name=None):
+        """Return what truly happened so far, of one kind or of all."""
+        self.emulation._record.flush()
+        found = [json.loads(line) for line in self.record.read_text().splitlines()]
+        return [event for event in found if name in (None, event["event"])]
+
+
+@contextlib.contextmanager
+def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, **options):
+    """Enter an emulated lab that is up `ahead_s` before anything connects.
+
+    A `spec` is a path or YAML, or loaded, a `script` may be YAML, and `options` are the
+    emulation's. Without a `folder` nothing is recorded.
+    """
+    if folder is not None:
+        sets = (f"lab.actuator.port={Path(folder) / 'radio'}", *sets)
+    loaded = spec
+    if isinstance(spec, Path):
+        loaded = load_spec(spec, sets)
+    elif isinstance(spec, str):
+        loaded = parse_spec(spec, "lab.yaml", sets)
+    lab, clock = lab_of(loaded.experiment, loaded.name), PatientClock()
+    if isinstance(script, str):
+        types = lab.camera.type, lab.actuator.type
+        script = parse_script("about: a test\n" + script, "script.yaml", *types)
+    record = None if folder is None else Path(folder) / "record.jsonl"
+    chosen = Options(seed=seed, chosen=loaded.experiment.open, record=record, **options)
+    emulation = started(lab, loaded.experiment.setup, clock, chosen, script)
+    with contextlib.closing(emulation), joined(emulation, clock):
+        clock.sleep_until(round(ahead_s * SECOND))
+        yield VirtualLab(emulation, clock, on_plant(loaded, "lab"), sets, record)
+
+
+def virtual_dish(folder, seed=1, sets=(), script=""):
+    """An emulated dish with a microscope, as `virtual_lab`; `script` is YAML."""
+    pytest.importorskip("cv2").setNumThreads(1)
+    how = {"spec": DISH, "script": script, "seed": seed, "ahead_s": 0.5}
+    return virtual_lab(folder, f"trials.seed={seed}", *sets, **how)
 
 
 class Busy:
     """A controller that takes virtual time: uniform from `least` to `least + spread` [s]."""
 
-    def __init__(
-        self, controller: Controller, clock: VirtualClock, rng, least: float, spread: float
-    ) -> None:
+    def __init__(self, controller, clock, rng, least, spread):
         self._controller, self._clock, self._rng = controller, clock, rng
         self._least, self._spread, self._planned = least, spread, False
 
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
-    ) -> Plan | Outcome | End:
+    def plan(self, observation, last_command=None, earlier=()):
         decided = self._controller.plan(observation, last_command, earlier)
         if self._planned:  # the first plan is computed while the robots stand
             seconds = self._least + self._spread * self._rng.random()
@@ -124,55 +186,28 @@ class Busy:
         return decided
 
 
-@dataclass
-class VirtualLab:
-    plant: LabPlant
-    clock: LabClock
-    robots: Sequence[EmulatedRobot]
-    eye: EmulatedEye
+def play(path, script, folder, *, replace_after=None, plan_s=0.0, sets=()):
+    """Play a script; return what became of it, as `support.lab_processes.play` does.
 
-
-def virtual_lab(
-    experiment: Experiment,
-    settings: M3piSettings,
-    starts,
-    seed: int,
-    noise: tuple[float, float] = (0.0, 0.0),
-) -> VirtualLab:
-    """Return the lab of a spec with a `lab` section; `starts` (N, 3) is where robots truly stand.
-
-    Lengths are mm, as in the emulated lab.
+    Each plan after the first takes `plan_s` of virtual time.
     """
-    setup, lab = experiment.setup, experiment.lab
-    assert lab is not None
-    clock = LabClock()
-    clock.timeline = Timeline(lambda until: side.advance(until))
+    from support.cli import tetractl
+    from support.lab_processes import SMALL
+    from support.lab_processes import SPEC as THREE
 
-    def ignore(*_: object, **__: object) -> None:
-        pass
+    def controller(experiment, key):
+        rng = np.random.default_rng(1)
+        return Busy(build_controller(experiment, key), lab.clock, rng, plan_s, 0.0)
 
-    reports = ignore, ignore, ignore, ignore
-    wires = memory_wires(clock)
-    stage = Stage(lab, setup, clock.timeline, Options(seed=seed), *reports, wires)
-    side = EmulatedM3pi(stage, settings)
-    actuator = M3piActuator(lab.actuator, setup, clock, wires.ports)
-    side.open(VirtualLoop(clock.timeline, ignore))
-    actuator.link._port.open()
-    actuator.link.open = ignore  # the module on it is not checked
-    side.port.written = side.radio.readable
-    robots = side.robots
-    for robot, (x, y, heading) in zip(robots, np.asarray(starts), strict=True):
-        robot.place(float(x), float(y), float(heading))
-    eye, supervision = EmulatedEye(clock, robots, seed, noise), LabSupervision()
-    rig = Rig(eye, actuator, lab.limits, setup, clock, supervision.emergency, threaded=False)
-    due = 0
-
-    def turn() -> None:
-        """Step the inner loop when its thread would: at each frame, else every IDLE_S."""
-        nonlocal due
-        if eye.waiting or clock.now() >= due:
-            due = clock.now() + round(IDLE_S * SECOND)
-            rig.loop.step()
-
-    clock.steps += [side.tick, turn]
-    return VirtualLab(LabPlant(rig, supervision), clock, robots, eye)
+    sets, logs = (*SMALL, *script.runner.sets, *sets), folder / "first"
+    how = {"spec": THREE, "script": script, "replace_after": replace_after, "ahead_s": 0.5}
+    with (
+        virtual_lab(folder, *sets, **how) as lab,
+        mock.patch("tetractl.run.task.build_controller", controller),
+    ):
+        words = ["run", THREE, "--plant", "lab", "--yes", "--quiet", "--out", logs]
+        done = tetractl(folder, *words, *flags(lab.settings))
+        lab.clock.sleep_until(lab.clock.now() + AFTER_NS)
+        said, events = done.stdout + done.stderr, lab.events()
+    link = folder / "radio"
+    return Played([done.returncode], [said], 0, events, sorted(logs.glob("*.mcap*")), link)

@@ -4,15 +4,10 @@ import json
 from pathlib import Path
 
 import pytest
-from support.emulated_lab import (
-    APRILTAG_SPEC,
-    FIELD_SPEC,
-    SPEC,
-    emulated,
-    in_virtual_time,
-    turn_until,
-)
+from support.lab_processes import emulated, turn_until
+from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
 from support.paths import ROOT
+from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.faults import Visible
@@ -132,10 +127,10 @@ def open_files():
 
 def test_a_fault_is_over_after_its_time(tmp_path):
     script = "faults: [{fault: untracked, robot: green, since: start, at: 0.1, for: 0.2}]"
-    with in_virtual_time(tmp_path, script=script) as (lab, clock, _):
-        body, tracked = lab.camera.tracked_body("green"), []
+    with virtual_lab(tmp_path, script=script) as lab:
+        body, tracked = lab.emulation.camera.tracked_body("green"), []
         for tenth in range(5):
-            clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
+            lab.clock.sleep_until((tenth * 10 + 5) * SECOND // 100)
             tracked.append(body.tracked)
     assert tracked == [True, False, False, True, True]
 

@@ -1,10 +1,12 @@
 """The emulated Motive over real UDP, against our client's codec and against PyPI's `natnet`."""
 
+import socket
 import statistics
 from itertools import pairwise
 
 import pytest
-from support.emulated_lab import SPEC, Client, emulated, turn_until
+from support.lab_processes import emulated, turn_until
+from support.lab_specs import SPEC
 
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock
@@ -21,7 +23,44 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     ServerInfo,
 )
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
-from tetractl.lab.cameras.optitrack.wire import pack
+from tetractl.lab.cameras.optitrack.wire import pack, parse
+
+
+class Client:
+    """A bare NatNet client on one socket."""
+
+    def __init__(self, lab):
+        self.lab = lab
+        self.version = lab.camera.motive.own_version
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.setblocking(False)
+        self.socket.bind(("127.0.0.1", 0))
+        self.got = []
+
+    def send(self, message):
+        self.socket.sendto(pack(message), ("127.0.0.1", self.lab.camera.motive.command_port))
+
+    def poll(self):
+        try:
+            while True:
+                self.got.append(parse(self.socket.recv(65535), self.version))
+        except BlockingIOError:
+            return self.got
+
+    def ask(self, message, kind):
+        """Send and return the first answer of a kind; forget all others that came."""
+        self.got.clear()
+        self.send(message)
+        return self.next(kind)
+
+    def next(self, kind, count=1):
+        found = turn_until(
+            self.lab,
+            lambda: (
+                (of := [m for m in self.poll() if isinstance(m, kind)]) and len(of) >= count and of
+            ),
+        )
+        return found[0] if count == 1 else found[:count]
 
 
 @pytest.fixture

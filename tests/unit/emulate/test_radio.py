@@ -2,7 +2,7 @@
 
 import pytest
 import serial
-from support.emulated_lab import emulated, turn_until
+from support.lab_processes import emulated, turn_until
 
 from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command

@@ -1,8 +1,7 @@
 """Fault scripts: a small, strict schema; every shipped one is valid."""
 
 import pytest
-from support.emulated_lab import emulated
-from support.lab_processes import camera_of
+from support.lab_processes import camera_of, emulated
 from support.paths import ROOT
 
 from tetractl.core.errors import SpecError

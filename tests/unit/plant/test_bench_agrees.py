@@ -10,7 +10,6 @@ from support.virtual_lab import virtual_lab
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, Steer, Stop, Turn
 from tetractl.core.poses import wrap
-from tetractl.emulate.m3pi.side import M3piSettings
 from tetractl.model.motion.exact import step as exact
 from tetractl.plant.simulation import SimPlant
 
@@ -87,13 +86,12 @@ def headings(plant, clock, directions, period_ns):
 def test_one_sequence_of_directions_turns_robots_of_both_alike(period, step):
     rng = np.random.default_rng(1)  # by which no robot comes near another, or the edge
     directions = np.cumsum(rng.uniform(-step, step, round(4 / period)))
-    lab = lab_spec().experiment
-    emulated = virtual_lab(lab, M3piSettings(), lab.setup.starts.array(), 3)
     bench = bench_spec(*EVEN).experiment
     clock = VirtualClock()
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
     period_ns = round(period * SECOND)
-    theirs = headings(emulated.plant, emulated.clock, directions, period_ns)
+    with virtual_lab(None, spec=lab_spec(), seed=3) as lab:
+        theirs = headings(lab.plant, lab.clock, directions, period_ns)
     ours = headings(simulated, clock, directions, period_ns)
     at = np.arange(0.3, 3.8, 0.01)
 
@@ -131,14 +129,14 @@ def turned_on_the_spot(plant, clock):
 
 
 def test_robots_of_both_turn_on_the_spot_alike():
-    lab, bench, clock = lab_spec().experiment, bench_spec(*EVEN).experiment, VirtualClock()
-    emulated = virtual_lab(lab, M3piSettings(), lab.setup.starts.array(), 3)
+    bench, clock = bench_spec(*EVEN).experiment, VirtualClock()
     simulated = SimPlant(bench.plant, bench.setup, clock, np.random.SeedSequence(1))
-    for plant, time in ((emulated.plant, emulated.clock), (simulated, clock)):
-        before, after = turned_on_the_spot(plant, time)
+    with virtual_lab(None, spec=lab_spec(), seed=3) as lab:
+        turned = [turned_on_the_spot(lab.plant, lab.clock), turned_on_the_spot(simulated, clock)]
+    for before, after in turned:
         assert np.hypot(*(after.xy - before.xy).T).max() < 3
         off = [wrap(poses.heading + 0.8) for poses in (before, after)]
-        expected = 2 * np.arctan(np.tan(off[0] / 2) * np.exp(-lab.setup.a * 1.0))  # (3), 1 s
+        expected = 2 * np.arctan(np.tan(off[0] / 2) * np.exp(-bench.setup.a * 1.0))  # (3), 1 s
         assert np.abs(off[1] - expected).max() < 0.1
 
 

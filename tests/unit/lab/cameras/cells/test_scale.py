@@ -4,7 +4,7 @@ import math
 
 import pytest
 from support.cli import tetractl
-from support.virtual_dish import DISH
+from support.virtual_lab import DISH
 
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import calibrated, on_plant

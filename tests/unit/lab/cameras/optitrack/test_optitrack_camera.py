@@ -4,14 +4,12 @@ import re
 from contextlib import contextmanager
 
 import pytest
-from support.emulated_lab import SPEC, in_virtual_time
-from support.virtual_wires import Joined
+from support.lab_specs import SPEC
+from support.virtual_lab import Joined, virtual_lab
 
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.emulate.optitrack.natnet_server import pack_answer
-from tetractl.experiment.load import parse_spec
-from tetractl.experiment.plants import lab_of
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     EchoResponse,
     ModelDef,
@@ -30,12 +28,12 @@ ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"
 def motive(folder, script="", *sets, connect=5.0, robots=ROBOTS):
     """An emulated Motive, a camera for it that is not connected yet, and the clock of both."""
     spec = SPEC.replace(ROBOTS, robots)
-    script = f"emulation: {{camera: {{{script}}}}}" if script else "row: ''"
-    with in_virtual_time(folder, *sets, spec=spec, script=script) as (lab, clock, settings):
-        loaded = parse_spec(spec, "spec", (*settings, f"lab.camera.connect={connect}"))
-        section = lab_of(loaded.experiment, "spec").camera
-        camera = section.build(loaded.experiment.setup, clock, lambda: None)
-        yield lab, camera, clock
+    script = f"emulation: {{camera: {{{script}}}}}" if script else ""
+    sets = (*sets, f"lab.camera.connect={connect}")
+    with virtual_lab(folder, *sets, spec=spec, script=script) as lab:
+        experiment = lab.spec.experiment
+        camera = experiment.plant.camera.build(experiment.setup, lab.clock, lambda: None)
+        yield lab.emulation, camera, lab.clock
         camera.__exit__()
 
 
@@ -56,7 +54,7 @@ def own_address(camera):
 
 def stranger_of(address="127.0.0.1"):
     """A socket that is not the server's."""
-    return Joined.wires.bound(address, 0)
+    return Joined.lab.wires.bound(address, 0)
 
 
 def stray(number, x=0.1, version=V41):

@@ -80,8 +80,8 @@ def child(name: str, seconds: float, seed: int, keep: Path) -> None:
         import atheris
     with atheris.instrument_imports(include=FUZZED) if atheris else nullcontext():
         from support.seeds import mutant
-        from support.targets import COMMANDS, TARGETS
-    target = (TARGETS | COMMANDS)[name]
+        from support.targets import TARGETS
+    target = TARGETS[name]
     seeds = target.seeds()
     for data in seeds:
         target.run(data)
@@ -110,17 +110,16 @@ def main() -> int:
     keep = given.keep.absolute()
     if given.child:
         child(given.target[0], given.seconds, given.seed, keep)
-    from support.targets import COMMANDS, TARGETS
+    from support.targets import TARGETS
 
-    every = [*TARGETS, *COMMANDS]
-    if unknown := set(given.target or ()) - set(every):
-        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(every)}")
+    if unknown := set(given.target or ()) - set(TARGETS):
+        parser.error(f"no such target: {unknown.pop()}; there are {', '.join(TARGETS)}")
     how = "atheris" if find_spec("atheris") else "seeded mutations, for atheris is not installed"
     keep.mkdir(parents=True, exist_ok=True)
     print(f"With {how}, {given.seconds:g} s a target:\n", flush=True)
     print("| target | runs | crashes | slowest input | memory |\n|---|---|---|---|---|", flush=True)
     failed = False
-    for name in given.target or every:
+    for name in given.target or TARGETS:
         with tempfile.TemporaryDirectory() as scratch:
             words = ["--target", name, "--seconds", str(given.seconds), "--seed", str(given.seed)]
             done = subprocess.run(

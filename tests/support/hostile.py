@@ -16,15 +16,16 @@ from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Metadata
-from support import commands, random_trials
+from support import commands, random_trials, studies
 from support.mutate import places, rewrite
-from support.seeds import calibrations, mutant
-from support.targets import ROOT, only, scratch
+from support.seeds import mutant
+from support.targets import ROOT, TARGETS, only, scratch
 
 from tetractl.core.errors import TetractlError
 from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
+from tetractl.study.options import Logs
 
 SPARSE = 60  # one input in so many is drawn, or given to another slow command
 BOMBS = 150  # one table in so many is large
@@ -221,12 +222,22 @@ def _field(rng: random.Random) -> Case:
 
     path = scratch() / "field.csv"
     path.write_bytes(bytes_like(_tables()[2].encode(), rng))
-    return _parsed("field", lambda: read_field(path))
+
+    def run() -> None:
+        with only(TetractlError, one_line=False):
+            read_field(path)
+
+    return Case("field", run)
+
+
+@cache
+def _study() -> Path:
+    folder = scratch() / "study"
+    studies.run(folder, studies.SMALL, logs=Logs(0, False))
+    return folder
 
 
 def _rows(rng: random.Random) -> Case:
-    from support.targets import _study
-
     folder = _study()
     path = folder / "out" / "dead_time=0.1" / "trials.jsonl"
     bomb = rng.choice([b"[" * 5_000_000, b'{"trial": 1, "x": [' + b"[]," * 10**6, b"1\n" * 10**6])
@@ -240,8 +251,6 @@ def _rows(rng: random.Random) -> Case:
 
 @cache
 def _row_texts() -> str:
-    from support.targets import _study
-
     return (_study() / "out" / "dead_time=0.1" / "trials.jsonl").read_text()
 
 
@@ -261,24 +270,14 @@ def _study_file(rng: random.Random) -> Case:
     return _case(folder / "study.yaml", commands.STUDY_FILES, rng)
 
 
-def _script(rng: random.Random) -> Case:
-    from tetractl.emulate.script import load_script
+def _target(name: str) -> Callable[[random.Random], Case]:
+    """Files like the good ones of a target, read by it."""
 
-    path = scratch() / "script.yaml"
-    names = sorted((ROOT / "experiments" / "faults").glob("*.yaml"))
-    path.write_bytes(bytes_like(rng.choice(names).read_bytes(), rng))
-    return _parsed("script", lambda: load_script(path))
+    def make(rng: random.Random) -> Case:
+        data = bytes_like(rng.choice(TARGETS[name].seeds()), rng)
+        return Case(name, lambda: TARGETS[name].run(data))
 
-
-def _calibration(rng: random.Random) -> Case:
-    from support.targets import _lab
-
-    from tetractl.experiment.plants import calibrated
-    from tetractl.experiment.yaml.document import read_text
-
-    path = scratch() / "calibration.yaml"
-    path.write_bytes(bytes_like(calibrations()[0], rng))
-    return _parsed("calibration", lambda: calibrated(_lab(), read_text(path), str(path)))
+    return make
 
 
 IDENTIFIED = ("a", "speed", "heading_bias", "position_noise", "heading_noise", "heading_walk")
@@ -297,16 +296,8 @@ def _identified(rng: random.Random) -> Case:
     return _case(folder / "spec.yaml", commands.SPECS[:1], rng)
 
 
-def _parsed(name: str, read: Callable[[], object]) -> Case:
-    def run() -> None:
-        with only(TetractlError, one_line=False):
-            read()
-
-    return Case(name, run)
-
-
-TABLES = (_identify, _field, _rows, _rows, _spec, _spec, _study_file, _script,
-          _calibration, _identified)  # fmt: skip
+TABLES = (_identify, _field, _rows, _rows, _spec, _spec, _study_file, _target("script"),
+          _target("calibration"), _identified)  # fmt: skip
 
 
 def table_case(rng: random.Random) -> Case:
@@ -319,8 +310,6 @@ KINDS = {"logs": log_case, "tables": table_case}
 
 def warm_up() -> None:
     """Make what the cases share, and compile what reads it."""
-    from support.targets import _study
-
     for name in commands.LOGS:
         commands.call(name, _logs()[0].path, scratch() / "out")
     _study()

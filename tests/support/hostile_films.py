@@ -1,30 +1,22 @@
-"""Films made to hang, crash or fill the memory of who reads them: `bombs` by hand, and `mutants` of
-good films.
-
-`PYTHONPATH=tests python tests/support/hostile_films.py [N] [SEED]` follows each of N of them by
-`tetractl track` and prints what came of them, and the peak memory.
+"""Films made to hang, crash or fill the memory of who reads them; more in
+benchmarks/hostile_films.py.
 """
 
 import os
-import random
-import resource
 import struct
-import sys
-import tempfile
 import time
 import traceback
 import zlib
-from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import tifffile
 from support.cli import tetractl
-from support.film_containers import CONTAINERS, folder, imagej, ome
+from support.film_containers import folder
 from support.needs_opencv import cv2
 
-SECONDS_MAX, MEGABYTES_MAX = 60.0, 500.0
+SECONDS_MAX = 60.0
 
 
 def tiff(tags, data=b"", following=0):
@@ -186,41 +178,6 @@ BOMBS: dict[str, Callable[[Path], object]] = {
 }  # fmt: skip
 
 
-def bombs(where: Path) -> Iterator[tuple[str, Path]]:
-    """Write each film made by hand."""
-    for k, (name, make) in enumerate(BOMBS.items()):
-        path = where / f"bomb-{k}"
-        make(path)
-        yield name, path
-
-
-def mutants(where: Path, rng: random.Random) -> Iterator[tuple[str, Path]]:
-    """Write good films with some bytes changed, without end."""
-    makers = {name: entry[0] for name, entry in CONTAINERS.items()} | {"imagej": imagej, "ome": ome}
-    for k in range(sys.maxsize):
-        name = rng.choice(sorted(makers))
-        path = makers[name](where / f"mutant-{k} {name}", small())
-        files = sorted(path.iterdir()) if path.is_dir() else [path]
-        for file in rng.sample(files, rng.randint(1, len(files))):
-            data = bytearray(file.read_bytes())
-            tail = len(data) if rng.random() < 0.5 else min(len(data), 2000)
-            for _ in range(rng.choice([1, 1, 2, 4, 16, 64])):
-                # the tags are at the end or at the beginning of most files
-                at = (
-                    rng.randrange(tail)
-                    if rng.random() < 0.5
-                    else len(data) - 1 - rng.randrange(tail)
-                )
-                new = rng.choice(
-                    [rng.randbytes(1), b"\xff\xff\xff\xff", bytes(4), rng.randbytes(4)]
-                )
-                data[at : at + len(new)] = new
-            if rng.random() < 0.15:
-                del data[rng.randrange(len(data)) :]
-            file.write_bytes(data)
-        yield f"mutant {name}", path
-
-
 def outcome(folder: Path, path: Path) -> tuple[str, str, float]:
     """Follow a film; return how it ended, what was said, and the time [s]."""
     began = time.perf_counter()
@@ -235,36 +192,3 @@ def outcome(folder: Path, path: Path) -> tuple[str, str, float]:
     if done.returncode not in (0, 1, 2) or (done.returncode and not lines):
         return f"exit {done.returncode}", said, seconds
     return "slow" if seconds > SECONDS_MAX else f"ended with {done.returncode}", said, seconds
-
-
-def peak_mb() -> float:
-    """Peak memory of this process and of its largest child [MB]."""
-    who = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    return max(resource.getrusage(each).ru_maxrss / 1e3 for each in who)
-
-
-def main(count: int, seed: int) -> int:
-    """Follow `count` films; print what came of them."""
-    tally, slowest, failed = Counter(), (0.0, ""), 0
-    with tempfile.TemporaryDirectory() as name:
-        where = Path(name)
-        cases = [*bombs(where)]
-        more = mutants(where, random.Random(seed))
-        cases = cases[:count] + [next(more) for _ in range(count - len(cases))]
-        for kind, path in cases:
-            how, said, seconds = outcome(where, path)
-            tally[how] += 1
-            slowest = max(slowest, (seconds, kind))
-            if peak_mb() > MEGABYTES_MAX or not how.startswith("ended"):
-                failed += 1
-                print(f"{path.name} ({kind}): {how}, {peak_mb():.0f} MB\n{said}\n", flush=True)
-    ends = ", ".join(f"{how}: {number}" for how, number in sorted(tally.items()))
-    print(
-        f"{sum(tally.values())} hostile films, seed {seed}: {ends}; slowest {slowest[0]:.1f} s "
-        f"({slowest[1]}); peak memory {peak_mb():.0f} MB"
-    )
-    return int(failed > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main(*map(int, [*sys.argv[1:], *("100", "1")[len(sys.argv) - 1 :]])))

@@ -6,7 +6,6 @@ The same functions are fuzzed by hypothesis in the tests and by atheris in bench
 import contextlib
 import math
 import tempfile
-import zlib
 from collections.abc import Callable, Iterator, Sequence
 from functools import cache
 from importlib.util import find_spec
@@ -16,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 from mcap.records import Metadata
-from support import commands, seeds
+from support import seeds
 from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
 
@@ -50,7 +49,6 @@ from tetractl.log.read.salvage import scan
 LAB_SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 LONGEST = 1 << 20
 SIDE = 128  # of a picture [px]
-SELDOM = 200  # one input in so many is drawn
 
 
 class Target(NamedTuple):
@@ -253,48 +251,6 @@ def _spoilt(data: bytes) -> Path:
     return path
 
 
-def any_command(data: bytes) -> None:
-    """A file, through one of the commands that read logs."""
-    _through(written(data, "any.mcap"), data, commands.LOGS)
-
-
-def inside_any_command(data: bytes) -> None:
-    """A log spoilt as by `inside`, through one of them."""
-    _through(_spoilt(data), data, commands.LOGS)
-
-
-def rows_any_command(data: bytes) -> None:
-    """The rows of an arm, through one of the commands that read a study."""
-    folder = _study()
-    (folder / "out" / "dead_time=0.1" / "trials.jsonl").write_bytes(data)
-    _through(folder, data, commands.STUDIES)
-
-
-def _through(path: Path, data: bytes, names: Sequence[str]) -> None:
-    """Run one command, of those that draw one now and then."""
-    slow = [name for name in names if name.startswith(("plot", "report", "study report"))]
-    fast, which = [name for name in names if name not in slow], zlib.crc32(data)
-    some = fast if which % SELDOM else slow
-    commands.check(some[which // SELDOM % len(some)], path, scratch() / "out")
-
-
-@cache
-def _study() -> Path:
-    from support import studies
-
-    from tetractl.study.options import Logs
-
-    folder = scratch() / "study"
-    studies.run(folder, studies.SMALL, logs=Logs(0, False))
-    return folder
-
-
-def rows() -> list[bytes]:
-    return [
-        (_study() / "out" / f"dead_time={time}" / "trials.jsonl").read_bytes() for time in (0, 0.1)
-    ]
-
-
 @cache
 def _whole() -> tuple[RawLog, list, list[tuple[str, str]]]:
     contents = scan(ROOT / "tests" / "golden" / "format-2-sim.mcap")
@@ -327,10 +283,3 @@ if find_spec("cv2"):
     from tetractl.lab.cameras.pictures.source import decoded
 
     TARGETS["pictures"] = Target(pictures, lambda: _dish()[1])
-
-COMMANDS = {
-    "log, any command": Target(any_command, seeds.logs),
-    "inside, any command": Target(inside_any_command, insides),
-    "rows, any command": Target(rows_any_command, rows),
-}
-"""Whole commands, too slow for the tests: for benchmarks/fuzz.py alone."""

@@ -142,9 +142,11 @@ def virtual_lab(folder, *sets, spec=SPEC, script=NOTHING, seed=1, ahead_s=0.0, *
     """Enter an emulated lab that is up `ahead_s` before anything connects.
 
     A `spec` is a path or YAML, or loaded, a `script` may be YAML, and `options` are the
-    emulation's. Without a `folder` nothing is recorded.
+    emulation's. Without a `folder` nothing is recorded, and the addresses are the spec's.
     """
-    if folder is not None:
+    if folder is None:
+        options["address"] = None
+    else:
         sets = (f"lab.actuator.port={Path(folder) / 'radio'}", *sets)
     loaded = spec
     if isinstance(spec, Path):

@@ -10,6 +10,7 @@ import json
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import ClassVar
 from unittest import mock
 
@@ -22,7 +23,6 @@ from support.paths import ROOT
 from tetractl.control.build import build_controller
 from tetractl.core.clock import SECOND, wait_for
 from tetractl.core.protocols import LabSupervision
-from tetractl.core.registry import imported
 from tetractl.emulate.emulated_lab import EmulatedLab
 from tetractl.emulate.script import NOTHING, parse_script
 from tetractl.emulate.sides import Options
@@ -73,7 +73,7 @@ class Joined:
     devices: ClassVar = {kind: kind.device for kind in (OptitrackSection, CellsSection)}
 
     def __new__(cls, section, setup, clock, wake):
-        return imported(cls.devices[type(section)])(
+        return resolve_name(cls.devices[type(section)])(
             section, setup, clock, wake, cls.lab.camera.join
         )
 

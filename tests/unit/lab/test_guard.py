@@ -84,6 +84,12 @@ def test_a_stream_that_stops_stops_all_at_100_ms_and_aborts_at_500():
     assert ended.reason == "no new camera frame for 0.50 s"
 
 
+def test_an_actuator_that_can_send_no_more_ends_the_run():
+    ended = running().tick(failure="the radio is gone")
+    assert (ended.state, ended.moving) == (GuardState.ABORT, (False, False))
+    assert ended.reason == "the radio is gone"
+
+
 def test_old_frames_that_come_late_are_no_new_frames():
     course = running()
     now = course.at + 200 * MS

@@ -14,7 +14,6 @@ from tetractl.experiment.experiment import Experiment
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
 # for each round, the fraction of the choices that are compared, and of the plans that are used
 ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 3), (0.1, 1.0))
-LEAST = 5  # least number of choices compared in each round
 # difference of log(a) below which cells cannot be distinguished in time after they meet
 ALIKE = 0.08
 
@@ -48,7 +47,7 @@ def ranked(
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
     every = sorted(combinations(able, choice.choose), key=lambda some: worth(some, experiment))
     found = [RankedChoice(some, math.inf) for some in every[: -COMPARED - 1 : -1]]
-    counts = [min(max(LEAST, round(share * len(found))), len(found)) for share, _ in ROUNDS]
+    counts = [min(max(5, round(share * len(found))), len(found)) for share, _ in ROUNDS]
     done = 0
     for count, (_, share) in zip(counts, ROUNDS, strict=True):
         for i in range(count):

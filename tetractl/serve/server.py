@@ -18,7 +18,7 @@ from functools import partial
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import TYPE_CHECKING, BinaryIO, Self
+from typing import TYPE_CHECKING, Any, BinaryIO, Self
 from urllib.parse import quote, unquote, urlsplit
 
 from tetractl.core.errors import UsageError
@@ -116,9 +116,9 @@ class _Handler(BaseHTTPRequestHandler):
     server_version, sys_version = "tetractl", ""
     timeout = 30
 
-    def __init__(self, server: LoopbackServer, *args: object) -> None:
+    def __init__(self, server: LoopbackServer, *args: Any) -> None:
         self._site = server
-        super().__init__(*args)  # type: ignore[arg-type]
+        super().__init__(*args)
 
     def do_GET(self) -> None:
         if self._site.live and (self.headers.get("Upgrade") or "").lower() == "websocket":

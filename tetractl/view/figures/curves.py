@@ -21,6 +21,7 @@ from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,
     by_folder,
+    final_poses,
     one_trial,
     panels_of,
     robot_labels,
@@ -28,7 +29,7 @@ from tetractl.view.figures.axes import (
 )
 from tetractl.view.figures.labels import separated
 
-LINE_IN = 0.1  # height of a robot's label [in]
+NAME_IN = 0.1  # height of a robot's name at its curve [in]
 SINCE = "time since the first command [s]"
 
 
@@ -131,7 +132,7 @@ def error_figure(logs: Sequence[TrialLog]) -> Figure:
     setup = log.start.setup
     unit = unit_of(setup.unit)
     gaps = setup.distances(tracked(log.mocap, log.valid))
-    ends = _last(gaps) if log.result is None else np.array(log.result.robot_errors)
+    ends = setup.distances(final_poses(log)[:, :2])
     # only the names show the last values, which are the result's
     gaps = np.vstack([gaps, ends])
     show = lengths(float(ends.sum()))
@@ -260,7 +261,7 @@ def _panels(
     """Return a figure with two axes for each batch: for the total error and, below, for the robots'
     errors, all from 0 to `end_s` [s] and of the same scale.
     """
-    each_in = max(least_in, *(LINE_IN * len(setup.names) for setup in setups))
+    each_in = max(least_in, *(NAME_IN * len(setup.names) for setup in setups))
     figure = style.figure(style.PAGE_IN, (top_in + each_in) * len(setups))
     ratios = [0.7 * top_in, each_in] * len(setups)
     panels = figure.subplots(len(ratios), 1, sharex=True, height_ratios=ratios)
@@ -301,10 +302,3 @@ def _mark_steps(axes: Axes, log: TrialLog) -> None:
             sent_s[late], np.full(late.sum(), 0.04), "v", color=style.ALARM, ms=4, mew=0,
             transform=rug, label="deadline missed",
         )  # fmt: skip
-
-
-def _last(gaps: Floats) -> Floats:
-    """Return each robot's last measured distance to its target (N,), 0 if none was measured."""
-    known = np.isfinite(gaps)
-    last = len(gaps) - 1 - known[::-1].argmax(axis=0)
-    return np.nan_to_num(gaps[last, np.arange(gaps.shape[1])])

@@ -21,7 +21,7 @@ from tetractl.log.read.validate import LENGTH_MAX
 from tetractl.view import style
 from tetractl.view.figures.axes import NUMBERED, one_trial
 from tetractl.view.figures.curves import (
-    LINE_IN,
+    NAME_IN,
     SINCE,
     Curve,
     draw_curves,
@@ -67,7 +67,7 @@ def estimate_figure(logs: Sequence[TrialLog]) -> Figure:
     estimates = [estimate for _, estimate in steps]
     shown = _quantities(log, last)
     rows = -(-len(shown) // 2)
-    figure = style.figure(style.PAGE_IN, rows * max(2.3, 0.7 + LINE_IN * len(setup.names)))
+    figure = style.figure(style.PAGE_IN, rows * max(2.3, 0.7 + NAME_IN * len(setup.names)))
     panels = [*figure.subplots(rows, 2, squeeze=False, sharex=True).ravel()]
     for spare in panels[len(shown) :]:
         spare.set_axis_off()

@@ -19,7 +19,7 @@ from tetractl.view.figures.axes import (
     unfinished,
 )
 
-FOR_ELLIPSE = 3  # least number of trials
+FOR_ELLIPSE = 3  # least number of trials for an ellipse
 
 
 @style.styled()

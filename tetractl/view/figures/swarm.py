@@ -18,8 +18,6 @@ from tetractl.view import style
 from tetractl.view.figures.axes import need_steps, one_trial
 
 PURPLE = "#7A3E9D"
-SHARES = (0.0, 0.25, 1.0)
-"""Iterations that are shown, as fractions of the search's iterations."""
 
 
 @style.styled()
@@ -32,7 +30,7 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
     """
     log = one_trial(logs)
     need_steps(log)
-    history = first_swarm(log, SHARES)
+    history = first_swarm(log, (0.0, 0.25, 1.0))  # of the iterations
     unit = unit_of(log.start.setup.unit)
     figure = style.figure(style.PAGE_IN, 3.1)
     (panels,) = figure.subplots(1, len(history.frames), sharex=True, sharey=True, squeeze=False)
@@ -45,11 +43,11 @@ def swarm_figure(logs: Sequence[TrialLog]) -> Figure:
         style.panel(axes, letter, title, "signal $u_1$ [rad]")
     panels[0].set_ylabel("signal $u_2$ [rad]")
     panels[-1].plot(*history.path.T, "-", color=style.INK, lw=0.5, alpha=0.6, zorder=3)
-    _dots(panels[-1], history.path, style.INK, 1.8, mew=0, zorder=3, gid="course")
+    panels[-1].plot(*history.path.T, "o", color=style.INK, ms=1.8, zorder=3, gid="course")
     _dots(panels[-1], history.path_best, PURPLE, 6, mew=0.6, zorder=4)
     bar = figure.colorbar(shades[0], ax=panels.tolist(), pad=0.01, aspect=30)
     bar.set_label(f"$J$ over $u_1$ and $u_2$ [{unit}]")
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    bar.ax.spines["outline"].set_visible(False)
     marker: dict[str, Any] = {"marker": "o", "mec": "white"}
     again = "as logged" if history.repeated else "differs from the log by rounding"
     search = log.steps[0].plan.search

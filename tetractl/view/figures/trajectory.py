@@ -63,7 +63,7 @@ class DishGround:
         return True
 
 
-LINE_IN = 0.156  # height of a line of the legend [in]
+LEGEND_LINE_IN = 0.156  # height of a line of the legend [in]
 
 
 @style.styled()
@@ -83,7 +83,7 @@ def trajectory_figure(logs: Sequence[TrialLog]) -> Figure:
     rows = title.count("\n") + 1 + -(-len(names) // columns)
     width = style.COLUMN_IN
     shape = min(max(setup.arena.height / setup.arena.width, 0.3), 2.0)
-    figure = style.figure(width, (width - 0.55) * shape + 0.5 + LINE_IN * rows)
+    figure = style.figure(width, (width - 0.55) * shape + 0.5 + LEGEND_LINE_IN * rows)
     axes = figure.subplots()
     named = zip(names, colors, strict=False)  # there may be no names
     figure.legend(
@@ -256,7 +256,7 @@ def _signs(figure: Figure, logs: Sequence[TrialLog], beyond: bool, truth: bool) 
     if truth:
         signs.append(style.sign("true path", color=style.INK, **dashed))
     if len(signs) > 5:  # two lines are needed
-        figure.set_figheight(figure.get_figheight() + LINE_IN)
+        figure.set_figheight(figure.get_figheight() + LEGEND_LINE_IN)
     columns = len(signs) if len(signs) < 6 else 3
     style.legend(figure, signs, columns, fontsize=6, columnspacing=1.2)
 

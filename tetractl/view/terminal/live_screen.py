@@ -23,6 +23,7 @@ from tetractl.replay.player import Moment, tracked
 from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 from tetractl.view.terminal.dashboard import Dashboard, Footer
+from tetractl.view.terminal.keys import SAYS
 from tetractl.view.terminal.progress import Tally, duration, trial_line
 
 
@@ -68,7 +69,7 @@ class LiveView(Observer):
         setup = self._setup = start.setup
         self._plant = start.plant.kind
         virtual = start.plant.virtual
-        self._hints = ("Ctrl-C stops",) if virtual else ("SPACE or ESC: EMERGENCY STOP",)
+        self._hints = ("Ctrl-C stops",) if virtual else (SAYS,)
         self._colors = robot_colors(setup.names, setup.colors)
         self._poses = setup.starts.array()
         self._trail: list[Floats] = []

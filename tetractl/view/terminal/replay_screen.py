@@ -18,7 +18,6 @@ from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
 
-FRAME_S = 1 / 15
 SPACE = {Playback.PLAYING: "pause", Playback.PAUSED: "play ", Playback.ENDED: "again"}
 TURNS = {"n": 1, "p": -1}
 
@@ -53,7 +52,7 @@ def play(
                     Help(glyphs) if helping else dashboard(player, glyphs, place, note),
                     refresh=True,
                 )
-            for key in keyboard.read(FRAME_S):
+            for key in keyboard.read(1 / 15):
                 if turn_to and key in TURNS and 0 <= index + TURNS[key] < count:
                     index += TURNS[key]
                     player = turn_to(index)

@@ -7,7 +7,7 @@ from support.cli import tetractl
 from support.running import QUICK
 from support.studies import SMALL, write
 
-from tetractl.cli.options import announce_compiling
+from tetractl.cli.ui import announce_compiling
 
 
 @pytest.fixture(scope="module")

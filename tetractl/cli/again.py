@@ -8,18 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tetractl.cli.options import (
-    PLANTS,
-    AsJson,
-    Log,
-    Logs,
-    PlantChoice,
-    Yes,
-    open_trial,
-    option,
-    output,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.cli.run import DryRun, Json, Out, Quiet, Unattended
 from tetractl.cli.serve import Port, Serve, wanted_port
 from tetractl.cli.trials import RunOptions, drive, run_command
@@ -40,16 +29,16 @@ PREDICTION = (
 
 
 def rerun(
-    log: Log,
+    log: ui.Log,
     plant: Annotated[
-        PlantChoice,
-        option(
-            PLANTS,
+        ui.PlantChoice,
+        ui.option(
+            ui.PLANTS,
             "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab in "
             "virtual time.",
         ),
     ] = "sim",
-    yes: Yes = False,
+    yes: ui.Yes = False,
     unattended: Unattended = False,
     out: Out = None,
     dry_run: DryRun = False,
@@ -81,7 +70,7 @@ def rerun(
     return code
 
 
-def _recorded(trial: "TrialLog", plant: PlantChoice) -> "LoadedSpec":
+def _recorded(trial: "TrialLog", plant: ui.PlantChoice) -> "LoadedSpec":
     """Return the spec of a log, changed to the given plant.
 
     No calibration file is read: the spec in a log of the lab has the calibration's values.
@@ -111,40 +100,40 @@ def _compare(log: Path, again: Path) -> int:
     if plants[0].type != plants[1].type or plants[0].real_time:
         names = {"sim": "simulated", "lab": "of the lab"}
         one, two = (names.get(plant.type, plant.type) for plant in plants)
-        tell(f"the log is {one}, the new one {two}: the two are not compared")
+        ui.tell(f"the log is {one}, the new one {two}: the two are not compared")
         return Exit.DONE
     one, two = (content_digest(path) for path in (log, again))
     if one == two:
-        tell(f"the content digests agree: {one}")
+        ui.tell(f"the content digests agree: {one}")
         return Exit.DONE
-    tell(f"the content digests differ: {one} in {log}, {two} in {again}")
+    ui.tell(f"the content digests differ: {one} in {log}, {two} in {again}")
     was, is_now = read_trial(log), read_trial(again)
     if difference := trial_difference(is_now, was):
-        tell(f"  {difference}")
+        ui.tell(f"  {difference}")
     if first.recovered or not first.outcome.complete:
-        tell(f"  {log} is damaged, or its trial did not run to its end")
+        ui.tell(f"  {log} is damaged, or its trial did not run to its end")
     if was.start.resolved != is_now.start.resolved:
-        tell("  the log's spec lacks fields of this tetractl")
-    tell(*(f"  {line}" for line in host_differences(was)))
+        ui.tell("  the log's spec lacks fields of this tetractl")
+    ui.tell(*(f"  {line}" for line in host_differences(was)))
     return Exit.FAILED
 
 
 def redrive(
-    log: Log,
+    log: ui.Log,
     plant: Annotated[
-        PlantChoice,
-        option(
-            PLANTS,
+        ui.PlantChoice,
+        ui.option(
+            ui.PLANTS,
             "sim: drive a simulation. lab: drive the robots of the log's lab. emulated: emulate "
             "that lab in virtual time.",
         ),
     ] = "sim",
-    out: Annotated[Path | None, output("DIR", "Folder for the log of the new trial.")] = None,
+    out: Annotated[Path | None, ui.output("DIR", "Folder for the log of the new trial.")] = None,
     picture: Annotated[
         Path | None,
-        option("FILE", "File of a figure of both paths: .png, .svg or .pdf.", "--plot"),
+        ui.option("FILE", "File of a figure of both paths: .png, .svg or .pdf.", "--plot"),
     ] = None,
-    yes: Yes = False,
+    yes: ui.Yes = False,
 ) -> int:
     """Drive a plant with the recorded commands of a log, open loop, in a new trial.
 
@@ -163,11 +152,11 @@ def redrive(
     if picture is not None:
         file_format(picture)
     log = find_log(log)
-    was = open_trial(log)
+    was = ui.open_trial(log)
     spec = sequence_spec(_recorded(was, plant), *recorded_directions(was))
     folder = out or default_folder(f"{spec.experiment.name}-again", datetime.now(UTC))
     path = drive(spec, folder, was.start.trial, yes)
-    again = open_trial(path)
+    again = ui.open_trial(path)
     apart = paths_apart(was, again)
     print(f"{log} ({was.origin.value}) and {path} ({again.origin.value}), open loop")
     print_tables([_distances(apart)])
@@ -201,16 +190,16 @@ def _distances(apart: "Apart") -> "Table":
 
 
 def what_if(
-    logs: Logs,
+    logs: ui.Logs,
     sets: Annotated[
         list[str],
-        option(
+        ui.option(
             "PATH=VALUE",
             "Replace a value of the controller, as field=value; may be repeated.",
             "--set",
         ),
     ],
-    as_json: AsJson = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
 

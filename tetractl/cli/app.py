@@ -30,8 +30,8 @@ from tetractl.cli import (
     stats,
     study,
     track,
+    ui,
 )
-from tetractl.cli.options import tell
 from tetractl.core.errors import Exit, TetractlError
 from tetractl.core.plugin_fault import FaultyPluginError, plugins_blamed
 
@@ -203,5 +203,5 @@ def _usage_hint(error: TyperException) -> str | None:
 
 def complain(code: Exit, message: str, hint: str | None = None) -> Exit:
     """Print `error: MESSAGE` to stderr, then `hint: HINT` if there is one; return `code`."""
-    tell(*f"error: {message}".split("\n"), *(f"hint: {hint}".split("\n") if hint else ()))
+    ui.tell(*f"error: {message}".split("\n"), *(f"hint: {hint}".split("\n") if hint else ()))
     return code

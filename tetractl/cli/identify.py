@@ -6,23 +6,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tetractl.cli.options import (
-    PLANTS,
-    AsJson,
-    PlantChoice,
-    Sets,
-    Spec,
-    Yes,
-    argument,
-    load,
-    open_trial,
-    option,
-    output,
-    refuse_existing,
-    require_confirmation,
-    show,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.cli.trials import drive
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
@@ -35,27 +19,29 @@ if TYPE_CHECKING:
 
 
 def design(
-    spec: Spec,
-    sets: Sets = None,
-    seconds: Annotated[float, option("S", "Duration of the motion [s].", min=1, max=120)] = 10.0,
+    spec: ui.Spec,
+    sets: ui.Sets = None,
+    seconds: Annotated[float, ui.option("S", "Duration of the motion [s].", min=1, max=120)] = 10.0,
     plant: Annotated[
-        PlantChoice | None,
-        option(PLANTS, "Drive the proposed motion, and identify the robots from it."),
+        ui.PlantChoice | None,
+        ui.option(ui.PLANTS, "Drive the proposed motion, and identify the robots from it."),
     ] = None,
     logs: Annotated[
         Path | None,
-        option("DIR", "With --plant: folder for the log.  \\[logs/<spec name>-design-<UTC time>]"),
+        ui.option(
+            "DIR", "With --plant: folder for the log.  \\[logs/<spec name>-design-<UTC time>]"
+        ),
     ] = None,
-    yes: Yes = False,
+    yes: ui.Yes = False,
     out: Annotated[
         Path | None,
-        output(
+        ui.output(
             "FILE",
             "YAML file to write: a spec of the motion; with --plant, the identified values, for "
             "the field `identified` of a spec.",
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Propose a motion from which the robots can be identified well.
 
@@ -75,12 +61,12 @@ def design(
 
     if plant is None and (logs is not None or yes):
         raise UsageError("--logs and --yes need --plant")
-    refuse_existing(out)
-    loaded = load(spec, sets)
+    ui.refuse_existing(out)
+    loaded = ui.load(spec, sets)
     if plant is not None:
         loaded = on_plant(loaded, plant)
         if loaded.experiment.plant.real_time:
-            require_confirmation(yes)
+            ui.require_confirmation(yes)
     proposed = propose(loaded.experiment, seconds, loaded.experiment.trials.seed)
     motion = sequence_spec(loaded, proposed.directions, 0.0)
     if plant is None:
@@ -135,18 +121,18 @@ def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None
 def identify(
     logs: Annotated[
         list[Path],
-        argument(
+        ui.argument(
             "LOG...",
             "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
         ),
     ],
     out: Annotated[
         Path | None,
-        output(
+        ui.output(
             "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
         ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
 
@@ -161,7 +147,7 @@ def identify(
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import csv_tracks, track_of
 
-    refuse_existing(out)
+    ui.refuse_existing(out)
     tables = [path for path in logs if path.suffix.lower() == ".csv"]
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
@@ -171,10 +157,10 @@ def identify(
     tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False
     for path in find_logs(logs):
-        log = open_trial(path)
+        log = ui.open_trial(path)
         damaged |= log.damage is not None
         if not any(command.direction is not None for command in log.commands):
-            tell(f"warning: {path}: no direction was sent in this log")
+            ui.tell(f"warning: {path}: no direction was sent in this log")
             continue
         tracks.append(track_of(log))
         if expected is None:
@@ -190,7 +176,7 @@ def _show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> N
     from tetractl.experiment.identified import identified_yaml
     from tetractl.replay.identification.identify import identified, tables
 
-    show(as_json, found, tables(found))
+    ui.show(as_json, found, tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
         save_whole(out, identified_yaml(identified(found, when)).encode())

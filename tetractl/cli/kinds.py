@@ -3,14 +3,14 @@
 import sys
 from typing import Annotated, Any
 
-from tetractl.cli.options import AsJson, option, tell
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError, printable
 
 
 def kinds(
     check: Annotated[
         str | None,
-        option(
+        ui.option(
             "MODULE:NAME",
             "Check your own motion, or section of a shape, optimiser, controller, disturbance, "
             "camera or actuator, given as module:NAME.",
@@ -18,9 +18,11 @@ def kinds(
     ] = None,
     sets: Annotated[
         list[str] | None,
-        option("FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"),
+        ui.option(
+            "FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"
+        ),
     ] = None,
-    as_json: AsJson = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
     on.
@@ -69,7 +71,7 @@ def _list(as_json: bool) -> int:
         for registry, kind in rows:
             package = f"{kind.package} {kind.version}" if kind.package else "built in"
             print(f"{registry.what:<17} {kind.name:<19} {package:<22} {kind.code}")
-        tell(*(f"error: {problem}" for problem in problems.values()))
+        ui.tell(*(f"error: {problem}" for problem in problems.values()))
     return Exit.USAGE if problems else Exit.DONE
 
 

@@ -9,22 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tetractl.cli import ui
 from tetractl.cli.lab_survey import rig_of
-from tetractl.cli.options import (
-    AsJson,
-    LabChoice,
-    Sets,
-    Spec,
-    Yes,
-    argument,
-    load,
-    option,
-    output,
-    refuse_existing,
-    require_confirmation,
-    switch,
-    tell,
-)
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
 
@@ -37,11 +23,11 @@ HELP = "Check, calibrate, survey, stop or emulate the lab of a spec."
 
 
 def check(
-    spec: Spec,
-    sets: Sets = None,
-    plant: LabChoice = "lab",
-    as_json: AsJson = False,
-    yes: Annotated[bool, switch("--yes", "Answer yes to every question.")] = False,
+    spec: ui.Spec,
+    sets: ui.Sets = None,
+    plant: ui.LabChoice = "lab",
+    as_json: ui.AsJson = False,
+    yes: Annotated[bool, ui.switch("--yes", "Answer yes to every question.")] = False,
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
@@ -56,7 +42,7 @@ def check(
     from tetractl.lab.preflight import inspect
     from tetractl.view.terminal import findings
 
-    experiment = on_plant(load(spec, sets), plant).experiment
+    experiment = on_plant(ui.load(spec, sets), plant).experiment
     rig = rig_of(experiment)
     if experiment.open:
         rig.start_anywhere()
@@ -72,20 +58,22 @@ def check(
 def _agreed(questions: Sequence[str]) -> bool:
     """Return whether the operator at the terminal answers yes to every question."""
     if questions and not sys.stdin.isatty():
-        tell("questions not answered: add --yes if there is no terminal")
+        ui.tell("questions not answered: add --yes if there is no terminal")
         return False
     return all(typer.confirm(question, err=True) for question in questions)
 
 
 def stop(
-    spec: Annotated[Path | None, argument("SPEC", "Spec file; only its actuator is used.")] = None,
-    sets: Sets = None,
-    port: Annotated[
-        str | None, option("PORT", "Serial port of an m3pi radio, in place of a spec.")
+    spec: Annotated[
+        Path | None, ui.argument("SPEC", "Spec file; only its actuator is used.")
     ] = None,
-    baud: Annotated[int, option("N", "With --port: baud rate.")] = 57600,
+    sets: ui.Sets = None,
+    port: Annotated[
+        str | None, ui.option("PORT", "Serial port of an m3pi radio, in place of a spec.")
+    ] = None,
+    baud: Annotated[int, ui.option("N", "With --port: baud rate.")] = 57600,
     mode: Annotated[
-        str, option("MODE", "With --port: mode of the radio, api2, api1 or transparent.")
+        str, ui.option("MODE", "With --port: mode of the radio, api2, api1 or transparent.")
     ] = "api2",
 ) -> int:
     """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
@@ -118,18 +106,18 @@ def stop(
 
 
 def calibrate(
-    spec: Spec,
-    sets: Sets = None,
-    out: Annotated[Path, output("FILE", "YAML file to write the calibration to.")] = Path(
+    spec: ui.Spec,
+    sets: ui.Sets = None,
+    out: Annotated[Path, ui.output("FILE", "YAML file to write the calibration to.")] = Path(
         "calibration.yaml"
     ),
     robot: Annotated[
         list[str] | None,
-        option("NAME", "Calibrate only this robot; may be repeated.  [all]"),
+        ui.option("NAME", "Calibrate only this robot; may be repeated.  [all]"),
     ] = None,
     limit: Annotated[
         int,
-        option(
+        ui.option(
             "N",
             "Largest output that the calibration sends; for m3pi robots a wheel count.",
             min=10,
@@ -138,13 +126,13 @@ def calibrate(
     ] = 45,
     micrometer: Annotated[
         str | None,
-        option(
+        ui.option(
             "C,R,C,R,UM",
             "Column and row of two places in a microscope's picture (px), and their distance along "
             "the spec's x axis (um).",
         ),
     ] = None,
-    yes: Yes = False,
+    yes: ui.Yes = False,
 ) -> int:
     """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
 
@@ -162,7 +150,7 @@ def calibrate(
     from tetractl.run.interrupt import interrupted_once
     from tetractl.view.terminal.keys import SAYS, StopKey
 
-    refuse_existing(out)
+    ui.refuse_existing(out)
     lab, experiment = _lab(spec, sets)
     if micrometer is not None:
         return _save(out, lab.camera.measured_by(*_places(micrometer)))
@@ -171,15 +159,15 @@ def calibrate(
     for name in names:
         if name not in setup.names:
             raise UsageError(f"--robot {name}: the spec has no such robot")
-    require_confirmation(yes)
+    ui.require_confirmation(yes)
     if not yes:
         typer.confirm(f"{', '.join(names)} will move up to 0.3 m each. Continue?", abort=True)
     emergency = Event()
     stop_key = StopKey(emergency.set, lambda: None)
     with hung_up_unread(), interrupted_once(robots=True), stop_key as key:
         if key.listening:
-            tell(SAYS)
-        found = lab.actuator.calibrate(lab, setup, names, limit, emergency, tell)
+            ui.tell(SAYS)
+        found = lab.actuator.calibrate(lab, setup, names, limit, emergency, ui.tell)
     return _save(out, found)
 
 
@@ -208,14 +196,14 @@ def _save(out: Path, found: "Measured") -> int:
     )
     save_whole(out, calibration_yaml(calibration).encode())
     print(*found.lines, sep="\n")
-    tell(f"wrote {out}; name it in the spec: lab.calibration")
+    ui.tell(f"wrote {out}; name it in the spec: lab.calibration")
     return Exit.DONE
 
 
 def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
     from tetractl.experiment.plants import lab_of, on_plant
 
-    loaded = load(spec, sets)
+    loaded = ui.load(spec, sets)
     experiment = on_plant(loaded, "lab").experiment
     return lab_of(experiment, loaded.name), experiment
 

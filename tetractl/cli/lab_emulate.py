@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated, Any
 
-from tetractl.cli.options import Sets, Spec, load, option, switch, tell
+from tetractl.cli import ui
 from tetractl.core.errors import Exit
 
 ROBOTS = {
@@ -16,16 +16,16 @@ ROBOTS = {
 
 
 def emulate(
-    spec: Spec,
-    sets: Sets = None,
+    spec: ui.Spec,
+    sets: ui.Sets = None,
     script: Annotated[
         Path | None,
-        option("FILE", "YAML file of scripted faults and of the devices' true properties."),
+        ui.option("FILE", "YAML file of scripted faults and of the devices' true properties."),
     ] = None,
-    address: Annotated[str, option("IP", "Address at which the camera serves.")] = "127.0.0.1",
+    address: Annotated[str, ui.option("IP", "Address at which the camera serves.")] = "127.0.0.1",
     command_port: Annotated[
         int | None,
-        option(
+        ui.option(
             "N",
             "The camera server's UDP port for commands; 0 for any free port.  [spec]",
             min=0,
@@ -34,25 +34,29 @@ def emulate(
     ] = None,
     data_port: Annotated[
         int | None,
-        option("N", "UDP port to send frames to; 0 for any free port.  [spec]", min=0, max=65535),
+        ui.option(
+            "N", "UDP port to send frames to; 0 for any free port.  [spec]", min=0, max=65535
+        ),
     ] = None,
     port_link: Annotated[
         Path | None,
-        option("PATH", "Path to create for the actuator's serial port.  [spec: lab.actuator.port]"),
+        ui.option(
+            "PATH", "Path to create for the actuator's serial port.  [spec: lab.actuator.port]"
+        ),
     ] = None,
     record: Annotated[
-        Path | None, option("FILE", "File for the true poses and events, as JSON lines.")
+        Path | None, ui.option("FILE", "File for the true poses and events, as JSON lines.")
     ] = None,
     replace_after: Annotated[
         float | None,
-        option(
+        ui.option(
             "S",
             "Put robots back on their starts once they have stood still for S seconds.",
             min=0.1,
         ),
     ] = None,
-    seed: Annotated[int, option("N", "Seed of the emulation's random numbers.")] = 1,
-    json: Annotated[bool, switch("--json", "Print events as JSON lines.")] = False,
+    seed: Annotated[int, ui.option("N", "Seed of the emulation's random numbers.")] = 1,
+    json: Annotated[bool, ui.switch("--json", "Print events as JSON lines.")] = False,
 ) -> int:
     """Emulate an experiment's lab: its camera, its actuator on a pseudo-terminal, and its robots.
 
@@ -70,7 +74,7 @@ def emulate(
     from tetractl.experiment.plants import lab_of
     from tetractl.run.interrupt import SIGNALS
 
-    loaded = load(spec, sets)
+    loaded = ui.load(spec, sets)
     lab = lab_of(loaded.experiment, loaded.name)
     play = load_script(script, lab.camera.type, lab.actuator.type) if script else NOTHING
     chosen = loaded.experiment.open
@@ -88,7 +92,7 @@ def emulate(
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames
         emulation.run()
-    tell("the emulation has ended")
+    ui.tell("the emulation has ended")
     return Exit.DONE
 
 

@@ -5,19 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tetractl.cli.options import (
-    AsJson,
-    LabChoice,
-    Sets,
-    Spec,
-    Yes,
-    load,
-    option,
-    output,
-    refuse_existing,
-    require_confirmation,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -29,21 +17,23 @@ NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
 
 
 def survey(
-    spec: Spec,
-    sets: Sets = None,
-    out: Annotated[Path | None, output("FILE", "YAML file to write a spec for trials to.")] = None,
+    spec: ui.Spec,
+    sets: ui.Sets = None,
+    out: Annotated[
+        Path | None, ui.output("FILE", "YAML file to write a spec for trials to.")
+    ] = None,
     plans: Annotated[
         int,
-        option(
+        ui.option(
             "N",
             "Number of plans to search for each of the best choices of cells.",
             min=1,
             max=1000,
         ),
     ] = 48,
-    plant: LabChoice = "lab",
-    yes: Yes = False,
-    as_json: AsJson = False,
+    plant: ui.LabChoice = "lab",
+    yes: ui.Yes = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
@@ -68,7 +58,7 @@ def survey(
     from tetractl.lab.find_cells import turn_field
     from tetractl.run.interrupt import interrupted_once
 
-    loaded = load(spec, sets)
+    loaded = ui.load(spec, sets)
     experiment = on_plant(loaded, plant).experiment
     choice, unit = experiment.chosen, experiment.units.length
     if choice is None or not experiment.open:
@@ -76,9 +66,9 @@ def survey(
             f"{spec}: the spec lists its robots, so a survey has no cells to choose",
             "a survey needs `robots: {choose: N, ...}` in the spec",
         )
-    refuse_existing(out)
+    ui.refuse_existing(out)
     if experiment.plant.real_time:
-        require_confirmation(yes)
+        ui.require_confirmation(yes)
     with interrupted_once(robots=True), rig_of(experiment) as rig:
         cells = turn_field(rig, choice, experiment.trials.seed, LabSupervision())
         rig.loop.stop()
@@ -87,7 +77,7 @@ def survey(
         _print_cells(cells, pairs, unit)
 
     def done(count: int, of: int) -> None:
-        tell(f"prediction {count} of {of}")
+        ui.tell(f"prediction {count} of {of}")
 
     found = ranked(experiment, cells, Noise.of(loaded.experiment.plant), plans, done)
     if as_json:
@@ -109,14 +99,14 @@ def survey(
             if found
             else f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
         )
-        tell(f"no choice of these cells can be steered to the targets: {why}")
+        ui.tell(f"no choice of these cells can be steered to the targets: {why}")
         return Exit.FAILED
     if out is not None:
         data = document_of(loaded.text, str(spec), sets or []).data
         wanted = [{"a": round(c.a, 4), "speed": round(c.speed, 2)} for c in found[0].cells]
         data["robots"]["wanted"] = wanted
         save_whole(out, dump(data).encode())
-        tell(f"wrote {out}: a trial of this spec finds these cells again")
+        ui.tell(f"wrote {out}: a trial of this spec finds these cells again")
     return Exit.DONE
 
 

@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tetractl.cli.options import AsJson, Logs, argument, output, tell
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, printable
 
 if TYPE_CHECKING:
@@ -19,8 +19,8 @@ PROBLEMS = 20  # largest number of problems that `verify` prints per log
 
 
 def info(
-    log: Annotated[Path, argument("LOG", "Log of a trial, finished or not.")],
-    as_json: AsJson = False,
+    log: Annotated[Path, ui.argument("LOG", "Log of a trial, finished or not.")],
+    as_json: ui.AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
 
@@ -143,9 +143,9 @@ def _digest(found: "Overview") -> dict[str, str]:
 
 
 def recover(
-    log: Annotated[Path, argument("LOG", "Log of a trial, or a .part file.")],
-    out: Annotated[Path | None, output("FILE", "File to write.  [NAME.recovered.mcap]")] = None,
-    as_json: AsJson = False,
+    log: Annotated[Path, ui.argument("LOG", "Log of a trial, or a .part file.")],
+    out: Annotated[Path | None, ui.output("FILE", "File to write.  [NAME.recovered.mcap]")] = None,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
 
@@ -163,7 +163,7 @@ def recover(
     elif done.path is None:
         print(printable(f"{log}: complete; there is nothing to recover"))
     else:
-        tell(*(f"damaged: {problem}" for problem in done.damage.problems))
+        ui.tell(*(f"damaged: {problem}" for problem in done.damage.problems))
         kept = (
             f"{done.chunks} chunks with {done.messages} messages, {done.metadata} metadata records"
         )
@@ -175,7 +175,7 @@ def recover(
     return Exit.DONE if done.whole else Exit.LOSSY
 
 
-def verify(logs: Logs, as_json: AsJson = False) -> int:
+def verify(logs: ui.Logs, as_json: ui.AsJson = False) -> int:
     """Compute every control decision of a log again and compare it with the logged decision.
 
     A simulation is run again as well, and the messages for viewers are compared with the records.

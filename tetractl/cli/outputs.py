@@ -4,24 +4,24 @@ from os.path import commonpath
 from pathlib import Path
 from typing import Annotated
 
-from tetractl.cli.options import Logs, open_trial, option, output, progress, tell
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 
 VIDEO = "video"
 
 
 def plot(
-    logs: Logs,
+    logs: ui.Logs,
     out: Annotated[
         Path | None,
-        output(
+        ui.output(
             "FILE",
             "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. "
             "A film: .mp4, .gif or .webp, by default LOG-video.gif.",
         ),
     ] = None,
     kind: Annotated[
-        str, option("NAME", "The figure to draw, a name from the list above.")
+        str, ui.option("NAME", "The figure to draw, a name from the list above.")
     ] = "trajectory",
 ) -> int:
     """Draw a figure of a trial and print the name of its file.
@@ -53,7 +53,7 @@ def plot(
     logs = find_logs(logs)
     path = out or _default_name(logs, kind)
     file_format(path)
-    trials = [open_trial(log) for log in logs]
+    trials = [ui.open_trial(log) for log in logs]
     save(draw(kind, trials), path)
     print(printable(str(path)))
     return Exit.FAILED if any(trial.damage for trial in trials) else Exit.DONE
@@ -66,11 +66,11 @@ def _film(logs: list[Path], out: Path | None) -> int:
         raise UsageError(f"a film shows one trial, not {len(logs)}", "give one log")
     path = out or _default_name(logs, VIDEO).with_suffix(".gif")
     check_file(path)
-    log = open_trial(logs[0])
-    with progress("Drawing") as on_picture:
+    log = ui.open_trial(logs[0])
+    with ui.progress("Drawing") as on_picture:
         speed = write_video(log, path, on_picture)
     if speed > 1:
-        tell(f"plays {speed} times faster than the trial")
+        ui.tell(f"plays {speed} times faster than the trial")
     print(path)
     return Exit.FAILED if log.damage else Exit.DONE
 
@@ -82,12 +82,12 @@ def _default_name(logs: list[Path], kind: str) -> Path:
 
 
 def report(
-    logs: Logs,
+    logs: ui.Logs,
     out: Annotated[
-        Path, output("FILE", "HTML file to write; an existing file is overwritten.")
+        Path, ui.output("FILE", "HTML file to write; an existing file is overwritten.")
     ] = Path("report.html"),
     title: Annotated[
-        str | None, option("TEXT", "Title of the page.  \\[experiment's name]")
+        str | None, ui.option("TEXT", "Title of the page.  \\[experiment's name]")
     ] = None,
 ) -> int:
     """Write one HTML page that shows trials and their statistics, and needs no network.
@@ -104,31 +104,31 @@ def report(
     if not out.parent.is_dir():  # checked before the logs are read
         raise UsageError(f"{out}: there is no folder {out.parent}")
 
-    with progress("Reading logs") as on_log:
+    with ui.progress("Reading logs") as on_log:
         html, unread = page.report(logs, title, on_log)
     save_whole(out, html.encode())
-    tell(*(f"warning: {problem}" for problem in unread))
+    ui.tell(*(f"warning: {problem}" for problem in unread))
     print(out)
     return Exit.FAILED if unread else Exit.DONE
 
 
 def export(
-    logs: Logs,
+    logs: ui.Logs,
     out: Annotated[
         Path,
-        output(
+        ui.output(
             "DIR|FILE",
             "Folder for all tables; or a .csv or .parquet file for the one named by --table.",
         ),
     ],
     table: Annotated[
         str | None,
-        option(
+        ui.option(
             "NAME", "Write only this table: trials, steps, poses, estimates or events.  \\[all]"
         ),
     ] = None,
     form: Annotated[
-        str | None, option("NAME", "File format: csv or parquet.  \\[csv]", "--format")
+        str | None, ui.option("NAME", "File format: csv or parquet.  \\[csv]", "--format")
     ] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
@@ -144,13 +144,13 @@ def export(
 
     paths, kind = _files(out, table, form)
     found, unread = find_logs(logs), 0
-    with TableFiles(paths, kind) as files, progress("Reading logs") as on_log:
+    with TableFiles(paths, kind) as files, ui.progress("Reading logs") as on_log:
         for number, path in enumerate(found):
             on_log(number, len(found))
             try:
                 added = of_log(path, paths)
             except LogError as error:
-                tell(f"warning: {error}")
+                ui.tell(f"warning: {error}")
                 unread += 1
                 continue
             for name, rows in added.items():

@@ -3,31 +3,24 @@
 from pathlib import Path
 from typing import Annotated
 
-from tetractl.cli.options import (
-    Logs,
-    is_terminal,
-    open_trial,
-    option,
-    require_positive,
-    switch,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError, printable
 
 
 def replay(
-    logs: Logs,
+    logs: ui.Logs,
     rate: Annotated[
         float | None,
-        option(
+        ui.option(
             "R",
             "Speed: seconds of the trial per second (1). Without a terminal all lines are printed "
             "at once unless --rate is given.",
         ),
     ] = None,
-    start: Annotated[float, option("S", "Begin at this second of the trial.")] = 0.0,
-    until: Annotated[float | None, option("S", "Stop at this second of the trial.")] = None,
-    loop: Annotated[bool, switch("--loop", "At the end, start again.")] = False,
-    paused: Annotated[bool, switch("--paused", "Start paused, until a key is pressed.")] = False,
+    start: Annotated[float, ui.option("S", "Begin at this second of the trial.")] = 0.0,
+    until: Annotated[float | None, ui.option("S", "Stop at this second of the trial.")] = None,
+    loop: Annotated[bool, ui.switch("--loop", "At the end, start again.")] = False,
+    paused: Annotated[bool, ui.switch("--paused", "Start paused, until a key is pressed.")] = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -50,8 +43,8 @@ def replay(
     from tetractl.replay.player import Playback, Player, Recording, span
     from tetractl.view.terminal.replay_screen import play, print_lines
 
-    require_positive(rate)
-    paths, wall, screen = find_logs(logs), MonotonicClock(), is_terminal()
+    ui.require_positive(rate)
+    paths, wall, screen = find_logs(logs), MonotonicClock(), ui.is_terminal()
     if paused and not screen:
         raise UsageError("--paused needs a terminal, where a key continues")
     if loop and not screen and len(paths) > 1:
@@ -62,7 +55,7 @@ def replay(
 
     def opened(path: Path, again: bool = False) -> Recording:
         nonlocal damaged
-        recording = Recording(read_trial(path) if again else open_trial(path))
+        recording = Recording(read_trial(path) if again else ui.open_trial(path))
         damaged |= recording.log.damage is not None
         return recording
 

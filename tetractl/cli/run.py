@@ -3,69 +3,59 @@
 from pathlib import Path
 from typing import Annotated
 
-from tetractl.cli.options import (
-    PLANTS,
-    PlantChoice,
-    Sets,
-    Spec,
-    Strict,
-    Yes,
-    load,
-    option,
-    output,
-    switch,
-    warn,
-)
+from tetractl.cli import ui
 from tetractl.cli.serve import Port, Serve, wanted_port
 from tetractl.cli.trials import RunOptions, run_command
 from tetractl.core.errors import UsageError
 
-Out = Annotated[Path | None, output("DIR", "Folder for the logs.  \\[logs/<spec name>-<UTC time>]")]
-DryRun = Annotated[
-    bool, switch("--dry-run", "Run nothing: print the spec, its limits and what would be run.")
+Out = Annotated[
+    Path | None, ui.output("DIR", "Folder for the logs.  \\[logs/<spec name>-<UTC time>]")
 ]
-Quiet = Annotated[bool, option("", "Show neither a live view nor progress.", "--quiet", "-q")]
+DryRun = Annotated[
+    bool, ui.switch("--dry-run", "Run nothing: print the spec, its limits and what would be run.")
+]
+Quiet = Annotated[bool, ui.option("", "Show neither a live view nor progress.", "--quiet", "-q")]
 Unattended = Annotated[
     bool,
-    switch(
+    ui.switch(
         "--unattended",
         "Lab only, with --yes: go on if the terminal closes or no process reads the output any "
         "more, which otherwise stops the robots.",
     ),
 ]
 Json = Annotated[
-    bool, switch("--json", "Print the statistics as JSON, like `stats --format json`.")
+    bool, ui.switch("--json", "Print the statistics as JSON, like `stats --format json`.")
 ]
 
 
 def run(
-    spec: Spec,
+    spec: ui.Spec,
     trials: Annotated[
-        int | None, option("N", "Number of trials.  \\[spec: trials.count]", min=1)
+        int | None, ui.option("N", "Number of trials.  \\[spec: trials.count]", min=1)
     ] = None,
     seed: Annotated[
-        int | None, option("S", "Seed of all random numbers.  \\[spec: trials.seed]", min=0)
+        int | None, ui.option("S", "Seed of all random numbers.  \\[spec: trials.seed]", min=0)
     ] = None,
-    sets: Sets = None,
+    sets: ui.Sets = None,
     plant: Annotated[
-        PlantChoice | None,
-        option(
-            PLANTS,
+        ui.PlantChoice | None,
+        ui.option(
+            ui.PLANTS,
             "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab in "
             "virtual time.  \\[spec: plant.type]",
         ),
     ] = None,
-    yes: Yes = False,
+    yes: ui.Yes = False,
     unattended: Unattended = False,
     out: Out = None,
     jobs: Annotated[
-        int, option("N", "Number of trials run at a time, each in its own process.", min=1)
+        int, ui.option("N", "Number of trials run at a time, each in its own process.", min=1)
     ] = 1,
     resume: Annotated[
-        bool, switch("--resume", "Run only the trials without a complete log in DIR.")
+        bool, ui.switch("--resume", "Run only the trials without a complete log in DIR.")
     ] = False,
     dry_run: DryRun = False,
-    strict: Strict = False,
+    strict: ui.Strict = False,
     quiet: Quiet = False,
     serve: Serve = False,
     port: Port = None,
@@ -90,8 +80,8 @@ def run(
     settings = list(sets or [])
     settings += [] if trials is None else [f"trials.count={trials}"]
     settings += [] if seed is None else [f"trials.seed={seed}"]
-    loaded = load(spec, settings)
-    warn(loaded, settings, strict)
+    loaded = ui.load(spec, settings)
+    ui.warn(loaded, settings, strict)
     if serve and jobs > 1:
         raise UsageError("--serve shows one trial at a time", "leave out --jobs")
     served = wanted_port(serve, port)

@@ -8,16 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlencode
 
-from tetractl.cli.options import (
-    Logs,
-    argument,
-    is_terminal,
-    option,
-    require_positive,
-    switch,
-    tell,
-    warn_of_damage,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError
 
 if TYPE_CHECKING:
@@ -31,30 +22,30 @@ LICHTBLICK = "http://localhost:8080"
 """Default address of Lichtblick on this machine."""
 
 SHOW = "Print a link that shows the trial in Foxglove or Lichtblick as it runs."
-Serve = Annotated[bool, switch("--serve", SHOW)]
+Serve = Annotated[bool, ui.switch("--serve", SHOW)]
 FREE = "0 for any free port."
 Port = Annotated[
     int | None,
-    option("N", f"With --serve: TCP port of the server; {FREE}  \\[{PORT}]", min=0, max=65535),
+    ui.option("N", f"With --serve: TCP port of the server; {FREE}  \\[{PORT}]", min=0, max=65535),
 ]
-ServerPort = Annotated[int, option("N", f"TCP port to serve at; {FREE}", min=0, max=65535)]
-Browser = Annotated[bool, option("", "Open the browser; otherwise only print the address.")]
-Viewer = Annotated[str, option("URL", "Address at which Lichtblick runs.", "--lichtblick")]
+ServerPort = Annotated[int, ui.option("N", f"TCP port to serve at; {FREE}", min=0, max=65535)]
+Browser = Annotated[bool, ui.option("", "Open the browser; otherwise only print the address.")]
+Viewer = Annotated[str, ui.option("URL", "Address at which Lichtblick runs.", "--lichtblick")]
 
 
 def serve(
-    what: Annotated[Path, argument("LOG|SPEC", "The log of a trial to play, or a spec to run.")],
+    what: Annotated[Path, ui.argument("LOG|SPEC", "The log of a trial to play, or a spec to run.")],
     rate: Annotated[
-        float, option("R", "With a LOG: speed, in seconds of the trial per second.")
+        float, ui.option("R", "With a LOG: speed, in seconds of the trial per second.")
     ] = 1.0,
-    start: Annotated[float, option("S", "With a LOG: begin at this second of the trial.")] = 0.0,
+    start: Annotated[float, ui.option("S", "With a LOG: begin at this second of the trial.")] = 0.0,
     until: Annotated[
-        float | None, option("S", "With a LOG: end at this second of the trial.")
+        float | None, ui.option("S", "With a LOG: end at this second of the trial.")
     ] = None,
-    loop: Annotated[bool, option("", "With a LOG: at its end, start again.")] = True,
+    loop: Annotated[bool, ui.option("", "With a LOG: at its end, start again.")] = True,
     paused: Annotated[
         bool,
-        switch("--paused", "With a LOG: start paused, until the viewer or a key starts it."),
+        ui.switch("--paused", "With a LOG: start paused, until the viewer or a key starts it."),
     ] = False,
     port: ServerPort = PORT,
     browser: Browser = True,
@@ -82,7 +73,7 @@ def serve(
                 "leave out the options for playback, or give a LOG in place of the SPEC",
             )
         return run(what, serve=True, port=port)
-    require_positive(rate)
+    ui.require_positive(rate)
     from tetractl.core.clock import MonotonicClock
     from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import trial_of
@@ -96,7 +87,7 @@ def serve(
     contents = scan(path)
     recording = Recording(trial_of(contents))
     played = span(recording, start, until)
-    warn_of_damage(recording.log)
+    ui.warn_of_damage(recording.log)
     player = Player(recording, wall, played, rate=rate, loop=loop, paused=paused)
     served = ServedReplay(contents, player)
     server = LoopbackServer(port, layout=_layout_of([path]), live=served.viewers, viewer=viewer)
@@ -111,7 +102,7 @@ def serve(
         print(f"  its layout: {server.layout_url}", flush=True)
         if browser:
             webbrowser.open(shown)
-        if is_terminal():
+        if ui.is_terminal():
             from rich.console import Console
 
             from tetractl.view.terminal.replay_screen import play
@@ -124,7 +115,7 @@ def serve(
 
 
 def open_(
-    logs: Logs,
+    logs: ui.Logs,
     port: ServerPort = 0,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
@@ -146,7 +137,7 @@ def open_(
 
     found = find_logs(logs)
     html, unread = report(logs, None, lambda done, total: None)
-    tell(*(f"warning: {problem}" for problem in unread))
+    ui.tell(*(f"warning: {problem}" for problem in unread))
     named = {f"{i}-{path.name}": path for i, path in enumerate(found)}
     server = LoopbackServer(port, html.encode(), _layout_of(found), named)
     in_viewer = _answers(viewer)  # imported first: Ctrl-C during an import would be lost
@@ -182,14 +173,14 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
 
     viewers = Viewers(name)
     with LoopbackServer(port, live=viewers) as server:
-        tell(f"served at {server.live_url}")
+        ui.tell(f"served at {server.live_url}")
         yield [ServedRun(viewers, MonotonicClock())]
 
 
 def _print_forwarding(server: "LoopbackServer") -> None:
     """Print how to end a server, and how to reach it from another machine."""
-    tell("Ctrl-C ends the server; over ssh, forward the port:")
-    tell(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST")
+    ui.tell("Ctrl-C ends the server; over ssh, forward the port:")
+    ui.tell(f"  ssh -L {server.port}:127.0.0.1:{server.port} HOST")
 
 
 def _link(viewer: str, kind: str, address: str) -> str:

@@ -6,18 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from tetractl.cli.options import (
-    AsJson,
-    Sets,
-    Strict,
-    argument,
-    load,
-    option,
-    output,
-    switch,
-    tell,
-    warn,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError, printable
 
 if TYPE_CHECKING:
@@ -76,15 +65,15 @@ def example_files(name: str) -> dict[str, str]:
 def init(
     name: Annotated[
         str | None,
-        argument("[NAME]", "Name of the experiment and of the file to write.  \\[experiment]"),
+        ui.argument("[NAME]", "Name of the experiment and of the file to write.  \\[experiment]"),
     ] = None,
-    lab: Annotated[bool, switch("--lab", "Add a lab of m3pi robots to the spec.")] = False,
+    lab: Annotated[bool, ui.switch("--lab", "Add a lab of m3pi robots to the spec.")] = False,
     cells: Annotated[
-        bool, switch("--cells", "Write a spec of two cells, in um, in place of robots.")
+        bool, ui.switch("--cells", "Write a spec of two cells, in um, in place of robots.")
     ] = False,
     example: Annotated[
         str | None,
-        option(
+        ui.option(
             "NAME",
             "Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.",
         ),
@@ -121,7 +110,7 @@ def init(
         )
     kind = "cells" if cells else "lab" if lab else "robots"
     _write(path, template(path.stem, path.name, kind), "give another NAME")
-    tell(f"run it with: tetractl run {path}")
+    ui.tell(f"run it with: tetractl run {path}")
     return Exit.DONE
 
 
@@ -164,13 +153,13 @@ def template(name: str, file: str, kind: str) -> str:
 
 
 def validate(
-    specs: Annotated[list[Path], argument("SPEC", "Spec files to check.")],
+    specs: Annotated[list[Path], ui.argument("SPEC", "Spec files to check.")],
     sets: Annotated[
         list[str] | None,
-        option("PATH=VALUE", "Replace a value of every spec before the check.", "--set"),
+        ui.option("PATH=VALUE", "Replace a value of every spec before the check.", "--set"),
     ] = None,
-    strict: Strict = False,
-    as_json: AsJson = False,
+    strict: ui.Strict = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Check specs and report every problem at its line.
 
@@ -197,11 +186,11 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
 
     shown = printable(str(path))
     try:
-        loaded = load(path, sets)
+        loaded = ui.load(path, sets)
     except InvalidSpecError as error:
         problems = [asdict(problem) for problem in error.problems]
         return {"path": shown, "ok": False, "problems": problems}, error.lines()
-    experiment, warnings = loaded.experiment, warn(loaded, sets)
+    experiment, warnings = loaded.experiment, ui.warn(loaded, sets)
     summary = {
         "name": experiment.name,
         "robots": len(experiment.robots),
@@ -220,12 +209,12 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
 def warm(
     specs: Annotated[
         list[Path] | None,
-        argument(
+        ui.argument(
             "[SPEC|STUDY]...",
             "Specs and studies to compile for.  \\[the specs that `tetractl init` writes]",
         ),
     ] = None,
-    sets: Sets = None,
+    sets: ui.Sets = None,
 ) -> int:
     """Compile the code that specs and studies need, with progress, so that their runs start at
     once.
@@ -252,7 +241,7 @@ def warm(
             for experiment in experiments:  # the first spec compiles most of the code
                 warm_up(experiment, lambda text: None)
         print(f"{kinds}: {perf_counter() - began_s:.1f} s", flush=True)
-    tell(f"kept in {cache_folder()}")
+    ui.tell(f"kept in {cache_folder()}")
     return Exit.DONE
 
 
@@ -271,13 +260,13 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
             arms = load_study(file).arms
             yield from {arm.controller: arm.spec.experiment for arm in arms}.values()
         else:
-            yield load(file, sets).experiment
+            yield ui.load(file, sets).experiment
 
 
 def schema(
-    out: Annotated[Path | None, output("FILE", "File to write the schema to.")] = None,
+    out: Annotated[Path | None, ui.output("FILE", "File to write the schema to.")] = None,
     study: Annotated[
-        bool, switch("--study", "Print the schema of a study in place of a spec's.")
+        bool, ui.switch("--study", "Print the schema of a study in place of a spec's.")
     ] = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.

@@ -4,16 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tetractl.cli.options import (
-    LikeFormatJson,
-    Sets,
-    argument,
-    load,
-    option,
-    output,
-    progress,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, printable
 
 if TYPE_CHECKING:
@@ -28,25 +19,27 @@ Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 def stats(
     paths: Annotated[
         list[str],
-        argument(
+        ui.argument(
             "PATH",
             "Logs, folders or globs: one batch. Several folders, or one of several folders such as "
             "a study, are several batches.",
         ),
     ],
     form: Annotated[
-        Format, option("table|json|csv|markdown|latex|html", "Output format.", "--format")
+        Format, ui.option("table|json|csv|markdown|latex|html", "Output format.", "--format")
     ] = "table",
-    as_json: LikeFormatJson = False,
+    as_json: ui.LikeFormatJson = False,
     against: Annotated[
         list[str] | None,
-        option(
+        ui.option(
             "PATH",
             "Log, folder or quoted glob of a baseline batch: the others are compared with this "
             "batch only; may be repeated.",
         ),
     ] = None,
-    plot: Annotated[Path | None, option("FILE", PICTURE.format("a figure of the batches"))] = None,
+    plot: Annotated[
+        Path | None, ui.option("FILE", PICTURE.format("a figure of the batches"))
+    ] = None,
 ) -> int:
     """Print statistics of batches: errors with intervals, the published result, comparisons.
 
@@ -101,12 +94,12 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
 
     groups = []
     for source in listed:
-        with progress("Reading logs") as on_log:
+        with ui.progress("Reading logs") as on_log:
             batch = source.read(on_log)
         for trial in batch.trials:
             if trial.recovered:
-                tell(f"damaged: {trial.path}: read as far as possible")
-        tell(*(f"damaged: {log.path}: {log.problem}" for log in batch.lost))
+                ui.tell(f"damaged: {trial.path}: read as far as possible")
+        ui.tell(*(f"damaged: {log.path}: {log.problem}" for log in batch.lost))
         if not batch.trials and not batch.attempts:
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
         groups.append(describe(batch, source.name))
@@ -121,20 +114,20 @@ def _draw(found: "GroupComparison", file: Path) -> None:
 
     few = len(found.groups) <= 2
     save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
-    tell(f"wrote {file}")
+    ui.tell(f"wrote {file}")
 
 
 def analyze(
-    spec: Annotated[Path, argument("SPEC", "Spec file of the experiment to analyse.")],
-    sets: Sets = None,
+    spec: Annotated[Path, ui.argument("SPEC", "Spec file of the experiment to analyse.")],
+    sets: ui.Sets = None,
     plans: Annotated[
-        int, option("N", "Number of plans to search for each result.", min=1, max=1000)
+        int, ui.option("N", "Number of plans to search for each result.", min=1, max=1000)
     ] = 5,
     form: Annotated[
-        Literal["text", "json"], option("text|json", "Output format.", "--format")
+        Literal["text", "json"], ui.option("text|json", "Output format.", "--format")
     ] = "text",
-    as_json: LikeFormatJson = False,
-    out: Annotated[Path | None, output("FILE", PICTURE.format("the figure to draw"))] = None,
+    as_json: ui.LikeFormatJson = False,
+    out: Annotated[Path | None, ui.output("FILE", PICTURE.format("the figure to draw"))] = None,
 ) -> int:
     """Predict how well the robots of a spec can be steered together; no trial is run.
 
@@ -157,8 +150,8 @@ def analyze(
         from tetractl.view.style import file_format
 
         file_format(out)  # checked before the search, which takes some seconds
-    experiment = load(spec, sets).experiment
-    with progress("Planning") as planned:
+    experiment = ui.load(spec, sets).experiment
+    with ui.progress("Planning") as planned:
         found = found_of(experiment, plans, planned)
     if as_json or form == "json":
         print(json_text(items(found)))
@@ -170,5 +163,5 @@ def analyze(
         from tetractl.view.style import save
 
         save(analysis_figure(found), out)
-        tell(f"wrote {out}")
+        ui.tell(f"wrote {out}")
     return Exit.DONE

@@ -4,14 +4,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tetractl.cli.options import (
-    announce_compiling,
-    argument,
-    option,
-    output,
-    switch,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, TetractlError, UsageError
 
 if TYPE_CHECKING:
@@ -26,55 +19,59 @@ STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\
 
 
 def study(
-    file: Annotated[Path, argument("STUDY", "The study, a YAML file.")],
+    file: Annotated[Path, ui.argument("STUDY", "The study, a YAML file.")],
     folders: Annotated[
-        list[Path] | None, argument("[DIR]...", "With --merge: folders of the study's shares.")
+        list[Path] | None, ui.argument("[DIR]...", "With --merge: folders of the study's shares.")
     ] = None,
     out: Annotated[
-        Path | None, output("DIR", "Folder of the study.  \\[logs/<study name>]")
+        Path | None, ui.output("DIR", "Folder of the study.  \\[logs/<study name>]")
     ] = None,
     jobs: Annotated[
         int | None,
-        option(
+        ui.option(
             "N",
             "Number of trials run at a time, each in its own process.  \\[processors]",
             min=1,
         ),
     ] = None,
-    logs: Annotated[str, option("all|failed|sample:N|none", "Trials whose logs are kept.")] = "all",
+    logs: Annotated[
+        str, ui.option("all|failed|sample:N|none", "Trials whose logs are kept.")
+    ] = "all",
     fail_fast: Annotated[
-        bool, switch("--fail-fast", "Stop at the first trial that fails.")
+        bool, ui.switch("--fail-fast", "Stop at the first trial that fails.")
     ] = False,
     rerun_outdated: Annotated[
         bool,
-        switch(
+        ui.switch(
             "--rerun-outdated",
             "Run again the trials whose rows were written by another version of the code.",
         ),
     ] = False,
     shard: Annotated[
         str | None,
-        option("I/N", "Run only the I-th of N shares of the trials, in that share's own folder."),
+        ui.option(
+            "I/N", "Run only the I-th of N shares of the trials, in that share's own folder."
+        ),
     ] = None,
     merge: Annotated[
         bool,
-        switch("--merge", "Run nothing: merge the rows of the shares in the folders DIR."),
+        ui.switch("--merge", "Run nothing: merge the rows of the shares in the folders DIR."),
     ] = False,
     cluster: Annotated[
         str | None,
-        option("ADDRESS", "Run on the Dask cluster with the scheduler at this address."),
+        ui.option("ADDRESS", "Run on the Dask cluster with the scheduler at this address."),
     ] = None,
     trial: Annotated[
         str | None,
-        option(
+        ui.option(
             "ARM/N", "Run one trial again, write its log, and compare the log with the trial's row."
         ),
     ] = None,
     slurm: Annotated[
         int | None,
-        option("N", "Run nothing: print a Slurm job script that runs N shares.", min=1),
+        ui.option("N", "Run nothing: print a Slurm job script that runs N shares.", min=1),
     ] = None,
-    quiet: Annotated[bool, option("", "Print only failures.", "--quiet", "-q")] = False,
+    quiet: Annotated[bool, ui.option("", "Print only failures.", "--quiet", "-q")] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 
@@ -106,11 +103,11 @@ def study(
             print(repeat(loaded, store, trial))
             return Exit.DONE
         if merge:
-            tell(f"{store.merge(folders or [])} trials added to {folder}")
+            ui.tell(f"{store.merge(folders or [])} trials added to {folder}")
             return _conclude(loaded, store, share, "the same command without --merge")
         tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
-            tell(
+            ui.tell(
                 f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
                 f" {_listed(outdated)}; run them again with --rerun-outdated"
             )
@@ -146,14 +143,14 @@ def _run(
         named = {arm.controller: arm for arm in loaded.arms}
         for arm in named.values():
             with suppress(TetractlError):  # the failure is reported with its trial
-                warm_up(arm.spec.experiment, partial(announce_compiling, quiet))
+                warm_up(arm.spec.experiment, partial(ui.announce_compiling, quiet))
     available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
     leave_on_signals(Exit.INTERRUPTED)
     with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
         if not quiet:
             arms, count = len(loaded.arms), loaded.study.trials.count
-            tell(
+            ui.tell(
                 f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
                 f" {arms * count} to run, {executor.workers} at a time"
             )
@@ -185,11 +182,11 @@ def _conclude(
     wanted = sum(map(share.has, range(len(loaded.arms) * count)))
     lacking, aborted = wanted - len(rows), sum(not row.complete for row in rows)
     if aborted:
-        tell(f"{aborted} trials aborted")
+        ui.tell(f"{aborted} trials aborted")
     if lacking > 0:
-        tell(f"{lacking} of {wanted} trials are missing; continue with {how}")
+        ui.tell(f"{lacking} of {wanted} trials are missing; continue with {how}")
     if stopped:
-        tell("interrupted")
+        ui.tell("interrupted")
         return Exit.INTERRUPTED
     return Exit.FAILED if lacking > 0 or aborted else Exit.DONE
 

@@ -4,17 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-from tetractl.cli.options import (
-    AsJson,
-    argument,
-    option,
-    output,
-    progress,
-    refuse_existing,
-    show,
-    switch,
-    tell,
-)
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
 
 if TYPE_CHECKING:
@@ -24,17 +14,17 @@ if TYPE_CHECKING:
 
 
 def track(
-    film: Annotated[Path, argument("FILM", "A film, a TIFF stack or a folder of pictures.")],
+    film: Annotated[Path, ui.argument("FILM", "A film, a TIFF stack or a folder of pictures.")],
     field: Annotated[
         Path | None,
-        option(
+        ui.option(
             "CSV",
             "CSV file of the field's direction over time, with columns time_s and direction_rad.",
         ),
     ] = None,
     scale: Annotated[
         float | None,
-        option(
+        ui.option(
             "UM",
             "Micrometres per pixel; by default as the film states it, or else guessed from the "
             "cells' size.",
@@ -44,7 +34,7 @@ def track(
     ] = None,
     rate: Annotated[
         float | None,
-        option(
+        ui.option(
             "HZ",
             "Pictures per second, if the rate that the film states is wrong or missing.",
             min=0.1,
@@ -52,13 +42,13 @@ def track(
         ),
     ] = None,
     y_down: Annotated[
-        bool, switch("--y-down", "Directions in the --field file run clockwise.")
+        bool, ui.switch("--y-down", "Directions in the --field file run clockwise.")
     ] = False,
     out: Annotated[
         Path | None,
-        output("DIR", "Folder for the tables, a log and the film with the tracks drawn in."),
+        ui.output("DIR", "Folder for the tables, a log and the film with the tracks drawn in."),
     ] = None,
-    as_json: AsJson = False,
+    as_json: ui.AsJson = False,
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
 
@@ -75,24 +65,24 @@ def track(
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
-    refuse_existing(out, folder=True)
+    ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
     pictures = open_film(film, rate, scale)
-    tell(*(f"{film}: {remark}" for remark in pictures.remarks))
-    with progress("Following") as on_picture:
+    ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
+    with ui.progress("Following") as on_picture:
         found = follow(
             pictures, pictures.um_px, directions, lambda number: on_picture(number, None)
         )
-    with progress("Fitting"):
+    with ui.progress("Fitting"):
         cells = summarise(found, directions)
     if out is not None:
         _write(out, pictures, found, cells)
-    show(as_json, as_items(found, cells), [cell_table(found, cells)])
+    ui.show(as_json, as_items(found, cells), [cell_table(found, cells)])
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
     if not found.paths:
         read = found.pictures - found.damaged
-        tell(
+        ui.tell(
             f"{film}: no cell swims in this film: {read} pictures read, {found.seconds:.3g} s, "
             f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
         )

@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tetractl.cli.options import announce_compiling, require_confirmation, tell
+from tetractl.cli import ui
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def run_command(
         _describe(loaded, folder, lacking if only is None else [only])
         return Exit.DONE, folder
     if lab:
-        require_confirmation(options.yes)
+        ui.require_confirmation(options.yes)
     with (
         served_run(experiment.name, options.port) as served,
         store.opened(options.resume) as todo,
@@ -88,7 +88,7 @@ def drive(loaded: "LoadedSpec", folder: Path, trial: int, yes: bool) -> Path:
     check(loaded.experiment)
     lab, store = loaded.experiment.plant.real_time, LogStore(folder, loaded.experiment)
     if lab:
-        require_confirmation(yes)
+        ui.require_confirmation(yes)
     options = RunOptions(quiet=not lab, yes=yes)
     with store.opened(False), _stoppable(loaded, options) as interrupt:
         report = _run_trials(loaded, store, [trial], options, interrupt)
@@ -115,7 +115,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
 
     lab = loaded.experiment.plant.real_time
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
-    warm_up(loaded.experiment, partial(announce_compiling, options.quiet))
+    warm_up(loaded.experiment, partial(ui.announce_compiling, options.quiet))
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
     with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab):
@@ -218,7 +218,7 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
             _print_statistics(folder, json)
     except KeyboardInterrupt:
         first_signal_callback(b"")()
-        tell("the statistics were left out")
+        ui.tell("the statistics were left out")
     except (BrokenPipeError, SystemExit):  # rich raises SystemExit on a closed pipe
         pass
     except OSError as failed:
@@ -227,18 +227,18 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
         if not report.aborted:  # an aborted trial may leave no log, or one without poses
             raise
     for (_, trial), result in report.aborted.items():
-        tell(f"error: trial {trial + 1}: {result.reason}")
+        ui.tell(f"error: trial {trial + 1}: {result.reason}")
     left = f"; {lacking} trials were not run" if lacking else ""
-    tell(f"logs in {folder}{left}")
+    ui.tell(f"logs in {folder}{left}")
     if error:
         raise error
     if report.aborted:
         return Exit.FAILED
     if report.interrupted or (stopped and lacking):
-        tell(f"interrupted; continue with the same command and --out {folder} --resume")
+        ui.tell(f"interrupted; continue with the same command and --out {folder} --resume")
         return Exit.INTERRUPTED
     first = min((trial for _, trial in report.results), default=0)
-    tell(f"look at one with: tetractl replay {log_path(folder, first)}")
+    ui.tell(f"look at one with: tetractl replay {log_path(folder, first)}")
     if unprinted:
         raise unprinted
     return Exit.DONE

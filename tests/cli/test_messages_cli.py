@@ -4,7 +4,6 @@ import re
 
 import pytest
 from support.cli import tetractl
-from support.running import QUICK
 from support.studies import SMALL, write
 
 from tetractl.cli.ui import announce_compiling
@@ -18,8 +17,6 @@ def folder(tmp_path_factory):
     run = ("study", "study.yaml", "--out", "out", "--jobs", 1, "-q")
     assert tetractl(place, *run).returncode == 0
     (place / "noise.mcap").write_bytes(b"no log")
-    huge = "\nreference: {source: x, n: 20, mean: 600, std: 1.0e+308}\n"
-    (place / "huge.yaml").write_text(QUICK + huge)
     return place
 
 

@@ -11,19 +11,8 @@ from tetractl.core.errors import TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result
 from tetractl.run.executors import Executor
+from tetractl.run.store import TrialFolder
 from tetractl.run.task import Finished, OtherCodeError, Task
-
-
-class TrialStore(Protocol):
-    """Stores logs and records of trials: the `LogStore` of a batch or the `Store` of a study."""
-
-    def place(self, arm: str, trial: int) -> Path:
-        """Rename logs of earlier attempts of a trial; return the folder for its log."""
-        ...
-
-    def add(self, task: Task, finished: Finished) -> None:
-        """Store the record of a finished trial; if the log is the record, do nothing."""
-        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +112,7 @@ class Report:
 
 def run_batch(
     tasks: Sequence[Task],
-    store: TrialStore,
+    store: TrialFolder,
     executor: Executor,
     observer: RunObserver,
     fail_fast: bool = False,

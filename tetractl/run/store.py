@@ -115,11 +115,33 @@ def made_and_locked(folder: Path) -> Iterator[None]:
         yield
 
 
-class LogStore:
+class TrialFolder:
+    """The folder of a run: of a batch (`LogStore`) or of a study with its rows (`Store`)."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def arm_folder(self, arm: str) -> Path:
+        """Return the folder for the logs of an arm; a batch has one arm, without a name."""
+        return self.folder
+
+    def place(self, arm: str, trial: int) -> Path:
+        """Rename logs of earlier attempts of a trial, as `set_aside` does; return the folder for
+        its log."""
+        folder = self.arm_folder(arm)
+        set_aside(folder, trial)
+        return folder
+
+    def add(self, task: Task, finished: Finished) -> None:
+        """Store the record of a finished trial; in a batch, the log is the record."""
+
+
+class LogStore(TrialFolder):
     """The folder of a batch; its logs are the only record of the trials that were run."""
 
     def __init__(self, folder: Path, experiment: Experiment) -> None:
-        self.folder, self._experiment = folder, experiment
+        super().__init__(folder)
+        self._experiment = experiment
 
     @contextmanager
     def opened(self, resume: bool) -> Iterator[list[int]]:
@@ -167,14 +189,6 @@ class LogStore:
                 "resume with the spec and seed of this log",
             )
         return found.outcome.complete and not found.recovered
-
-    def place(self, arm: str, trial: int) -> Path:
-        """Rename unfinished logs of the trial, as `set_aside` does; return the folder."""
-        set_aside(self.folder, trial)
-        return self.folder
-
-    def add(self, task: Task, finished: Finished) -> None:
-        """Do nothing: the log is the record."""
 
 
 def set_aside(folder: Path, trial: int) -> None:

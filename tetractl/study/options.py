@@ -148,7 +148,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     LogError if the digests differ; the log is then set aside as an attempt.
     """
     arm, row = _found(loaded, store, which)
-    path = log_path(store.arm_folder(arm), row.trial)
+    path = log_path(store.arm_folder(arm.name), row.trial)
     if row.logged and path.exists():
         raise UsageError(
             f"{path}: the trial has a log already", f"check it with: tetractl verify {path}"

@@ -12,12 +12,12 @@ from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format.channels import TEXT
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.rows import SPEC, Row, check_rows, read_rows
-from tetractl.run.store import made_and_locked, make_folder, set_aside
+from tetractl.run.store import TrialFolder, made_and_locked, make_folder
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
 
 
-class Store:
+class Store(TrialFolder):
     """The rows of a study by arm and trial; each is written to disk as soon as it is added.
 
     A row is one line. An incomplete line, left by a killed process, is dropped when the folder is
@@ -25,7 +25,7 @@ class Store:
     """
 
     def __init__(self, folder: Path, arms: Sequence[Arm]) -> None:
-        self.folder = folder
+        super().__init__(folder)
         self.rows: dict[str, dict[int, Row]] = {arm.name: {} for arm in arms}
         self._arms = {arm.name: arm for arm in arms}
         self._placed: set[str] = set()  # names of arms whose folder already has the arm's spec
@@ -40,22 +40,16 @@ class Store:
             for arm in self._arms.values():
                 self.rows[arm.name] = rows_of(self.folder, arm, mend=True)
                 if self.rows[arm.name]:
-                    self.arm_folder(arm)
+                    self.arm_folder(arm.name)
             yield
 
-    def arm_folder(self, arm: Arm) -> Path:
+    def arm_folder(self, arm: str) -> Path:
         """Return the folder of an arm; if it is missing, create it with the arm's spec."""
-        folder = self.folder / arm.name
-        if arm.name not in self._placed:
+        folder = self.folder / arm
+        if arm not in self._placed:
             make_folder(folder)
-            save_whole(folder / SPEC, resolved_yaml(arm.spec.experiment).encode())
-            self._placed.add(arm.name)
-        return folder
-
-    def place(self, arm: str, trial: int) -> Path:
-        """Rename logs of earlier attempts of a trial; return the folder of its arm."""
-        folder = self.arm_folder(self._arms[arm])
-        set_aside(folder, trial)
+            save_whole(folder / SPEC, resolved_yaml(self._arms[arm].spec.experiment).encode())
+            self._placed.add(arm)
         return folder
 
     def add(self, task: Task, finished: Finished) -> None:
@@ -84,7 +78,7 @@ class Store:
     def add_row(self, arm: Arm, row: Row) -> None:
         """Add a row, in memory and on disk."""
         self.rows[arm.name][row.trial] = row
-        path = self.arm_folder(arm) / ROWS
+        path = self.arm_folder(arm.name) / ROWS
         try:
             with path.open("a", encoding="utf-8") as file:
                 file.write(row.line(arm.spec.experiment))

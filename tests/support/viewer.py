@@ -5,14 +5,15 @@ import socket
 import struct
 from base64 import b64decode
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from urllib.parse import urlsplit
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
-PROTOCOL = "foxglove.sdk.v1"
+PROTOCOL = Subprotocol("foxglove.sdk.v1")
 MESSAGE, TIME, STATE = 1, 2, 5  # what a binary message from the server begins with
 CONTROL = 3  # and one to it
 STATES = ("playing", "paused", "buffering", "ended")
@@ -41,7 +42,7 @@ class Viewer:
     all: list = field(default_factory=list)
 
     def __enter__(self):
-        protocols = ["foxglove.websocket.v1", PROTOCOL]  # as Lichtblick offers
+        protocols = [Subprotocol("foxglove.websocket.v1"), PROTOCOL]  # as Lichtblick offers
         self._manager = connect(self.url, subprotocols=protocols, close_timeout=0.1)
         self.socket = self._manager.__enter__()
         self.info = json.loads(self.socket.recv(timeout=PATIENCE_S))
@@ -65,7 +66,7 @@ class Viewer:
         head = struct.pack("<BBfBQI", CONTROL, not playing, rate, *seek, len(name))
         self.socket.send(head + name)
 
-    def until(self, condition):
+    def until(self, condition) -> Any:
         """Read on until `condition` holds for something that came, and return that."""
         while True:
             got = self._next()
@@ -73,7 +74,7 @@ class Viewer:
             if condition(got):
                 return got
 
-    def seen(self, condition):
+    def seen(self, condition) -> Any:
         """The same of what came already: states overtake messages, which wait in another queue."""
         return next((got for got in self.all if condition(got)), None) or self.until(condition)
 
@@ -95,7 +96,7 @@ class Viewer:
         """The bytes of a topic's schema."""
         return b64decode(self.channels[topic]["schema"])
 
-    def decode(self, topic, data):
+    def decode(self, topic, data) -> Any:
         """Decode bytes by the schema that the server sent, and no other."""
         channel = self.channels[topic]
         pool = descriptor_pool.DescriptorPool()

@@ -12,7 +12,6 @@ from tetractl.core.protocols import LabSupervision
 from tetractl.experiment.choice import Choice, FoundCell
 from tetractl.lab.rig import Rig
 
-LOOK_NS = SECOND // 20
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
 STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
 
@@ -51,7 +50,7 @@ def turn_field(
     walled: set[int] = set()
     began, before = rig.clock.now(), rig.frames.count
     while rig.clock.now() - began < choice.seconds * SECOND:
-        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+        rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
         walled |= {cell.number for cell in rig.tracker.found_cells() if not cell.free}
         on_look()
         if supervision.emergency.is_set():

@@ -14,13 +14,8 @@ from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
 
-POLL_S = 1.0
 FRAMES_CHECKED = 60  # number of camera frames that are checked
-LOOK_NS = SECOND // 100
-PLACES_NS = SECOND // 5  # interval between checks of the robots' positions
-GRACE_S = 1.0  # least time to wait for a robot, since frames are missing occasionally
 NOT_POLLED = RobotStatus(None)
-SILENCE_S = 0.5  # a camera's silence that ends the wait, unless the spec allows a longer one
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +84,7 @@ class Preflight:
 
 def inspect(rig: Rig) -> Preflight:
     """Check some camera frames, both devices and the robots' answers, without moving a robot."""
-    statuses = rig.actuator.poll(POLL_S)
+    statuses = rig.actuator.poll(1.0)
     outdated = rig.guard.outdated
     seen = _watch(rig)
     outdated = rig.guard.outdated - outdated
@@ -161,7 +156,7 @@ def _watch(rig: Rig) -> list[CameraFrame]:
     silence = round(rig.limits.stream_lost * SECOND)
     count = first
     while count - first < FRAMES_CHECKED and clock.now() - began < SECOND:
-        clock.sleep_until(clock.now() + LOOK_NS)
+        clock.sleep_until(clock.now() + SECOND // 100)
         before, count = count, frames.count
         if count > before:
             heard = clock.now()
@@ -187,7 +182,8 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
     problems and each robot's distance from its start; KeyboardInterrupt if the operator gives up.
     """
     prompt, clock = supervision.prompt, rig.clock
-    limit_ns = round(max(rig.limits.placing, GRACE_S) * SECOND)
+    # frames are missing occasionally, so a robot has at least 1 s
+    limit_ns = round(max(rig.limits.placing, 1.0) * SECOND)
     began = clock.now()
     while True:
         findings: Preflight | None = None
@@ -213,10 +209,10 @@ def wait_until_ready(rig: Rig, supervision: LabSupervision) -> Preflight:
                 "find the cause with `tetractl lab check`; with a larger limits.placing the run "
                 "waits longer for robots to be placed",
             )
-        clock.sleep_until(clock.now() + PLACES_NS)
+        clock.sleep_until(clock.now() + SECOND // 5)
 
 
 def _check_stream(rig: Rig) -> None:
     silent_ns = rig.silent_ns()
-    if silent_ns > max(rig.limits.stream_lost, SILENCE_S) * SECOND:
+    if silent_ns > max(rig.limits.stream_lost, 0.5) * SECOND:
         raise AbortError(rig.guard.no_frame(silent_ns))

@@ -12,8 +12,6 @@ STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots
 REST_NS = SECOND // 4  # time for which the camera must see robots stand still
 WATCHED = 0.6  # fraction of REST_NS that the frames of each robot must span
 TURNING = 0.3  # a robot that turns more slowly stands still [rad/s]
-LOOK_NS = SECOND // 20
-ROLLING_NS = SECOND // 2  # time after which robots that still move are stopped again
 
 
 def moving_robots(rig: Rig) -> list[str]:
@@ -41,9 +39,9 @@ def wait_for_rest(rig: Rig) -> str:
             return ""
         if waited >= STANDSTILL_S * SECOND:
             return f"{STANDSTILL_S:g} s after the stop: {'; '.join(lines)}"
-        if halts and lines and waited >= ROLLING_NS:
+        if halts and lines and waited >= 2 * REST_NS:
             rig.loop.stop()
-        rig.clock.sleep_until(rig.clock.now() + LOOK_NS)
+        rig.clock.sleep_until(rig.clock.now() + SECOND // 20)
 
 
 def _stream_lost(rig: Rig) -> list[str]:

@@ -15,7 +15,6 @@ from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 
 ANYWHERE = 1e9  # distance from a start that allows any pose [mm, rad]
-FIRST_S = 0.5  # time to wait for the first frame after the robots were replaced
 
 
 class Rig:
@@ -83,7 +82,7 @@ class Rig:
         self.guard = Guard(guard_rules(setup, self.limits, self.actuator.individual))
         self.loop.restart(self.guard)
         self.frames = self.loop.frames
-        wait_for(self.clock, lambda: self.frames.count > 0, FIRST_S)
+        wait_for(self.clock, lambda: self.frames.count > 0, 0.5)
 
     def start_anywhere(self) -> None:
         """Make the robots' present poses their starts."""

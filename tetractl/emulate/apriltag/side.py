@@ -111,7 +111,6 @@ MODULE_PX = 16  # side of a tag's module in its texture [px]
 CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
 FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
 SUB_EXPOSURES = 6
-STILL_PX = 0.05
 SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 
 Shades = NDArray[np.float32]
@@ -147,7 +146,7 @@ class Renderer:
             if robot.tag in self.hidden:
                 continue
             corners = [self.card(robot, each, i) for each in poses]
-            still = np.ptp(corners, axis=0).max() < STILL_PX
+            still = np.ptp(corners, axis=0).max() < 0.05
             self._stamp(canvas, texture(robot.tag), corners[:1] if still else corners)
         for stray in self.strays:
             self._lay(canvas, stray)

@@ -39,9 +39,7 @@ from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
 MODELS_CHANGED, EDIT_MODE = 2, 4
-DATAGRAMS_A_TURN = 100
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
-CLIENT_TIMEOUT_NS = 5 * SECOND
 
 
 class TrueBody(Model):
@@ -202,7 +200,7 @@ class Motive:
 
     def readable(self, catch_up: Callable[[], None] = lambda: None) -> None:
         """Answer the messages at the command port; `catch_up` advances the timeline before each."""
-        for _ in range(DATAGRAMS_A_TURN):
+        for _ in range(100):
             try:
                 asked, sender = self.command.recvfrom(65_535)
             except BlockingIOError:
@@ -266,7 +264,7 @@ class Motive:
         if self.multicast:
             yield (self.section.group, self.data_port), self.own_version
         for address, client in list(self.clients.items()):
-            if now_ns - client.heard_ns > CLIENT_TIMEOUT_NS:
+            if now_ns - client.heard_ns > 5 * SECOND:
                 del self.clients[address]
                 self.timed_out += 1
             else:

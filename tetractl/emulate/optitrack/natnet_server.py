@@ -39,7 +39,6 @@ from tetractl.lab.cameras.optitrack.wire import (
 
 BITSTREAM = Struct("<?4B")  # from 4.x clients: subscribed only, the requested version
 GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
-MEAN_ERROR_M = 0.0002  # mean marker error of a tracked body
 
 
 def parse_request(received: bytes) -> ClientMessage:
@@ -98,7 +97,7 @@ def section(parts: Sequence[bytes], version: Version) -> bytes:
 
 def packed_body(body: RigidBody) -> bytes:
     """Pack a rigid body."""
-    error = MEAN_ERROR_M if body.tracking_valid else 0.0
+    error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
     where = *body.position, *body.quaternion
     return packed("i7ffH", body.id, *where, error, body.tracking_valid)
 

@@ -148,7 +148,8 @@ class EmulatedLab:
         self.injector.happened("client")
 
     def _fault(self, phase: str, fault: Fault) -> None:
-        robot, mark = (getattr(fault, key, None) for key in ("robot", "name"))
+        own = dict(fault)
+        robot, mark = own.get("robot"), own.get("name")
         facts = {"name": fault.fault, "phase": phase, "robot": robot, "mark": mark}
         self._note("fault", **facts)
         self._record.flush()
@@ -222,7 +223,8 @@ class EmulatedLab:
 def _check_names(script: Script, setup: Setup) -> None:
     """Raise SpecError if a script names a robot that is not in the spec."""
     own = script.emulation
-    lists = [own.robots, *(getattr(side, "robots", ()) for side in (own.camera, own.actuator))]
+    sides = [dict(side) for side in (own.camera, own.actuator) if side is not None]
+    lists = [own.robots, *(side.get("robots", ()) for side in sides)]
     names = [robot.name for robots in lists for robot in robots]
     names += [name for fault in script.faults for name in fault.names()]
     for name in names:

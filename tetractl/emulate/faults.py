@@ -49,9 +49,8 @@ class Fault(Model):
 
     def names(self) -> Iterator[str]:
         """Yield the names of robots in the fault's fields."""
-        for key in ("robot", "other"):
-            if (name := getattr(self, key, None)) is not None:
-                yield name
+        own = dict(self)
+        yield from (own[key] for key in ("robot", "other") if own.get(key) is not None)
 
 
 def setting(target: object, **values: object) -> Undo:

@@ -32,7 +32,9 @@ def _chosen_fault(value: Any, info: ValidationInfo) -> Fault:
 
 def _settings(value: Any, info: ValidationInfo) -> Model:
     """Return the settings of the device that the field is named after: camera or actuator."""
-    return getattr(_sides(info), str(info.field_name)).Settings.model_validate(value, strict=True)
+    sides = _sides(info)
+    side = sides.camera if info.field_name == "camera" else sides.actuator
+    return side.Settings.model_validate(value, strict=True)
 
 
 class Placed(Model):

@@ -6,6 +6,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -156,9 +157,7 @@ def video_film(path: Path) -> FilmSource:
 
 def nd2_film(path: Path) -> FilmSource:
     """Open an ND2 file, whose frames have the times that the microscope noted."""
-    from nd2 import ND2File  # type: ignore[import-not-found]
-
-    file: Any = ND2File(path)
+    file: Any = import_module("nd2").ND2File(path)
     sizes = file.sizes
     check_size(path.name, sizes["X"], sizes["Y"])
 

@@ -5,6 +5,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+from unittest import mock
 
 import pytest
 from support.cli import tetractl
@@ -181,6 +182,7 @@ def test_it_is_one_line_with_a_hint_and_changes_nothing(folder, code, row):
 DISH = ROOT / "experiments" / "tetrahymena_dish.yaml"
 MISSING = """
 import sys
+from unittest import mock
 sys.modules[sys.argv.pop(1)] = None  # as if it were not installed
 from tetractl.cli.app import run_app
 sys.exit(run_app())
@@ -208,3 +210,10 @@ def test_a_missing_extra_is_named_in_one_line(folder, module, words, extra):
     assert f"pip install 'tetractl[{extra}]'" in hint
     assert done.returncode in (1, 2)
     assert "Traceback" not in done.stderr
+
+
+def test_an_error_of_the_disk_is_one_line_and_a_failure(tmp_path):
+    full = OSError(28, "No space left on device", "logs")
+    with mock.patch("tetractl.cli.app.app", side_effect=full):
+        done = tetractl(tmp_path, "kinds")
+    assert (done.returncode, done.stderr) == (1, "error: logs: No space left on device\n")

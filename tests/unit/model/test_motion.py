@@ -134,17 +134,3 @@ def test_every_motion_keeps_to_its_speed_and_turns_towards_u(heading, u, a, v, t
         assert (turned - heading) * phi >= 0, name
         if name == "exact":  # it never turns past u
             assert abs(turned - heading) <= abs(phi) + 1e-12
-
-
-@pytest.mark.parametrize("motion", MOTIONS.values(), ids=MOTIONS)
-def test_turn_and_strides_are_step_bit_for_bit(motion):
-    rng = np.random.default_rng(3)
-    x, y, heading, u = rng.uniform(-9, 9, (4, 40, 3))
-    a, v, t = rng.uniform(0, 9, (3, 3))
-    stepped = motion.step(x, y, heading, u, a + 0.1, v, t)
-    assert np.array_equal(motion.headings(heading, u, a + 0.1, t), stepped[2])
-    east, north, turned = motion.strides(heading, u, a + 0.1, v, t)
-    for start, terms, end in zip((x, y, heading), (east, north, (turned,)), stepped, strict=True):
-        for term in terms:
-            start = start + term
-        assert np.array_equal(start, end)

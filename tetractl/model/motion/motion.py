@@ -134,9 +134,3 @@ class Motion:
     lanes: Callable[[Floats, float], type[Lanes]]
     turn: TurnFunction | None = None
     strides: StridesFunction | None = None
-
-    def headings(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-        """Return the headings [rad] of `step` after a time t [s]."""
-        if self.turn is not None:
-            return self.turn(heading, u, a, t)
-        return self.step(_NOWHERE, _NOWHERE, heading, u, a, _NOWHERE, t)[2]

@@ -5,7 +5,8 @@ from mcap.records import Attachment, Metadata
 from support.random_trials import trial, write
 
 from tetractl.log import provenance
-from tetractl.log.format.channels import HOST_RECORDS, Entry
+from tetractl.log.format.channels import HOST_RECORDS, RESULT, Entry
+from tetractl.log.format.digest import ContentDigest
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import scan
 
@@ -55,3 +56,22 @@ def test_the_digest_tells_trials_apart(tmp_path, changed):
     one = write(trial(), tmp_path / "one.mcap")
     two = write(trial(**changed), tmp_path / "two.mcap")
     assert content_digest(one) != content_digest(two)
+
+
+def test_every_part_of_a_record_counts():
+    entry = Entry("/step", 1, 2, b"x")
+    records = {"entry": entry, "facts": {"a": "1"}, "data": b"x"}
+    others = (
+        *({"entry": entry._replace(**{name: new})} for name, new in
+          (("topic", "/stop"), ("log_ns", 3), ("publish_ns", 3), ("data", b"y"))),
+        {"facts": {"a": "2"}}, {"facts": {"b": "1"}}, {"data": b"y"},
+    )  # fmt: skip
+
+    def digest(entry, facts, data):
+        made = ContentDigest()
+        made.message(entry)
+        made.metadata(RESULT, facts)
+        made.attachment("spec.yaml", "application/yaml", data)
+        return made.hexdigest()
+
+    assert len({digest(**records | other) for other in ({}, *others)}) == 8

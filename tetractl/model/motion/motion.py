@@ -8,8 +8,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
-import numpy as np
-
 from tetractl.core.poses import Floats
 
 Time = float | Floats
@@ -19,8 +17,6 @@ Strides = tuple[tuple[Floats, ...], tuple[Floats, ...], Floats]
 Derivatives = tuple[float, float, float, float, float, float, float, float]
 """dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
 d(heading')/dheading = 1 - d(heading')/du."""
-
-_NOWHERE = np.zeros(())
 
 
 @dataclass(slots=True)

@@ -101,7 +101,7 @@ kinds --check json:dumps | json:dumps: there is no check for this kind
 kinds --check tetractl.model.shapes.circle:Circle | Circle: center: is missing
 kinds --check tetractl.experiment.controller:Square | Square: there is no check for this kind
 lab stop | give either a SPEC or --port
-lab stop --port x --mode loud | --mode
+lab stop --port x --baud 7 | --baud
 lab check spec.yaml | has no lab
 lab calibrate lab.yaml | robots would move
 lab calibrate lab.yaml --robot pink --yes | has no such robot

@@ -11,7 +11,6 @@ import numpy as np
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.audit import audit
 
-SLAVES = ("wheels.watchdog=null", *(f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)))
 UNEVEN = """
 emulation:
   camera: {version: '4.3'}
@@ -37,23 +36,17 @@ RUNS = {
         ),
         None,
     ),
-    "version asked for, plain API frames at 38400": (
+    "version asked for, 38400 baud": (
         "emulation: {camera: {version: '4.2'}}",
-        ("lab.camera.version='3.1'", "lab.actuator.mode=api1", "lab.actuator.baud=38400"),
+        ("lab.camera.version='3.1'", "lab.actuator.baud=38400"),
         None,
     ),
-    "transparent radio, uneven robots": (
+    "uneven robots": (
         UNEVEN,
         (
-            "lab.actuator.mode=transparent",
             "lab.actuator.robots.1.swap=true",
             "lab.limits.wheel_error=0.4",  # the spec knows of no dead zone: a quarter of the speed
         ),
-        None,
-    ),
-    "serial slaves": (
-        "",
-        ("lab.actuator.protocol={type: slave, accept_no_watchdog: true}", *SLAVES),
         None,
     ),
 }

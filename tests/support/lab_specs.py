@@ -17,7 +17,7 @@ lab:
   actuator:
     type: m3pi-xbee
     port: nowhere
-    robots: [{name: green, index: 0, address: 1}, {name: blue, index: 1, address: 2}]
+    robots: [{name: green, index: 0}, {name: blue, index: 1}]
 """
 FIELD = """
   actuator:

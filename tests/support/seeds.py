@@ -8,9 +8,8 @@ from support.paths import ROOT
 
 from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.plants import Calibration, calibration_yaml
-from tetractl.lab.actuators.m3pi import broadcast, slave
+from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.xbee import frames as xbee
-from tetractl.lab.actuators.xbee.frames import encode
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     EchoResponse,
     ModelDef,
@@ -64,15 +63,12 @@ def serial_bytes() -> list[bytes]:
     )
     reply = broadcast.encode_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
     received = [
-        xbee.Receive16(0x1234, 0x5E, 1, reply),
-        xbee.AtResponse(1, b"BD", 0, b"\x06"),
-        xbee.TransmitStatus(1, 0),
-        xbee.Transmit16(0, 0xFFFF, 0, command),
+        b"\x81\x12\x34\x5e\1" + reply,
+        xbee.at_response(1, b"BD", b"\x06"),
+        b"\x89\1\0",
+        xbee.BROADCAST + command,
     ]
-    both = [b"".join(encode(f, escaped) for f in received) for escaped in (False, True)]
-    wheels = slave.encode_wheels(64, -127) + slave.SIGNATURE_REQUEST + slave.BATTERY_REQUEST
-    heads = (b"\0\x3f", b"\1\7", b"\0\x20", b"\0\1")
-    return [a + b for a, b in zip(heads, (*both, command + reply, wheels), strict=True)]
+    return [b"\x3f" + b"".join(map(xbee.encode, received)), b"\x20" + command + reply]
 
 
 def logs() -> list[bytes]:

@@ -21,14 +21,13 @@ from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
 from tetractl.core.poses import CameraFrame
-from tetractl.emulate.m3pi.robot import SlaveProgram
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab import cobs
-from tetractl.lab.actuators.m3pi import broadcast, slave
-from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, encode
+from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, answered, encode, received
 from tetractl.lab.cameras.optitrack.natnet_messages import (
     Bare,
     Connect,
@@ -154,22 +153,20 @@ def natnet(data: bytes) -> None:
 
 
 def serial(data: bytes) -> None:
-    """One byte for the mode, one for where reads are cut, then what comes from the port."""
-    mode, cut, stuff = data[:1] or b"\0", (data[1:2] or b"\1")[0] % 64 + 1, data[2:]
-    decoder, splitter, program = (Decoder(bool(mode[0] & 1)), cobs.Splitter(), SlaveProgram())
+    """One byte for where reads are cut, then what comes from the port."""
+    cut, stuff = (data[:1] or b"\1")[0] % 64 + 1, data[1:]
+    decoder, splitter = Decoder(), cobs.Splitter()
     for start, stop in pairwise([*range(0, len(stuff), cut), len(stuff)]):
         piece = stuff[start:stop]
-        for frame in decoder.feed(piece):
-            assert Decoder(False).feed(encode(frame, False)) == [frame]
-        assert len(decoder._buffer) <= 2 * (CONTENT_MAX + 3) + 1
+        for content in decoder.feed(piece):
+            assert Decoder().feed(encode(content)) == [content]
+            received(content), answered(content)
+        assert len(decoder._raw) <= 2 * (CONTENT_MAX + 3) + 1
         for frame in splitter.feed(piece):
             for decode in (broadcast.decode_reply, broadcast.decode_command):
                 with only(WireError):
                     decode(frame)
         assert len(splitter._buffer) <= cobs.FRAME_MAX + 1
-        program.hear(piece, 0, 0)
-        with only(WireError):
-            assert 0 <= slave.decode_battery(piece) <= 65535
     assert decoder.dropped_bytes <= len(stuff)
 
 

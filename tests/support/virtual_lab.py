@@ -40,7 +40,7 @@ HOST_CLOCKS = (
     "tetractl.core.clock",
     "tetractl.experiment.lab_section",
     "tetractl.lab.actuators.m3pi.calibrate",
-    "tetractl.lab.actuators.m3pi.stop_sequence",
+    "tetractl.lab.actuators.m3pi.broadcast",
     "tetractl.plant.lab_plant",
 )
 

@@ -72,17 +72,12 @@ def stop(
         str | None, ui.option("PORT", "Serial port of an m3pi radio, in place of a spec.")
     ] = None,
     baud: Annotated[int, ui.option("N", "With --port: baud rate.")] = 57600,
-    mode: Annotated[
-        str, ui.option("MODE", "With --port: mode of the radio, api2, api1 or transparent.")
-    ] = "api2",
 ) -> int:
     """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
 
-    m3pi robots with the mbed firmware stay stopped until they are switched off; those with the
-    3pi's serial-slave program are stopped at every address of the spec, or by a broadcast with
-    --port. No camera is needed. A run that uses the port is ended: stops are sent on the same port,
-    the run gets two requests to end, then it is killed. Exits with 1 if another program keeps the
-    port.
+    m3pi robots stay stopped until they are switched off. No camera is needed. A run that uses the
+    port is ended: stops are sent on the same port, the run gets two requests to end, then it is
+    killed. Exits with 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
     """
@@ -94,9 +89,9 @@ def stop(
         lab, experiment = _lab(spec, sets)
         stop_all = partial(lab.actuator.stop_all, experiment.setup)
     else:
-        from tetractl.lab.actuators.m3pi import stop_sequence as m3pi
+        from tetractl.lab.actuators.m3pi import broadcast as m3pi
 
-        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud, mode))
+        stop_all = partial(m3pi.stop_all, _xbee(port or "", baud))
     try:
         typer.echo(stop_all())
     except PortHeldError as held:
@@ -208,14 +203,14 @@ def _lab(spec: Path, sets: list[str] | None) -> "tuple[LabSection, Experiment]":
     return lab_of(experiment, loaded.name), experiment
 
 
-def _xbee(port: str, baud: int, mode: str) -> "XbeeSection":
+def _xbee(port: str, baud: int) -> "XbeeSection":
     from pydantic import ValidationError
 
     from tetractl.experiment.yaml.explain import words
     from tetractl.lab.actuators.xbee.hardware import XbeeSection
 
     try:
-        return XbeeSection.model_validate({"port": port, "baud": baud, "mode": mode})
+        return XbeeSection.model_validate({"port": port, "baud": baud})
     except ValidationError as error:
         details = error.errors()[0]
         message = words(details, details["input"])

@@ -44,7 +44,7 @@ def state(lab):
     if hasattr(actuator, "radio"):
         parts += [
             actuator.radio.loss,
-            *({**vars(r), "program": 0, "robots": 0} for r in actuator.robots),
+            *({**vars(r), "core": 0, "robots": 0} for r in actuator.robots),
         ]
     else:
         driver = actuator.driver

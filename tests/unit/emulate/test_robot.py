@@ -8,21 +8,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.wheels import train
 
-from tetractl.emulate.m3pi.robot import (
-    EmulatedRobot,
-    EmulatedRobots,
-    FirmwareProgram,
-    SlaveProgram,
-)
+from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
-from tetractl.lab.actuators.m3pi.slave import encode_wheels
 
 MS = 1_000_000
 LAG = 0.04
 
 
-def robot(boot):
-    one = EmulatedRobot("green", boot)
+def robot():
+    one = EmulatedRobot("green", 0)
     EmulatedRobots([one], train((5.0, 5.0), (4, 4)), np.array([40.0]), np.array([LAG]))
     one.place(100.0, 200.0, 0.3)
     return one
@@ -39,9 +33,10 @@ def covered(speed, seconds):
 
 @given(st.integers(-127, 127), st.integers(-127, 127), st.integers(1, 2000))
 def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
-    one = robot(SlaveProgram)
-    one.hear(encode_wheels(left, right))
-    one.robots.advance(millis * MS)
+    one = robot()
+    for k in range(-(-millis // 200)):  # the watchdog ends after 250 ms
+        one.hear(frame(k + 1, (left, right)))
+        one.robots.advance(min(200 * (k + 1), millis) * MS)
     speeds = [math.copysign(5.0 * max(0, abs(count) - 4), count) for count in (left, right)]
     ways = [covered(speed, millis / 1000) for speed in speeds]
     assert one.heading == pytest.approx(0.3 + (ways[1] - ways[0]) / 80.0, abs=2e-3)
@@ -52,14 +47,11 @@ def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
     assert one.y == pytest.approx(200 + chord * math.sin(0.3 + half), abs=0.2)
 
 
-def test_a_slave_drives_on_in_silence_and_firmware_stops():
-    slave, firmware = robot(SlaveProgram), robot(lambda: FirmwareProgram(0))
-    slave.hear(encode_wheels(40, 40))
-    firmware.hear(frame(1, (40, 40)))
-    for one in (slave, firmware):
-        one.robots.advance(200 * MS)
-        assert one.wheels[0] == pytest.approx(180 * -math.expm1(-0.2 / LAG), rel=1e-6)
-        one.robots.advance(3000 * MS)
-    assert slave.wheels[0] == pytest.approx(180.0)
-    assert firmware.standing
-    assert firmware.x < 100 + 180 * 0.3
+def test_a_robot_stops_by_its_watchdog():
+    one = robot()
+    one.hear(frame(1, (40, 40)))
+    one.robots.advance(200 * MS)
+    assert one.wheels[0] == pytest.approx(180 * -math.expm1(-0.2 / LAG), rel=1e-6)
+    one.robots.advance(3000 * MS)
+    assert one.standing
+    assert one.x < 100 + 180 * 0.3

@@ -13,7 +13,6 @@ EXPERIMENTS = ROOT / "experiments"
 SPEC = EXPERIMENTS / "three_m3pi_lab.yaml"
 
 
-SLAVE = "lab.actuator.protocol={type: slave, accept_no_watchdog: true}"
 MEASURED = """
 measured: 2026-01-01T00:00:00Z
 camera: {robots: [{name: blue, heading_offset: 0.25}]}
@@ -101,17 +100,6 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
         (["lab.camera.type=kinect"], "lab.camera.type: must be one of optitrack"),
         (["lab.actuator.type=m3pi"], "did you mean 'm3pi-xbee'?"),
         (["lab.type=sim"], "lab.type: must be one of lab"),
-        (["lab.actuator.protocol.type=slave"], "protocol.accept_no_watchdog: is missing"),
-        ([SLAVE], "lab.actuator.protocol: serial slaves do not stop without commands"),
-        ([SLAVE], "lab.actuator.robots.1.address: is missing; the slave protocol addresses"),
-        (
-            ["lab.actuator.protocol={type: slave, accept_no_watchdog: false}"],
-            "lab.actuator.protocol.accept_no_watchdog: must be one of True",
-        ),
-        (
-            [SLAVE, "lab.actuator.mode=transparent"],
-            "lab.actuator.mode: transparent: cannot send to a single robot",
-        ),
         (
             ["lab.actuator.robots.0.limit=9", "lab.actuator.robots.0.left.dead_zone=9"],
             "must be below the limit of 9",

@@ -3,7 +3,6 @@
 import itertools
 import math
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import TetractlError
-from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots, FirmwareProgram
+from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plant import Wheels
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
@@ -59,9 +58,7 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     commands, samples = driven(simulated, DIRECTIONS * 3, SECOND // 25)
     simulated.clock.sleep_until(3 * SECOND)
     samples += simulated.samples()
-    robots = [
-        EmulatedRobot(robot.name, partial(FirmwareProgram, i)) for i, robot in enumerate(ROBOTS)
-    ]
+    robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
     true = simulated._drive.host._true
     fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
     for robot, given in zip(robots, ROBOTS, strict=True):

@@ -8,10 +8,8 @@ SPEC = ROOT / "experiments" / "three_m3pi_lab.yaml"
 
 
 def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
-    slave = ["lab.actuator.protocol={type: slave, accept_no_watchdog: true, limit: 20}"]
-    slave += [f"lab.actuator.robots.{i}.address={i + 1}" for i in range(3)]
-    slave += ["wheels.watchdog=null"]
-    found = limits(on_plant(load_spec(SPEC, slave), "lab").experiment)
+    slow = [f"lab.actuator.robots.{i}.limit=20" for i in range(3)]
+    found = limits(on_plant(load_spec(SPEC, slow), "lab").experiment)
     assert found["cameras"] == "192.168.1.10:1510, multicast"
     assert found["radio"] == "/dev/ttyUSB0, 40 commands per second"
     assert found["wheel counts"] == "at most 20 of 127"

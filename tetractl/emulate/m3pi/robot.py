@@ -1,97 +1,22 @@
-"""Emulated robots: wheels that move by `model.wheels`, battery, and a program that reads the radio.
+"""Emulated robots: the firmware's core, which reads the radio, a battery, and wheels that move by
+`model.wheels`.
 
 Lengths are millimetres.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Poses
 from tetractl.emulate.firmware import RobotCore
-from tetractl.lab.actuators.m3pi.slave import BATTERY_REQUEST, M1, M2, SIGNATURE_REQUEST
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
-SIGNATURE = b"3pi1.1"
-
-
-class Program(Protocol):
-    """The program that runs on the robot."""
-
-    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
-        """Take bytes from the radio."""
-        ...
-
-    def counts(self, now_ms: int) -> Counts:
-        """Return the motors' present counts, in the order M1, M2."""
-        ...
-
-    def answer(self, now_ms: int) -> bytes:
-        """Return the bytes that the robot sends now, b"" if none."""
-        ...
-
-
-class FirmwareProgram(RobotCore):
-    """The mbed firmware's core; it replies to a poll in the robot's time slot."""
-
-    counts, answer = RobotCore.wheels, RobotCore.take_reply
-
-    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
-        """Pass the bytes to the core."""
-        self.set_battery(battery_mv)
-        self.push(data, now_ms)
-
-
-_MOTORS = {M1: (0, 1), M1 + 1: (0, -1), M2: (1, 1), M2 + 1: (1, -1)}  # motor, sign of the count
-
-
-class SlaveProgram:
-    """The 3pi's serial-slave program. It has no watchdog: without commands the robot drives on.
-
-    Bytes may come in chunks that end anywhere. `obeyed` is the number of commands to a motor;
-    `ignored` counts data bytes without a command, commands without their data byte, and unknown
-    commands.
-    """
-
-    def __init__(self) -> None:
-        self.obeyed = self.ignored = 0
-        self._counts = [0, 0]
-        self._answer = b""
-        # motor and sign of a command whose data byte has not arrived
-        self._pending: tuple[int, int] | None = None
-
-    def hear(self, data: bytes, now_ms: int, battery_mv: int) -> None:
-        """Execute each command that the bytes complete."""
-        for byte in data:
-            if byte < 0x80 and self._pending is not None:
-                motor, sign = self._pending
-                self._counts[motor] = sign * byte
-                self._pending, self.obeyed = None, self.obeyed + 1
-                continue
-            self.ignored += self._pending is not None or byte < 0x80
-            self._pending = _MOTORS.get(byte)
-            if byte == SIGNATURE_REQUEST[0]:
-                self._counts = [0, 0]
-                self._answer += SIGNATURE
-            elif byte == BATTERY_REQUEST[0]:
-                self._answer += battery_mv.to_bytes(2, "little")
-            elif byte >= 0x80 and self._pending is None:
-                self.ignored += 1
-
-    def counts(self, now_ms: int) -> Counts:
-        """Return the counts commanded last, which never expire."""
-        return self._counts[0], self._counts[1]
-
-    def answer(self, now_ms: int) -> bytes:
-        """Return the answers to the requests since the last call, without delay."""
-        answer, self._answer = self._answer, b""
-        return answer
 
 
 @dataclass(slots=True)
@@ -114,17 +39,16 @@ class EmulatedBattery:
 class EmulatedRobot:
     """One robot, in a row of `EmulatedRobots`, which moves it.
 
-    `boot` starts the robot's program when the robot is switched on. Faults set `powered`, `stuck`
-    (left and right wheel) and `veer`, counts that replace any counts other than 0.
+    `index` is the number in broadcasts that was built into its firmware. Faults set `powered`,
+    `stuck` (left and right wheel) and `veer`, counts that replace any counts other than 0.
     """
 
     robots: "EmulatedRobots"
     row: int
 
-    def __init__(
-        self, name: str, boot: Callable[[], Program], battery: EmulatedBattery | None = None
-    ) -> None:
-        self.name, self.boot, self.program = name, boot, boot()
+    def __init__(self, name: str, index: int, battery: EmulatedBattery | None = None) -> None:
+        self.name, self.core = name, RobotCore(index)
+        self.index = index
         self.battery = battery or EmulatedBattery()
         self.powered, self.stuck = True, (False, False)
         self.veer: Counts | None = None
@@ -168,24 +92,25 @@ class EmulatedRobot:
     def hear(self, data: bytes) -> None:
         """Take bytes from the robot's radio module."""
         if self.powered:
-            self.program.hear(data, self.robots.now_ms, self.battery_mv)
+            self.core.set_battery(self.battery_mv)
+            self.core.push(data, self.robots.now_ms)
 
     def answer(self) -> bytes:
         """Return the bytes that the robot now sends to its radio module."""
-        return self.program.answer(self.robots.now_ms) if self.powered else b""
+        return self.core.take_reply(self.robots.now_ms) if self.powered else b""
 
     def counts(self) -> Counts:
         """Return the present counts of both motors."""
         if not self.powered:
             return 0, 0
-        counts = self.program.counts(self.robots.now_ms)
+        counts = self.core.wheels(self.robots.now_ms)
         return self.veer if self.veer is not None and any(counts) else counts
 
     def switch(self, on: bool) -> None:
-        """Switch the robot on or off; switching it on restarts its program."""
+        """Switch the robot on or off; switching it on restarts its firmware."""
         self.powered = on
         if on:
-            self.program = self.boot()
+            self.core = RobotCore(self.index)
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""
@@ -217,7 +142,7 @@ class EmulatedRobots(WheeledRobots):
 
     @property
     def now_ms(self) -> int:
-        """The time of the robots' programs [ms]."""
+        """The time of the robots' firmware [ms]."""
         return self._now_ns // 1_000_000
 
     def advance(self, until_ns: int) -> None:

@@ -1,7 +1,6 @@
 """The emulated actuator of type `m3pi-xbee`: its settings and faults, a radio, and robots."""
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
@@ -9,80 +8,17 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.errors import WireError
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
+from tetractl.emulate.firmware import RobotCore
 from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
-from tetractl.emulate.m3pi.robot import (
-    EmulatedBattery,
-    EmulatedRobot,
-    EmulatedRobots,
-    FirmwareProgram,
-    Program,
-    SlaveProgram,
-)
+from tetractl.emulate.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
 from tetractl.emulate.port import PluggedDevice
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Model, Name, Positive
 from tetractl.lab.actuators.m3pi.actuator import drivetrains, radius_mm
-from tetractl.lab.actuators.m3pi.broadcast import decode_command
 from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
-from tetractl.lab.actuators.xbee.frames import Decoder, Transmit16
-from tetractl.lab.cobs import Splitter
-
-Note = Callable[..., None]
-
-
-class CommandLog:
-    """Records each command as it is read from the port.
-
-    `mode` is the XBee parameter AP; `slave` is whether the robots run the serial-slave program. A
-    broadcast is recorded with `sequence`, `flags` and the `wheels` of all robots, a command to one
-    robot with the robot's `address` and `wheels`.
-    """
-
-    def __init__(self, mode: int, slave: bool, note: Note) -> None:
-        self._note = note
-        self._slave = slave
-        self._api = Decoder(escaped=mode == 2) if mode else None
-        self._splitters: dict[int, Splitter] = {}
-        self._slaves: dict[int, SlaveProgram] = {}
-
-    def read(self, data: bytes) -> None:
-        """Take bytes read from the port, and record the commands that they complete."""
-        if self._api is None:
-            self._payload(0xFFFF, data)
-            return
-        for frame in self._api.feed(data):
-            if isinstance(frame, Transmit16):
-                self._payload(frame.destination, frame.data)
-
-    def _payload(self, address: int, data: bytes) -> None:
-        if self._slave:
-            self._slave_bytes(address, data)
-            return
-        for sealed in self._splitters.setdefault(address, Splitter()).feed(data):
-            try:
-                command = decode_command(sealed)
-            except WireError:
-                self._note("garbage", hex=sealed.hex())
-                continue
-            self._note(
-                "command",
-                sequence=command.sequence,
-                flags=int(command.flags),
-                wheels=command.wheels,
-            )
-
-    def _slave_bytes(self, address: int, data: bytes) -> None:
-        program = self._slaves.setdefault(address, SlaveProgram())
-        before = program.obeyed
-        program.hear(data, 0, 0)
-        if program.obeyed > before:
-            self._note("command", address=address, wheels=[program.counts(0)])
-
 
 Count = Annotated[int, Field(ge=-127, le=127)]
-MODES = {"transparent": 0, "api1": 1, "api2": 2}
 SERIES_1, SERIES_2 = (0x1744, 0x10EC), (0x1944, 0x21A7)  # HV, VR: 802.15.4, Zigbee
 
 
@@ -112,20 +48,12 @@ class M3piSettings(Model):
     """The firmware of the radio's module."""
     hardware: int | None = Field(default=None, ge=0, le=0xFFFF)
     """The module's hardware version (HV); by default a Series 1, or a Series 2 with zigbee."""
-    explicit: bool = False
-    """Whether the module reports received data in frames of type 0x91 (AO=1)."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] | None = None
     """The module's baud rate; the spec's by default."""
-    mode: Literal["api2", "api1", "transparent"] | None = None
-    """The module's mode; the spec's by default."""
     loss: Share = 0.0
     """Probability that a robot does not receive a transmission."""
     robots: tuple[TrueRobot, ...] = ()
     """The robots whose true properties differ from the spec."""
-
-
-def _boots(fault: Any) -> Callable[[], Program]:
-    return partial(FirmwareProgram, fault.id)
 
 
 def _robot_of(device: Any, fault: Any) -> EmulatedRobot:
@@ -166,7 +94,7 @@ FAULTS = (
     fault(
         "wrong_id",
         "A robot's firmware was built with this broadcast number.",
-        settings(_robot_of, boot=_boots, program=lambda f: _boots(f)()),
+        settings(_robot_of, index=attrgetter("id"), core=lambda f: RobotCore(f.id)),
         robot=Name,
         id=Annotated[int, Field(ge=0, le=31)],
     ),
@@ -194,20 +122,22 @@ class EmulatedM3pi(PluggedDevice):
         assert isinstance(section, M3piSection), "the actuator's section has the type m3pi-xbee"
         truths = {truth.name: truth for truth in settings.robots}
         trues = [truths.get(name) or TrueRobot(name=name) for name in stage.setup.names]
-        self.robots = [_robot(section, true) for true in trues]
+        self.robots = [
+            EmulatedRobot(
+                true.name, section.index(true.name), EmulatedBattery(float(true.battery_mv))
+            )
+            for true in trues
+        ]
         self._wheels = _wheels(stage, section, trues, self.robots)
         self.port = stage.wires.port(stage.options.link or Path(section.port))
-        module = _module(section, settings)
         self.radio = self.wired = EmulatedRadio(
             stage.timeline,
             self.port,
-            module,
+            _module(section, settings),
             self.robots,
-            [_address(section, name) for name in stage.setup.names],
             settings.loss,
             stage.options.seed,
-            CommandLog(module.mode, not section.protocol.watchdog, stage.note).read,
-            lambda robot, data: stage.note("heard", robot=robot.name, hex=data.hex()),
+            stage.note,
         )
 
     @property
@@ -243,13 +173,6 @@ class EmulatedM3pi(PluggedDevice):
         return next(robot for robot in self.robots if robot.name == name)
 
 
-def _robot(section: M3piSection, true: TrueRobot) -> EmulatedRobot:
-    boot: Callable[[], Program] = partial(FirmwareProgram, section.index(true.name))
-    if not section.protocol.watchdog:
-        boot = SlaveProgram
-    return EmulatedRobot(true.name, boot, EmulatedBattery(float(true.battery_mv)))
-
-
 def _wheels(
     stage: Stage,
     section: M3piSection,
@@ -269,19 +192,10 @@ def _wheels(
     ]
     radii = np.array([radius_mm(part, stage.setup) for part in parts])
     lags = np.array([true.lag for true in trues])
-    return EmulatedRobots(robots, drivetrains(section, parts), radii, lags, stage.timeline.now_ns)
+    return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)
 
 
 def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:
     hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
-    mode = MODES[settings.mode or section.mode]
     hardware = hardware if settings.hardware is None else settings.hardware
-    return ModuleSettings(
-        settings.baud or section.baud, mode, hardware, firmware, explicit=settings.explicit
-    )
-
-
-def _address(section: M3piSection, name: str) -> int:
-    """Return a robot's 16-bit radio address; by default its number in broadcasts plus 1."""
-    address = section.robot(name).address
-    return section.index(name) + 1 if address is None else address
+    return ModuleSettings(settings.baud or section.baud, hardware, firmware)

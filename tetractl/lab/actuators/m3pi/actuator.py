@@ -10,8 +10,8 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
+from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, Flag, Reply, Status
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
-from tetractl.lab.actuators.m3pi.serial_protocols import RobotAnswer, build_protocol
 from tetractl.lab.actuators.xbee.link import Link
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
@@ -34,10 +34,10 @@ class M3piActuator:
         self.robots = [section.robot(name) for name in setup.names]
         self.link = Link(section, clock, ports)
         self._clock = clock
-        self._protocol = build_protocol(section, setup.names, self.link, clock)
+        self._radio = Broadcaster(self.link, clock, [section.index(name) for name in setup.names])
         self._mm = setup.metres / MM  # millimetres per length unit of the spec
         radius = np.array([radius_mm(robot, setup) for robot in self.robots])
-        self.drivetrains = wheels = drivetrains(section, self.robots)
+        self.drivetrains = wheels = drivetrains(self.robots)
         self._host = WheelHost(setup.a, setup.speed * self._mm, radius, setup.lag_s, wheels)
 
     def __enter__(self) -> Self:
@@ -63,13 +63,8 @@ class M3piActuator:
         return self.link.failure
 
     def check(self) -> Health:
-        """Return the radio's problems and its questions to the operator, and a warning if the
-        robots have no watchdog.
-        """
-        warnings: tuple[str, ...] = ()
-        if not self.section.protocol.watchdog:
-            warnings = ("the robots have no watchdog: a robot that loses the radio drives on",)
-        return Health(self.link.problems(), warnings, questions=self.link.questions)
+        """Return the radio's questions to the operator."""
+        return Health(questions=self.link.questions)
 
     def send(
         self,
@@ -81,20 +76,18 @@ class M3piActuator:
         """Send each robot its wheel counts; robots not `moving` get 0."""
         wished = self.counts(action, poses, exposed_ns)
         counts = [pair if may else STOP for pair, may in zip(wished, moving, strict=True)]
-        return self._transmission(self._protocol.drive(counts), action, counts, tuple(moving))
+        return self._transmission(self._radio.drive(counts), action, counts, tuple(moving))
 
     def stop(self, emergency: bool = False) -> Transmission:
-        """Stop every robot; the mbed firmware latches an emergency stop until the robot is switched
-        off.
-        """
-        sent_ns = self._protocol.emergency() if emergency else self._protocol.stop()
+        """Stop every robot; it latches an emergency stop until it is switched off."""
+        sent_ns = self._radio.send(Flag.EMERGENCY_STOP if emergency else Flag(0))
         still = [STOP] * len(self.robots)
         return self._transmission(sent_ns, Stop(), still, (False,) * len(still))
 
     def poll(self, timeout_s: float) -> list[RobotStatus]:
         """Ask every robot for its battery voltage and state."""
-        answers = self._protocol.poll(timeout_s)
-        return [self._status(*pair) for pair in zip(self.names, answers, strict=True)]
+        replies = self._radio.poll(timeout_s)
+        return [self._status(*pair) for pair in zip(self.names, replies, strict=True)]
 
     def counts(
         self, action: Steer | Turn, poses: Sequence[Pose | None], exposed_ns: int
@@ -121,12 +114,12 @@ class M3piActuator:
         left, right = speeds / self._mm
         return Transmission(action, sent_ns, moving, speed / self._mm, turning, left, right)
 
-    def _status(self, name: str, answer: RobotAnswer | None) -> RobotStatus:
-        if answer is None:
-            line = f"{name} does not answer: is it on, and is its index or address right?"
+    def _status(self, name: str, reply: Reply | None) -> RobotStatus:
+        if reply is None:
+            line = f"{name} does not answer: is it on, and is its index right?"
             return RobotStatus(False, problems=(line,))
-        volts = answer.battery_mv / 1000 or None
-        if answer.emergency_stopped:
+        volts = reply.battery_mv / 1000 or None
+        if reply.status & Status.EMERGENCY_STOPPED:
             line = f"{name} is emergency-stopped: switch it off and on again"
             return RobotStatus(True, volts, (line,))
         if volts is not None and volts < BATTERY_REFUSED_V:
@@ -137,13 +130,13 @@ class M3piActuator:
         return RobotStatus(True, volts)
 
 
-def drivetrains(section: M3piSection, robots: Sequence[M3piRobot]) -> Drivetrains:
-    """Return robots' wheels, with lower count limits if their program has no watchdog."""
+def drivetrains(robots: Sequence[M3piRobot]) -> Drivetrains:
+    """Return robots' wheels."""
     sides = [[robot.left for robot in robots], [robot.right for robot in robots]]
     return Drivetrains(
         np.array([[-w.gain_mm if w.invert else w.gain_mm for w in side] for side in sides]),
         np.array([[wheel.dead_zone for wheel in side] for side in sides]),
-        np.array([section.limit(robot) for robot in robots]),
+        np.array([robot.limit for robot in robots]),
         np.array([robot.swap for robot in robots]),
     )
 

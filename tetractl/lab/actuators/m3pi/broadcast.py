@@ -7,15 +7,22 @@ robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, sta
 """
 
 import struct
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import astuple, dataclass
 from enum import IntFlag
 
+from tetractl.core.clock import SECOND, Clock, MonotonicClock
 from tetractl.core.errors import WireError
-from tetractl.lab.cobs import checked_payload, frame_with_crc, pack_fields, unpack_fields
-from tetractl.model.wheels import COUNT_MAX, Counts
+from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.cobs import Splitter, checked_payload, frame_with_crc, pack_fields, unpack_fields
+from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
+POLLS = 5  # most polls until each robot has replied, since frames may be lost
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 
@@ -107,3 +114,68 @@ def _flags(flags: int) -> Flag:
     if flags & ~7:
         raise WireError(f"unknown flags 0x{flags:02X}")
     return Flag(flags)
+
+
+class Broadcaster:
+    """Sends all robots one frame over a link; robot i has the number `indices[i]`."""
+
+    def __init__(self, link: Link, clock: Clock, indices: Sequence[int]) -> None:
+        self._link, self._clock = link, clock
+        self._indices = tuple(indices)
+        self._sequence = 0
+
+    def drive(self, counts: Sequence[Counts]) -> int:
+        """Send every robot its wheel counts in one frame; return the time of sending [ns]."""
+        wheels = [STOP] * (max(self._indices) + 1)
+        for index, pair in zip(self._indices, counts, strict=True):
+            wheels[index] = pair
+        return self.send(Flag.RUN, tuple(wheels))
+
+    def send(self, flags: Flag, wheels: tuple[Counts, ...] = ()) -> int:
+        """Send one frame with these flags, which stops all robots if RUN is not among them; return
+        the time of sending [ns].
+        """
+        self._sequence = (self._sequence + 1) % 256
+        return self._link.send(encode_command(BroadcastCommand(self._sequence, flags, wheels)))
+
+    def poll(self, timeout_s: float) -> list[Reply | None]:
+        """Poll all robots until each has replied, at most five times; a robot without a reply gives
+        None.
+        """
+        found: dict[int, Reply] = {}
+        wanted = set(self._indices)
+        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
+        deadline = self._clock.now() + round(timeout_s * SECOND)
+        for _ in range(POLLS):
+            splitter = Splitter()
+            self._link.fetch()
+            until = min(deadline, self.send(Flag.POLL) + slots + SECOND // 10)
+            while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
+                self._link.wait(left / SECOND)
+                for frame in splitter.feed(b"".join(self._link.fetch())):
+                    with suppress(WireError):
+                        reply = decode_reply(frame)
+                        found[reply.id] = reply
+            if wanted <= found.keys() or self._clock.now() >= deadline:
+                break
+        return [found.get(index) for index in self._indices]
+
+
+def stop_all(module: XbeeSection, alone: bool = True) -> str:
+    """Latch the emergency stop of every robot in radio range by ten frames within 200 ms; return a
+    summary.
+
+    The module is not checked, because sending through a wrong module is better than no stop. If not
+    `alone`, another process may have the port open.
+    """
+    clock = MonotonicClock()
+    link = Link(module, clock)
+    try:
+        link.open(checked=False, alone=alone)
+        robots = Broadcaster(link, clock, ())
+        for _ in range(STOPS):
+            robots.send(Flag.EMERGENCY_STOP)
+            clock.sleep_until(clock.now() + STOP_GAP_NS)
+    finally:
+        link.close()
+    return f"sent {STOPS} stops on {module.port}; switch the robots off and on to drive them again"

@@ -17,7 +17,7 @@ from tetractl.experiment.base import Model
 
 RIGHT = "802.15.4"
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD
-MODES = {0: "transparent", 1: "api1", 2: "api2"}  # mode by the value of AP
+ESCAPED_FRAMES = 2  # the value of AP for API frames with escapes
 OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 
 
@@ -28,10 +28,6 @@ class XbeeSection(Model):
     """The serial port, such as /dev/ttyUSB0."""
     baud: Literal[9600, 19200, 38400, 57600, 115200] = 57600
     """Bits per second on the port."""
-    mode: Literal["api2", "api1", "transparent"] = "api2"
-    """`api2`: escaped API frames (AP=2); `api1`: plain API frames (AP=1); `transparent`: bytes
-    without frames.
-    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +91,7 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 class AskedModule(Protocol):
     """The methods of a link that the check of a module needs."""
 
-    def ask(self, command: bytes, timeout_s: float = ...) -> bytes | None:
+    def ask(self, command: bytes) -> bytes | None:
         """Request a parameter of the module; return its value, None if it gives none in time."""
         ...
 
@@ -105,7 +101,7 @@ class AskedModule(Protocol):
 
 
 def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
-    """Raise AbortError unless an 802.15.4 module with the spec's mode and baud rate answers.
+    """Raise AbortError unless an 802.15.4 module with AP=2 and the spec's baud rate answers.
 
     Returns questions for the operator: one if the module's protocol is not known, otherwise none.
     """
@@ -136,11 +132,9 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
             f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's {radio.baud}",
             f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
         )
-    mode = MODES.get(_number(link.ask(b"AP")) or 0, "an unknown mode")
-    if mode != radio.mode:
+    if _number(link.ask(b"AP")) != ESCAPED_FRAMES:
         raise AbortError(
-            f"{radio.port}: the module is in {mode}, not the spec's {radio.mode}",
-            f"set lab.actuator.mode to {mode}, or AP in the module",
+            f"{radio.port}: the module is not in API mode with escapes", "set its AP to 2 with XCTU"
         )
     if radio.baud == 115_200 and family(hardware) is SERIES_1:
         raise AbortError(
@@ -168,7 +162,7 @@ def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
             )
     return AbortError(
         f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
-        "is the module in an API mode (AP=1 or 2)? is it an XBee, and does it have power?",
+        "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
     )
 
 

@@ -2,41 +2,16 @@
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.worker import drained
-from tetractl.lab.actuators.xbee import hardware
-from tetractl.lab.actuators.xbee.frames import (
-    BROADCAST_16,
-    EXPLICIT_RECEIVE,
-    AtCommand,
-    AtResponse,
-    Decoder,
-    Other,
-    Receive,
-    Receive16,
-    Receive64,
-    Transmit16,
-    TransmitStatus,
-    XbeeFrame,
-    encode,
-)
+from tetractl.lab.actuators.xbee import frames, hardware
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.serial_port import Ports, SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
-KEPT = 1024
+QUEUED = 1024
 HINT = "the robots stop by their watchdog; plug the module in and start again"
-
-
-@dataclass(frozen=True, slots=True)
-class Received:
-    """Bytes received at `t_ns` from the address `source`, which is None in transparent mode."""
-
-    source: int | None
-    t_ns: int
-    data: bytes
 
 
 class Link:
@@ -49,13 +24,10 @@ class Link:
 
     def __init__(self, radio: XbeeSection, clock: Clock, ports: Ports | None = None) -> None:
         self.radio = radio
-        self.undelivered = 0  # number of unicasts that no module acknowledged
-        self.explicit = 0  # number of frames of type 0x91, which are not read
         self.questions: tuple[str, ...] = ()
-        self.decoder = Decoder(escaped=radio.mode == "api2")
-        self._api = radio.mode != "transparent"
-        self._fresh: deque[Received] = deque(maxlen=KEPT)
-        self._answers: deque[AtResponse] = deque(maxlen=KEPT)
+        self._decoder = frames.Decoder()
+        self._fresh: deque[bytes] = deque(maxlen=QUEUED)
+        self._answers: deque[tuple[int, bytes, bytes | None]] = deque(maxlen=QUEUED)
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
@@ -67,56 +39,31 @@ class Link:
         return self._port.failure
 
     def open(self, checked: bool = True, alone: bool = True) -> None:
-        """Open the port, exclusively if `alone`; check the module if `checked`, in API modes
-        only.
-        """
+        """Open the port, exclusively if `alone`; check the module if `checked`."""
         self._port.open(alone)
-        if checked and self._api:
+        if checked:
             self.questions = hardware.check_module(self, self.radio)
 
-    def send(self, data: bytes, address: int = BROADCAST_16) -> int:
-        """Send data to the module with this address, or to all; return the time of writing [ns].
+    def send(self, data: bytes) -> int:
+        """Broadcast data to all modules; return the time of writing [ns]."""
+        return self._port.write(frames.encode(frames.BROADCAST + data))
 
-        In transparent mode `address` is ignored.
+    def ask(self, command: bytes) -> bytes | None:
+        """Request a parameter of the module, named by two letters; return its value, None if it
+        gives none within 0.3 s.
         """
-        if not self._api:
-            return self._port.write(data)
-        acknowledged = address != BROADCAST_16
-        frame = Transmit16(self._next_id() if acknowledged else 0, address, 0, data)
-        return self._port.write(self.packed(frame))
-
-    def packed(self, frame: XbeeFrame | Other) -> bytes:
-        """Pack a frame, escaped if the module's mode needs that."""
-        return encode(frame, escaped=self.radio.mode == "api2")
-
-    def ask(self, command: bytes, timeout_s: float = ANSWER_S) -> bytes | None:
-        """Request a parameter of the module; return its value, None if it gives none in time."""
-        wanted = self._next_id()
+        self._frame_id = self._frame_id % 255 + 1
         self._answers.clear()
-        self._port.write(self.packed(AtCommand(wanted, command)))
-
-        def answer() -> AtResponse | None:
-            asked = (wanted, command)
-            return next((a for a in self._answers if (a.frame_id, a.command) == asked), None)
-
-        self._wait(lambda: answer() is not None, timeout_s)
-        found = answer()
-        return found.data if found is not None and found.status == 0 else None
+        self._port.write(frames.encode(frames.at_command(self._frame_id, command)))
+        asked = self._frame_id, command
+        self._wait(lambda: any(answer[:2] == asked for answer in self._answers), ANSWER_S)
+        return next((answer[2] for answer in self._answers if answer[:2] == asked), None)
 
     def set_baud(self, baud: int) -> None:
         """Change the baud rate of this side of the port."""
         self._port.set_baud(baud)
 
-    def problems(self) -> tuple[str, ...]:
-        """Return one line of text for each reason why data from other modules could not be read."""
-        if not self.explicit:
-            return ()
-        return (
-            f"{self.radio.port}: the module reports received data in frames of type 0x91, which "
-            "are not read: set its AO to 0 or 2",
-        )
-
-    def fetch(self) -> list[Received]:
+    def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
         return drained(self._fresh)
 
@@ -131,28 +78,9 @@ class Link:
     def _wait(self, done: Callable[[], bool], timeout_s: float) -> None:
         wait_for(self._clock, lambda: done() or self.failure is not None, timeout_s)
 
-    def _next_id(self) -> int:
-        self._frame_id = self._frame_id % 255 + 1
-        return self._frame_id
-
     def _take(self, data: bytes, now: int) -> None:
-        if not self._api and data:
-            self._fresh.append(Received(None, now, data))
-        elif data:
-            for frame in self.decoder.feed(data):
-                self._sort(frame, now)
-
-    def _sort(self, frame: XbeeFrame | Other, now: int) -> None:
-        match frame:
-            case AtResponse():
-                self._answers.append(frame)
-            case Receive16(source, _, _, data) | Receive64(source, _, _, data):
-                self._fresh.append(Received(source, now, data))
-            case Receive(_, short, _, data):
-                self._fresh.append(Received(short, now, data))
-            case Other(api) if api == EXPLICIT_RECEIVE:
-                self.explicit += 1
-            case TransmitStatus(_, status) if status:
-                self.undelivered += 1
-            case _:
-                pass
+        for content in self._decoder.feed(data):
+            if (answer := frames.answered(content)) is not None:
+                self._answers.append(answer)
+            elif sent := frames.received(content):
+                self._fresh.append(sent)

@@ -10,6 +10,7 @@ import platform
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Callable, Mapping
 from dataclasses import astuple, dataclass
 from enum import IntEnum
 from functools import cache
@@ -43,6 +44,7 @@ FUNCTIONS = {  # functions of each core: type of the result, types of the argume
         "measured": (None, _P, _I16, _I16, _U16, _I16),
     },
 }
+Library = Mapping[str, Callable[..., Any]]  # the functions of a core by name
 FLAGS = ("-std=c99", "-O2", "-fPIC", "-shared")
 
 
@@ -62,8 +64,9 @@ def source_folder() -> Path:
 
 
 @cache
-def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
-    """Load the core `name`; compile it first if `folder` (default: the cache) does not contain it.
+def load(name: str, folder: Path | None = None) -> Library:
+    """Load the functions of the core `name`, by their names; compile it first if `folder` (default:
+    the cache) does not contain it.
 
     TetractlError if there is no compiler, no source, or the source does not compile.
     """
@@ -75,10 +78,10 @@ def load(name: str, folder: Path | None = None) -> ctypes.CDLL:
     if not path.is_file():
         _build(codes, path)
     library = ctypes.CDLL(str(path))
+    functions = {function: library[f"{name}_{function}"] for function in FUNCTIONS[name]}
     for function, (result, *arguments) in FUNCTIONS[name].items():
-        found = getattr(library, f"{name}_{function}")
-        found.restype, found.argtypes = result, arguments
-    return library
+        functions[function].restype, functions[function].argtypes = result, arguments
+    return functions
 
 
 def _build(codes: list[Path], path: Path) -> None:
@@ -116,26 +119,32 @@ class _Core:
     name: ClassVar[str]
     reply_size: ClassVar[int]
 
-    def __init__(self, library: ctypes.CDLL | None) -> None:
+    def __init__(self, library: Library | None) -> None:
         self._library = library or load(self.name)
-        self._core = ctypes.create_string_buffer(self._call("size"))
+        self._core = ctypes.create_string_buffer(self._library["size"]())
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """Read bytes from the radio or the serial line; return an event for each completed
         frame.
         """
-        push = getattr(self._library, f"{self.name}_push")
+        push = self._library["push"]
         events = [CoreEvent(push(self._core, byte, now_ms)) for byte in data]
         return [event for event in events if event is not CoreEvent.NOTHING]
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the reply that is due now, b"" if none is; each reply is returned once."""
         reply = ctypes.create_string_buffer(self.reply_size)
-        size = self._call("take_reply", self._core, now_ms, reply)
+        size = self._call("take_reply", now_ms, reply)
         return reply.raw[:size]
 
-    def _call(self, function: str, *arguments: Any) -> int:
-        return getattr(self._library, f"{self.name}_{function}")(*arguments)
+    def _call(self, function: str, *arguments: Any) -> Any:
+        return self._library[function](self._core, *arguments)
+
+    def _pair(self, function: str, kind: type[Any], now_ms: int) -> tuple[int, int]:
+        """Return the two numbers that a function of the core writes."""
+        one, two = kind(), kind()
+        self._call(function, now_ms, ctypes.byref(one), ctypes.byref(two))
+        return one.value, two.value
 
 
 class RobotCore(_Core):
@@ -143,23 +152,21 @@ class RobotCore(_Core):
 
     name, reply_size = "m3pi", 14
 
-    def __init__(self, index: int, library: ctypes.CDLL | None = None) -> None:
+    def __init__(self, index: int, library: Library | None = None) -> None:
         super().__init__(library)
-        self._call("init", self._core, index)
+        self._call("init", index)
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the present counts of both wheels, which the watchdog may have set to 0."""
-        left, right = ctypes.c_int8(), ctypes.c_int8()
-        self._call("wheels", self._core, now_ms, ctypes.byref(left), ctypes.byref(right))
-        return left.value, right.value
+        return self._pair("wheels", ctypes.c_int8, now_ms)
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now."""
-        return Status(self._call("status", self._core, now_ms))
+        return Status(self._call("status", now_ms))
 
     def set_battery(self, battery_mv: int) -> None:
         """Set the battery voltage that the core reports [mV]; 0 for unknown."""
-        self._call("set_battery", self._core, battery_mv)
+        self._call("set_battery", battery_mv)
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,16 +196,14 @@ class DriverCore(_Core):
     name, reply_size = "field", 28
 
     def __init__(
-        self, limits: DriverLimits, now_ms: int = 0, library: ctypes.CDLL | None = None
+        self, limits: DriverLimits, now_ms: int = 0, library: Library | None = None
     ) -> None:
         super().__init__(library)
-        self._call("init", self._core, ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
+        self._call("init", ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
         """Return the present set points of both currents [uA], as watchdog and slew limit allow."""
-        x, y = ctypes.c_int32(), ctypes.c_int32()
-        self._call("currents", self._core, now_ms, ctypes.byref(x), ctypes.byref(y))
-        return x.value, y.value
+        return self._pair("currents", ctypes.c_int32, now_ms)
 
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE
@@ -206,8 +211,8 @@ class DriverCore(_Core):
         """Set the driver's measured values; a temperature at the limit stops the driver until it is
         switched on again.
         """
-        self._call("measured", self._core, x_ma, y_ma, supply_mv, temperature_dc)
+        self._call("measured", x_ma, y_ma, supply_mv, temperature_dc)
 
     def status(self, now_ms: int) -> DriverStatus:
         """Return the status flags that a reply would have now."""
-        return DriverStatus(self._call("status", self._core, now_ms))
+        return DriverStatus(self._call("status", now_ms))

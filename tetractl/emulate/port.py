@@ -14,8 +14,15 @@ from tetractl.core.errors import UsageError
 from tetractl.emulate.loop import Loop, Timeline
 
 _BAUDS = {
-    getattr(termios, f"B{baud}"): baud for baud in (1200, 2400, 4800, 9600, 19200, 38400, 57600)
-} | {termios.B115200: 115200}
+    termios.B1200: 1200,
+    termios.B2400: 2400,
+    termios.B4800: 4800,
+    termios.B9600: 9600,
+    termios.B19200: 19200,
+    termios.B38400: 38400,
+    termios.B57600: 57600,
+    termios.B115200: 115200,
+}
 
 
 def uart_ns(size: int, baud: int) -> int:

@@ -147,11 +147,12 @@ def _put(fd: int, data: bytes) -> None:
 
 
 def _why(error: Exception) -> str:
-    return getattr(error, "strerror", None) or str(error) or type(error).__name__
+    system = error.strerror if isinstance(error, OSError) else None
+    return system or str(error) or type(error).__name__
 
 
 def _cannot_open(name: str, device: str, error: Exception) -> AbortError:
-    number = getattr(error, "errno", None)
+    number = error.errno if isinstance(error, OSError) else None
     text = str(error)
     if number == 11 or "exclusively lock" in text:
         return PortHeldError(name)

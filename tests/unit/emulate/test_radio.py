@@ -19,7 +19,7 @@ def opened(tmp_path):
         lab.__enter__()
         open_now.append(lab)
         port = serial.Serial(
-            str(lab.actuator.port.link), baud, timeout=0, write_timeout=0.02, exclusive=True
+            str(lab.actuator.port.link), baud, timeout=0, write_timeout=5, exclusive=True
         )
         open_now.append(port)
         return lab, port

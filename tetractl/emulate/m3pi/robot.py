@@ -17,6 +17,7 @@ from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
+FULL_LOAD_MM_S = 2000.0  # both wheels together
 
 
 @dataclass(slots=True)
@@ -77,7 +78,7 @@ class EmulatedRobot:
     @property
     def load(self) -> float:
         """The motors' load, from 0 to 1."""
-        return min(1.0, sum(map(abs, self.wheels)) / 2000.0)
+        return min(1.0, sum(map(abs, self.wheels)) / FULL_LOAD_MM_S)
 
     @property
     def standing(self) -> bool:
@@ -157,6 +158,7 @@ class EmulatedRobots(WheeledRobots):
                 self.wheels = np.where(stuck, 0.0, self.wheels)
             if self.targets.any() or self.wheels.any():
                 self.drive(np.array([step_ns / SECOND]))
-            for robot in self.robots:
-                robot.battery.draw(robot.load, step_ns / SECOND)
+            loads = np.minimum(np.abs(self.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
+            for robot, load in zip(self.robots, loads, strict=True):
+                robot.battery.draw(load, step_ns / SECOND)
             self._now_ns += step_ns

@@ -184,8 +184,8 @@ def _wheels(
         section.robot(true.name).model_copy(
             update={
                 name: value
-                for name in ("left", "right", "swap", "radius_mm")
-                if (value := getattr(true, name)) is not None
+                for name, value in true
+                if name in ("left", "right", "swap", "radius_mm") and value is not None
             }
         )
         for true in trues

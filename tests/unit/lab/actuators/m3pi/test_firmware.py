@@ -147,7 +147,7 @@ def test_the_core_is_built_once_and_found_again(tmp_path, monkeypatch):
     load("m3pi")
     (built,) = tmp_path.iterdir()
     monkeypatch.setattr(firmware, "compiler", lambda: None)
-    assert load("m3pi").m3pi_size() > 0
+    assert load("m3pi")["size"]() > 0
     assert list(tmp_path.iterdir()) == [built]
 
 

@@ -1,0 +1,170 @@
+"""The bytes between the host and its devices: COBS frames, and the frames of m3pi robots and of the
+current driver.
+"""
+
+import itertools
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from support.paths import ROOT
+
+from tetractl.core.errors import WireError
+from tetractl.lab import cobs
+from tetractl.lab.actuators.field import driver
+from tetractl.lab.actuators.field.driver import DriverStatus, FieldCommand, FieldFlag, FieldReply
+from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Flag, Reply, Status
+
+ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
+COILS = FieldCommand(7, FieldFlag.RUN | FieldFlag.POLL, 300, -250)
+DRIVER = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
+
+i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
+counts, flags = st.integers(-127, 127), st.integers(0, 7)
+pairs = st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
+robots = st.builds(BroadcastCommand, u8, flags.map(Flag), pairs)
+coils = st.builds(FieldCommand, u8, flags.map(FieldFlag), i16, i16)
+robot_replies = st.builds(Reply, u8, u8, flags.map(Status), u16, u16, u16)
+driver_replies = st.builds(
+    FieldReply,
+    u8,
+    st.integers(0, 31).map(DriverStatus),
+    *(u8, i16, i16, u16, i16, u16, u16, u16, st.integers(0, 2**32 - 1), u16),
+)
+CODECS = [
+    (broadcast.encode_command, broadcast.decode_command, robots),
+    (broadcast.encode_reply, broadcast.decode_reply, robot_replies),
+    (driver.encode_command, driver.decode_command, coils),
+    (driver.encode_reply, driver.decode_reply, driver_replies),
+]
+each = pytest.mark.parametrize(("encode", "decode", "messages"), CODECS)
+
+
+def test_crc_check_value():
+    assert cobs.crc16(b"123456789") == 0x29B1
+
+
+@pytest.mark.parametrize(
+    ("payload", "stuffed"),
+    [
+        ("", "01 00"),
+        ("00", "01 01 00"),
+        ("00 00", "01 01 01 00"),
+        ("11 22 00 33", "03 11 22 02 33 00"),
+        ("11 00 00 00", "02 11 01 01 01 00"),
+    ],
+)
+def test_stuffing_as_in_its_paper(payload, stuffed):
+    assert cobs.encode(bytes.fromhex(payload)) == bytes.fromhex(stuffed)
+
+
+@given(st.binary(max_size=600) | st.integers(250, 520).map(lambda size: b"x" * size))
+def test_stuffing_round_trips(payload):
+    frame = cobs.encode(payload)
+    assert frame.index(0) == len(frame) - 1
+    assert len(frame) <= len(payload) + 2 + len(payload) // 254
+    assert cobs.decode(frame[:-1]) == payload
+
+
+@pytest.mark.parametrize(
+    ("frame", "size"),
+    [
+        (broadcast.encode_command(ROBOTS), 14),
+        (driver.encode_command(COILS), 11),
+        (driver.encode_reply(DRIVER), 28),
+    ],
+)
+def test_the_documented_bytes_are_those_sent(frame, size):
+    page = (ROOT / "docs" / "reference" / "wires.md").read_text()
+    assert frame.hex(" ").upper() in " ".join(page.split())
+    assert len(frame) == size
+
+
+@each
+@given(data=st.data())
+def test_messages_round_trip_and_every_bit_error_is_detected(encode, decode, messages, data):
+    message = data.draw(messages)
+    frame = encode(message)
+    assert frame.index(0) == len(frame) - 1
+    assert decode(frame[:-1]) == message
+    for at, bit in itertools.product(range(len(frame) - 1), range(8)):
+        bad = bytearray(frame[:-1])
+        bad[at] ^= 1 << bit
+        with pytest.raises(WireError):
+            decode(bytes(bad))
+
+
+@each
+@given(
+    raw=st.binary(max_size=100)
+    | st.binary(min_size=1, max_size=78).map(lambda b: cobs.frame_with_crc(b)[:-1])
+)
+def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
+    try:
+        read = decode(raw)
+    except WireError:
+        return
+    assert decode(encode(read)[:-1]) == read
+
+
+@pytest.mark.parametrize(
+    ("encode", "message"),
+    [
+        (broadcast.encode_command, BroadcastCommand(256, Flag(0))),
+        (broadcast.encode_command, BroadcastCommand(-1, Flag(0))),
+        (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((-128, 0),))),
+        (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 128),))),
+        (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1))),
+        (broadcast.encode_reply, Reply(256, 0, Status(0), 0, 0, 0)),
+        (broadcast.encode_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
+        (driver.encode_command, FieldCommand(256, FieldFlag.RUN)),
+        (driver.encode_command, FieldCommand(-1, FieldFlag.RUN)),
+        (driver.encode_command, FieldCommand(0, FieldFlag.RUN, 32_768, 0)),
+        (driver.encode_command, FieldCommand(0, FieldFlag.RUN, 0, -32_769)),
+        (driver.encode_command, FieldCommand(0, FieldFlag(8))),
+        (cobs.frame_with_crc, bytes(cobs.FRAME_MAX)),
+    ],
+)
+def test_what_does_not_fit_is_not_encoded(encode, message):
+    with pytest.raises(WireError):
+        encode(message)
+
+
+@pytest.mark.parametrize(
+    ("decode", "payload"),
+    [
+        (broadcast.decode_command, "51 00 08 00"),  # an unknown flag
+        (broadcast.decode_command, "51 00 00 01 00"),  # too short for one robot
+        (broadcast.decode_command, "51 00 00 00 00"),
+        (broadcast.decode_command, "51 00 01 01 80 00"),  # -128
+        (broadcast.decode_command, "52 00 00 00"),
+        (broadcast.decode_command, "51 00"),
+        (broadcast.decode_reply, "51 01 04 00"),
+        (driver.decode_command, "53 01 08 00 00 00 00"),
+    ],
+)
+def test_bad_messages_with_a_good_crc_are_refused(decode, payload):
+    with pytest.raises(WireError):
+        decode(cobs.frame_with_crc(bytes.fromhex(payload))[:-1])
+
+
+def test_unknown_status_bits_of_a_driver_are_dropped():
+    raw = bytearray(cobs.decode(driver.encode_reply(DRIVER)[:-1])[:-2])
+    raw[2] |= 0xE0
+    assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
+
+
+@given(st.lists(robot_replies, max_size=6), st.lists(st.integers(0, 100), max_size=10), st.binary())
+def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
+    head = garbage.replace(b"\0", b"") + b"\0"
+    stream = head + b"".join(map(broadcast.encode_reply, sent))
+    splitter = cobs.Splitter()
+    edges = sorted({0, len(stream), *(cut % len(stream) for cut in cuts)})
+    frames = [
+        frame
+        for start, stop in itertools.pairwise(edges)
+        for frame in splitter.feed(stream[start:stop])
+    ]
+    found = [broadcast.decode_reply(frame) for frame in frames[len(frames) - len(sent) :]]
+    assert found == sent

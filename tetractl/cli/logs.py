@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -42,37 +42,43 @@ def info(
     return Exit.FAILED if found.damage else Exit.DONE
 
 
-def _lines(found: "Overview") -> "Iterator[str]":
+def _lines(found: "Overview") -> Iterator[str]:
     yield f"{found.path}: {found.size} bytes, {found.chunks} chunks"
-    yield from _section("run", found.run)
-    yield from _section("result", _result(found))
-    yield from _events(found)
-    yield from _section(f"estimate at step {found.estimate_step}", _estimate(found))
-    yield ""
-    yield "channels"
     wide = max((len(item.topic) for item in found.channels), default=0)
-    for item in found.channels:
-        rate = "" if item.hz is None else f"{item.hz:.1f} Hz"
-        yield f"  {item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
-    yield from _section("attachments", {k: f"{v} bytes" for k, v in found.attachments.items()})
-    yield from _section("host", found.host)
-    yield from _section("provenance", found.provenance)
-    yield from _section("content digest", _digest(found))
-    if found.trial_digest:
-        yield from _section("digest of the trial", {"computed": found.trial_digest})
+    rates = ["" if item.hz is None else f"{item.hz:.1f} Hz" for item in found.channels]
+    channels = (
+        f"{item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
+        for item, rate in zip(found.channels, rates, strict=True)
+    )
+    events = (f"{one.time_s:8.2f} s  {one.level:<7}  {one.text}" for one in found.events)
+    sizes = {name: f"{size} bytes" for name, size in found.attachments.items()}
+    computed = {"computed": found.trial_digest} if found.trial_digest else {}
+    yield from _section("run", _aligned(found.run))
+    yield from _section("result", _aligned(_result(found)))
+    yield from _section("events", events)
+    yield from _section(f"estimate at step {found.estimate_step}", _aligned(_estimate(found)))
+    yield from _section("channels", channels)
+    yield from _section("attachments", _aligned(sizes))
+    yield from _section("host", _aligned(found.host))
+    yield from _section("provenance", _aligned(found.provenance))
+    yield from _section("content digest", _aligned(_digest(found)))
+    yield from _section("digest of the trial", _aligned(computed))
     if found.damage:
-        yield ""
-        yield "damage"
-        yield from (f"  {problem}" for problem in found.damage.problems)
-        yield from (f"  lost: {lost}" for lost in found.damage.lost)
+        lost = (f"lost: {lost}" for lost in found.damage.lost)
+        yield from _section("damage", [*found.damage.problems, *lost])
 
 
-def _section(title: str, items: dict[str, str]) -> "Iterator[str]":
-    if items:
-        width = max(map(len, items))
-        yield ""
-        yield title
-        yield from (f"  {key:<{width}}  {value}" for key, value in items.items())
+def _section(title: str, lines: Iterable[str]) -> Iterator[str]:
+    """Yield a section's lines; nothing if it has none."""
+    for number, line in enumerate(lines):
+        if not number:
+            yield from ("", title)
+        yield f"  {line}"
+
+
+def _aligned(items: dict[str, str]) -> list[str]:
+    width = max(map(len, items), default=0)
+    return [f"{key:<{width}}  {value}" for key, value in items.items()]
 
 
 def _result(found: "Overview") -> dict[str, str]:
@@ -94,14 +100,6 @@ def _result(found: "Overview") -> dict[str, str]:
         "longest solve": f"{milliseconds(solve[-1]):.1f} ms" if solve else "-",
         "deadline misses": str(result.deadline_misses),
     }
-
-
-def _events(found: "Overview") -> "Iterator[str]":
-    if found.events:
-        yield ""
-        yield "events"
-        for event in found.events:
-            yield f"  {event.time_s:8.2f} s  {event.level:<7}  {event.text}"
 
 
 def _estimate(found: "Overview") -> dict[str, str]:

@@ -206,7 +206,12 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
 
     Raises the error of a trial that failed without an outcome.
     """
+    from tetractl.cli.stats import show
     from tetractl.cli.streams import first_signal_callback
+    from tetractl.results.contrast import contrast
+    from tetractl.results.describe import describe
+    from tetractl.results.open_batch import open_batch
+    from tetractl.run.interrupt import interrupted_once
     from tetractl.run.task import log_path
 
     error = next(iter(report.errors.values()), None)
@@ -215,7 +220,8 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
     lacking, unprinted = len(trials) - len(report.results), None
     try:
         if report.results or not lacking:
-            _print_statistics(folder, json)
+            with interrupted_once():
+                show(contrast([describe(open_batch([folder]))]), "json" if json else "table")
     except KeyboardInterrupt:
         first_signal_callback(b"")()
         ui.tell("the statistics were left out")
@@ -242,14 +248,3 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
     if unprinted:
         raise unprinted
     return Exit.DONE
-
-
-def _print_statistics(folder: Path, json: bool) -> None:
-    from tetractl.cli.stats import show
-    from tetractl.results.contrast import contrast
-    from tetractl.results.describe import describe
-    from tetractl.results.open_batch import open_batch
-    from tetractl.run.interrupt import interrupted_once
-
-    with interrupted_once():
-        show(contrast([describe(open_batch([folder]))]), "json" if json else "table")

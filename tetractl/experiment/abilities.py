@@ -9,10 +9,15 @@ from tetractl.experiment.lab_section import LabLimits
 
 @runtime_checkable
 class PlansSignals(Protocol):
-    """A controller whose plans hold at most `horizon_max` signals, each for `signal_periods`
-    control periods."""
+    """A controller whose plans hold at most `horizon_max` signals."""
 
     horizon_max: int
+
+
+@runtime_checkable
+class HoldsSignals(Protocol):
+    """A controller that holds each signal of a plan for `signal_periods` control periods."""
+
     signal_periods: int
 
 

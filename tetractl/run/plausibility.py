@@ -16,6 +16,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.abilities import (
     Delaying,
     Estimating,
+    HoldsSignals,
     KeepsClear,
     LimitsLab,
     Modelled,
@@ -55,9 +56,9 @@ class CheckContext:
         control = experiment.controller
         self.experiment, self.setup, self.unit = experiment, experiment.setup, experiment.setup.unit
         self.tolerance = control.arrival_tolerance
-        plans = control if isinstance(control, PlansSignals) else None
-        self.signal_s = control.period * (plans.signal_periods if plans else 1)
-        self.signals_max = plans.horizon_max if plans else None
+        periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
+        self.signal_s = control.period * periods
+        self.signals_max = control.horizon_max if isinstance(control, PlansSignals) else None
         self.motion = control.motion if isinstance(control, Modelled) else ""
         self.estimates = control.estimate if isinstance(control, Estimating) else False
         keeps = control.collision if isinstance(control, KeepsClear) else None

@@ -66,7 +66,6 @@ class FakeCamera:
         self.hidden: set[str] = set()
         self.standing: dict[str, dict[str, float]] = {}
         self.silent = False
-        self.entered = 0
         self._exposed: list[CameraFrame] = []
         self._fresh: list[CameraFrame] = []
         self._count = 0
@@ -74,7 +73,6 @@ class FakeCamera:
     def __enter__(self):
         self.clock.steps.insert(0, self._step)
         self._first_ns = self.clock.now()
-        self.entered += 1
         while self.newest is None:
             self.clock.sleep_until(self.clock.now() + STEP_NS)
         return self

@@ -21,8 +21,6 @@ from tetractl.testing.finding import Finding, Findings, near, true
 STARTED_S = 5.0  # time in which an opened camera must deliver its frames
 EMULATED_S = 120.0  # the same of an emulation, on a host that is busy
 FRAMES = 10
-FLOOR_M = 0.005  # distance up to which a pose is the true one
-HEADING = 0.05  # the same of a heading [rad]
 
 
 @dataclass(frozen=True)
@@ -110,8 +108,9 @@ def _check_scene(
     shown = np.array([(pose.x, pose.y, pose.heading) for pose in seen])
     gaps = np.hypot(*(shown - true_poses)[:, :2].T) * setup.metres
     turned = np.remainder(shown[:, 2] - true_poses[:, 2] + math.pi, math.tau) - math.pi
-    yield near("poses: in the spec's coordinates", gaps, 0.0, 1.0, FLOOR_M)
-    yield near("poses: headings of the robots", turned, 0.0, 1.0, HEADING)
+    # within 5 mm and 0.05 rad
+    yield near("poses: in the spec's coordinates", gaps, 0.0, 1.0, 0.005)
+    yield near("poses: headings of the robots", turned, 0.0, 1.0, 0.05)
     heights = [pose.height * setup.metres for pose in seen if pose.height is not None]
     yield near("poses: height of the body on the floor", [0.06, *heights], 0.06, 1.0, 0.05)
     tilted = [pose.tilt is None or 0.0 <= pose.tilt < 0.2 for pose in seen]

@@ -103,7 +103,7 @@ def _steps(
     keep is the derivative of the next heading with respect to the heading; with respect to the
     signal, that derivative is 1 - keep.
     """
-    lanes = MOTIONS.load(problem.motion).lanes(problem.a, float(seconds.max()))
+    lanes = MOTIONS.load(problem.motion).lanes
     robots = list(zip(problem.a.tolist(), problem.speed.tolist(), strict=True))
     steps = zip(np.exp(1j * heading).tolist(), signals.tolist(), seconds.tolist(), strict=True)
     rows = [

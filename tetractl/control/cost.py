@@ -69,39 +69,16 @@ def predict(problem: Problem, signals: Floats) -> Floats:
     every = np.moveaxis(signals, -1, 0)[..., None]  # (L, ..., 1), the same signals for every robot
     if problem.bias is not None:
         every = every + problem.bias
-    _follow(problem, motion, every, path)
+    for j, u in enumerate(every):
+        held = problem.first_period if j == 0 else problem.period
+        start = x[j], y[j], path[j, ..., 2]
+        path[j + 1] = np.stack(motion.step(*start, u, problem.a, problem.speed, held), axis=-1)
     if problem.flow is not None:
         periods = np.arange(len(every)).reshape(-1, *(1 for _ in shape))
         times = problem.first_period + problem.period * periods
         x[1:] += times * problem.flow[:, 0]
         y[1:] += times * problem.flow[:, 1]
     return path
-
-
-def _follow(problem: Problem, motion: Motion, every: Floats, path: Floats) -> None:
-    """Fill in a path (L + 1, ..., N, 3), of which path[0] is given, for robots that follow the
-    directions `every` (L, ..., 1 or N) [rad]."""
-    x, y, heading = path[..., 0], path[..., 1], path[..., 2]
-    shape = path.shape[1:-1]
-    if motion.turn is None or motion.strides is None:
-        for j, u in enumerate(every):
-            held = problem.first_period if j == 0 else problem.period
-            start = x[j], y[j], heading[j]
-            path[j + 1] = np.stack(motion.step(*start, u, problem.a, problem.speed, held), axis=-1)
-        return
-    for j, u in enumerate(every):
-        held = problem.first_period if j == 0 else problem.period
-        heading[j + 1] = motion.turn(heading[j], u, problem.a, held)
-    held_each = np.full((len(every), *(1 for _ in shape)), problem.period)
-    held_each[:1] = problem.first_period
-    east, north, _ = motion.strides(heading[:-1], every, problem.a, problem.speed, held_each)
-    for along, terms in ((x, east), (y, north)):
-        sums = np.empty((1 + len(terms) * len(every), *shape))
-        sums[0] = along[0]
-        for i, term in enumerate(terms):
-            sums[1 + i :: len(terms)] = term
-        # the same order of additions as step by step, hence the same rounding
-        along[:] = np.add.accumulate(sums)[:: len(terms)]
 
 
 def evaluate(problem: Problem, signals: Floats) -> Costs:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import meet, turn
 from tetractl.experiment.shape_section import ShapeSection
@@ -35,12 +34,6 @@ def check_motion(motion: Motion) -> Findings:
     turned = motion.step(x, y, heading + 1.0, u + 1.0, a, v, t)
     angle = np.arctan2(moved[1] - y, moved[0] - x) + 1.0
     yield near("step: turns with heading and u", turned[0] - x, gone * np.cos(angle), v * t)
-    if motion.turn is not None:
-        yield same("turn: same headings as step", [motion.turn(heading, u, a, t)], moved[2:])
-    if motion.strides is not None:
-        parts = motion.strides(heading, u, a, v, t)
-        added = (_add(x, parts[0]), _add(y, parts[1]), heading + parts[2])
-        yield same("strides: their sum is the result of step", added, moved)
     held = Held(u, a * np.sin(u - heading), heading, np.ones(COUNT))
     whole = np.full(COUNT, t)
     driven = motion.hold(x, y, heading, held, a, v, whole)
@@ -49,15 +42,9 @@ def check_motion(motion: Motion) -> Findings:
     resting = Held(u, 0 * u, heading, np.zeros(COUNT))
     stood = motion.hold(x, y, heading, resting, a, 0 * v, whole)
     yield near("hold: does not move a stopped robot", np.hypot(stood[0] - x, stood[1] - y), 0, v)
-    compiled = motion.lanes(a, t)
+    compiled = motion.lanes
     yield from _check_advance(compiled, case, moved, t)
     yield from _check_derivatives(motion, compiled, case, moved, t)
-
-
-def _add(start: Floats, terms: tuple[Floats, ...]) -> Floats:
-    for term in terms:
-        start = start + term
-    return start
 
 
 def _check_advance(compiled: Any, case: Any, moved: Any, t: float) -> Findings:

@@ -23,7 +23,7 @@ def constants(problem: Problem) -> tuple[Any, Any]:
     changed.
     """
     a, v, times = problem.a, problem.speed, (problem.first_period, problem.period)
-    kind: Any = MOTIONS.load(problem.motion).lanes(a, max(times))
+    kind: Any = MOTIONS.load(problem.motion).lanes
     rest = kind.of(a, v, times[1])
     return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
 

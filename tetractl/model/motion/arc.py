@@ -9,28 +9,18 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Held, Motion, Strides, Time, XYHeading
+from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
 from tetractl.model.motion.polynomials import sincos, wrap
-
-
-def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Return the headings after `step`, without positions."""
-    return heading + 2 * (0.5 * t * a * np.sin(u - heading))
-
-
-def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return x and y of the chord, and the turn w."""
-    half = 0.5 * t * a * np.sin(u - heading)
-    chord = t * v * np.sinc(half / np.pi)
-    return (chord * np.cos(heading + half),), (chord * np.sin(heading + half),), 2 * half
 
 
 def step(
     x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
 ) -> XYHeading:
     """Advance along the arc that the wheel speeds of (24)-(25) drive."""
-    (east,), (north,), turned = strides(heading, u, a, v, t)
-    return x + east, y + north, heading + turned
+    half = 0.5 * t * a * np.sin(u - heading)
+    chord = t * v * np.sinc(half / np.pi)
+    course = heading + half
+    return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
 
 
 def hold(
@@ -83,9 +73,4 @@ class ArcLanes(NamedTuple):
         return chord * c, chord * s, 2 * h, east_h, north_h, east_phi, north_phi, 1 - 2 * h_phi
 
 
-def lanes(a: Floats, longest: float) -> type[ArcLanes]:
-    """Return the class of constants, the same for all robots."""
-    return ArcLanes
-
-
-ARC = Motion("arc", step, hold, lanes, turn, strides)
+ARC = Motion("arc", step, hold, ArcLanes)

@@ -3,24 +3,13 @@
 The last direction of a sequence therefore cannot move the last position.
 """
 
-import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Held, Motion, Strides, Time, XYHeading
-from tetractl.model.motion.polynomials import sincos, sincos_quarter, wrap
-
-
-def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Return the headings after `step`, (6), without positions."""
-    return heading + t * a * np.sin(u - heading)
-
-
-def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return the increments of (4), (5) and (6)."""
-    return (t * v * np.cos(heading),), (t * v * np.sin(heading),), t * a * np.sin(u - heading)
+from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
+from tetractl.model.motion.polynomials import sincos, wrap
 
 
 def step(
@@ -30,7 +19,7 @@ def step(
     return (
         x + t * v * np.cos(heading),  # (4)
         y + t * v * np.sin(heading),  # (5)
-        turn(heading, u, a, t),  # (6)
+        heading + t * a * np.sin(u - heading),  # (6)
     )
 
 
@@ -40,15 +29,6 @@ def hold(
     """Follow the chord of (4)-(5), turning steadily: after a whole period this is (4)-(6)."""
     half, chord, course = 0.5 * held.turning * t, v * t, held.course
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
-
-
-def differentiate(
-    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-) -> Derivatives:
-    """Return a step of (4)-(6) and its derivatives."""
-    way, most = t * v, t * a
-    keep = 1 - most * (cu * c + su * s)
-    return way * c, way * s, most * (su * c - cu * s), -way * s, way * c, 0.0, 0.0, keep
 
 
 class EulerLanes(NamedTuple):
@@ -70,23 +50,14 @@ class EulerLanes(NamedTuple):
         sw, cw = sincos(wrap(turn * (su * c - cu * s)))
         return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
 
-    differentiate = staticmethod(differentiate)
-
-
-class EulerSmallTurnLanes(EulerLanes):
-    """Constants of (4)-(6) for robots that turn by T a <= pi/2 in a step."""
-
     @staticmethod
-    def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-        """Return x, y, cos and sin of the heading after (4)-(6)."""
-        step, turn = k
-        sw, cw = sincos_quarter(turn * (su * c - cu * s))
-        return x + step * c, y + step * s, c * cw - s * sw, s * cw + c * sw
+    def differentiate(
+        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+    ) -> Derivatives:
+        """Return a step of (4)-(6) and its derivatives."""
+        way, most = t * v, t * a
+        keep = 1 - most * (cu * c + su * s)
+        return way * c, way * s, most * (su * c - cu * s), -way * s, way * c, 0.0, 0.0, keep
 
 
-def lanes(a: Floats, longest: float) -> type[EulerLanes]:
-    """Return the constants' class for robots with a (N,) [rad/s] in steps of up to `longest` s."""
-    return EulerSmallTurnLanes if float(a.max()) * longest <= math.pi / 2 else EulerLanes
-
-
-EULER = Motion("euler", step, hold, lanes, turn, strides)
+EULER = Motion("euler", step, hold, EulerLanes)

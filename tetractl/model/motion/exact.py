@@ -19,15 +19,11 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 from tetractl.core.poses import Floats
-from tetractl.model.motion.motion import Derivatives, Held, Motion, Strides, Time, XYHeading
+from tetractl.model.motion.motion import Derivatives, Held, Motion, Time, XYHeading
 from tetractl.model.motion.polynomials import alternating, arctan, log_from_ratio, mantissa
 
 LARGEST_TURN = 1.25
 """Largest a t of one piece of a step, for which r^2 is at most 0.092."""
-LARGEST_PLAIN = 6.5
-"""Largest a t of a step whose derivatives are computed from 1 + cos phi: near phi = pi the error is
-then at most 1e-9 of the step's path.
-"""
 SMALLEST_DECAY = 1e-100
 """Least E whose cube is used as a divisor."""
 TERMS = 10
@@ -45,15 +41,13 @@ def rates(heading: Floats, u: Floats, a: Floats, v: Floats) -> XYHeading:
     )
 
 
-def turn(heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-    """Return the headings after `step`, without positions."""
-    half, exponent = (u - heading) / 2, -a * t
-    c, s = np.cos(half), np.sin(half)
-    return heading + 2 * np.arctan2(-np.expm1(exponent) * s * c, c * c + s * s * np.exp(exponent))
+def step(
+    x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
+) -> XYHeading:
+    """Advance by the closed form of (1)-(3).
 
-
-def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-    """Return x and y of the displacements along u and to the right of u, and phi - phi'."""
+    Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
+    """
     half = (u - heading) / 2
     c, s = np.cos(half), np.sin(half)
     decay = np.exp(-a * t)
@@ -64,18 +58,8 @@ def strides(heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Stride
     )
     along, right = v * (t + log_h / a), v * turned / a
     cos_u, sin_u = np.cos(u), np.sin(u)
-    return (along * cos_u, right * sin_u), (along * sin_u, -right * cos_u), turned
-
-
-def step(
-    x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
-) -> XYHeading:
-    """Advance by the closed form of (1)-(3).
-
-    Half angles keep phi near pi exact, where 1 + cos(phi) would cancel.
-    """
-    (along_x, right_x), (along_y, right_y), turned = strides(heading, u, a, v, t)
-    return x + along_x + right_x, y + along_y + right_y, heading + turned
+    x, y = x + along * cos_u + right * sin_u, y + along * sin_u - right * cos_u
+    return x, y, heading + turned
 
 
 def hold(
@@ -101,86 +85,6 @@ def odd_multiples(count: int) -> tuple[Floats, Floats]:
     return sines, cosines
 
 
-def constants(a: Floats, v: Floats, t: float) -> tuple[Floats, int]:
-    """Return `rows` and `pieces` for robots with a, v (N,) and steps of t [s]; see `advance`."""
-    pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
-    turn = a * t / pieces
-    middle, end = np.tanh(turn / 4), np.tanh(turn / 2)
-    series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
-    sines, cosines = odd_multiples(TERMS)
-    right, along = series @ sines, series @ cosines
-    rows = np.empty((a.size, 3 + 2 * TERMS))
-    rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = middle, 1 - middle**2, end, 1 - end**2
-    rows[:, 4 : 4 + TERMS], rows[:, 4 + TERMS :] = right, (right - along)[:, :-1]
-    return rows, pieces
-
-
-def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
-    """Return x, y, cos and sin of the heading after a piece.
-
-    With H the heading and U the direction as unit vectors, r = tanh(a t/2) and G = H + r U, the
-    heading after t is (1 - r^2) G/|G|^2 + r U. The heading M after t/2 follows in the same way with
-    tanh(a t/4). |G| is computed from H without assuming |H| = 1: rounding errors of |H| then grow
-    no faster than those of a turn. The displacement is A(q) M - B(q) (M.U) U with polynomials of
-    q = (M.U)^2: A sin phi_m to the right of u and (A - B) cos phi_m along u.
-    """
-    middle, still, end, rest = k[0], k[1], k[2], k[3]
-    near = c * cu + s * su
-    f = still / (2.0 - still + 2.0 * middle * near)
-    wx, wy = end * cu, end * su
-    gx, gy = c + wx, s + wy
-    g = rest / (gx * gx + gy * gy)
-    p = f * middle + middle  # M = f H + p U
-    m = f * near + p
-    q = m * m
-    first_b = (len(k) + 5) // 2
-    a = alternating(k, 4, first_b, q)
-    along, through = a * p - m * alternating(k, first_b, len(k), q), a * f
-    x, y = x + (through * c + along * cu), y + (through * s + along * su)
-    return x, y, g * gx + wx, g * gy + wy
-
-
-def differentiate(
-    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-) -> Derivatives:
-    """Return a step and its derivatives, for a t up to LARGEST_PLAIN."""
-    e = math.exp(-a * t)
-    c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
-    return _derive(max(0.0, 1 + c), (1 - c) * e, s, e, cu, su, a, v, t)
-
-
-def differentiate_fast(
-    c: float, s: float, cu: float, su: float, a: float, v: float, t: float
-) -> Derivatives:
-    """Return a step and its derivatives, for any a t. Near phi = pi, 1 + cos phi
-    cancels, and the turn of fast robots depends on it.
-    """
-    e = max(math.exp(-a * t), SMALLEST_DECAY)
-    c, s = cu * c + su * s, su * c - cu * s
-    near = 1 + c if c > 0.0 else s * s / (1 - c)
-    return _derive(near, (1 - c) * e, s, e, cu, su, a, v, t)
-
-
-def _derive(
-    near: float, far: float, s: float, e: float, cu: float, su: float, a: float, v: float, t: float
-) -> Derivatives:
-    """Return a step and its derivatives from near = 1 + cos phi, far = (1 - cos phi) E, s = sin phi
-    and e = E."""
-    d, across = near + far * e, near + far
-    m, exponent = mantissa(0.5 * d)
-    m1 = m + 1
-    inverse = 1 / (d * m1 * across)
-    log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
-    turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
-    radius, over_d = v / a, inverse * m1 * across
-    along, right = v * t + radius * log_half_d, radius * turn
-    keep = 2 * e * over_d
-    along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
-    east, north = along * cu + right * su, along * su - right * cu
-    east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
-    return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
-
-
 class ExactLanes(NamedTuple):
     """Constants for one piece of a step, as used by `advance`."""
 
@@ -191,21 +95,64 @@ class ExactLanes(NamedTuple):
     @classmethod
     def of(cls, a: Floats, v: Floats, t: float) -> Self:
         """Return the constants of robots with a, v (N,) for steps of t [s]."""
-        return cls(*constants(a, v, t))
+        pieces = max(1, math.ceil(float(a.max()) * t / LARGEST_TURN))
+        turn = a * t / pieces
+        middle, end = np.tanh(turn / 4), np.tanh(turn / 2)
+        series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
+        sines, cosines = odd_multiples(TERMS)
+        right, along = series @ sines, series @ cosines
+        head = np.column_stack([middle, 1 - middle**2, end, 1 - end**2])
+        return cls(np.hstack([head, right, (right - along)[:, :-1]]), pieces)
 
-    advance = staticmethod(advance)
-    differentiate = staticmethod(differentiate)
+    @staticmethod
+    def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:
+        """Return x, y, cos and sin of the heading after a piece.
+
+        With H the heading and U the direction as unit vectors, r = tanh(a t/2) and G = H + r U, the
+        heading after t is (1 - r^2) G/|G|^2 + r U. The heading M after t/2 follows in the same way
+        with tanh(a t/4). |G| is computed from H without assuming |H| = 1: rounding errors of |H|
+        then grow no faster than those of a turn. The displacement is A(q) M - B(q) (M.U) U with
+        polynomials of q = (M.U)^2: A sin phi_m to the right of u and (A - B) cos phi_m along u.
+        """
+        middle, still, end, rest = k[0], k[1], k[2], k[3]
+        near = c * cu + s * su
+        f = still / (2.0 - still + 2.0 * middle * near)
+        wx, wy = end * cu, end * su
+        gx, gy = c + wx, s + wy
+        g = rest / (gx * gx + gy * gy)
+        p = f * middle + middle  # M = f H + p U
+        m = f * near + p
+        q = m * m
+        first_b = (len(k) + 5) // 2
+        a = alternating(k, 4, first_b, q)
+        along, through = a * p - m * alternating(k, first_b, len(k), q), a * f
+        x, y = x + (through * c + along * cu), y + (through * s + along * su)
+        return x, y, g * gx + wx, g * gy + wy
+
+    @staticmethod
+    def differentiate(
+        c: float, s: float, cu: float, su: float, a: float, v: float, t: float
+    ) -> Derivatives:
+        """Return a step and its derivatives, for any a t.
+
+        Near phi = pi, 1 + cos phi cancels, and the turn of fast robots depends on it.
+        """
+        e = max(math.exp(-a * t), SMALLEST_DECAY)
+        c, s = cu * c + su * s, su * c - cu * s  # cos and sin of phi
+        near, far = 1 + c if c > 0.0 else s * s / (1 - c), (1 - c) * e
+        d, across = near + far * e, near + far
+        m, exponent = mantissa(0.5 * d)
+        m1 = m + 1
+        inverse = 1 / (d * m1 * across)
+        log_half_d = log_from_ratio((m - 1) * (inverse * d * across), exponent)
+        turn = 2 * arctan(s * (1 - e) * (inverse * d * m1))
+        radius, over_d = v / a, inverse * m1 * across
+        along, right = v * t + radius * log_half_d, radius * turn
+        keep = 2 * e * over_d
+        along_phi, right_phi = -radius * s * (1 - e * e) * over_d, radius * (1 - keep)
+        east, north = along * cu + right * su, along * su - right * cu
+        east_phi, north_phi = along_phi * cu + right_phi * su, along_phi * su - right_phi * cu
+        return east, north, turn, -east_phi, -north_phi, east_phi - north, north_phi + east, keep
 
 
-class ExactFastLanes(ExactLanes):
-    """Constants as in `ExactLanes`, for robots that turn by a t > LARGEST_PLAIN in a step."""
-
-    differentiate = staticmethod(differentiate_fast)
-
-
-def lanes(a: Floats, longest: float) -> type[ExactLanes]:
-    """Return the constants' class for robots with a (N,) [rad/s] in steps of up to `longest` s."""
-    return ExactLanes if float(a.max()) * longest <= LARGEST_PLAIN else ExactFastLanes
-
-
-EXACT = Motion("exact", step, hold, lanes, turn, strides)
+EXACT = Motion("exact", step, hold, ExactLanes)

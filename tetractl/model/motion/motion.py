@@ -4,7 +4,6 @@ A motion is one file that defines a `Motion`, and one line in `tetractl.core.reg
 it. See docs/how-to/extend.md.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol, Self
 
@@ -12,8 +11,6 @@ from tetractl.core.poses import Floats
 
 Time = float | Floats
 XYHeading = tuple[Floats, Floats, Floats]
-Strides = tuple[tuple[Floats, ...], tuple[Floats, ...], Floats]
-"""The terms that a step adds to x, in that order, to y [length unit], and to the heading."""
 Derivatives = tuple[float, float, float, float, float, float, float, float]
 """dx, dy, dheading of one step; d(dx)/dheading, d(dy)/dheading, d(dx)/du, d(dy)/du, and
 d(heading')/dheading = 1 - d(heading')/du."""
@@ -41,22 +38,6 @@ class StepFunction(Protocol):
         self, x: Floats, y: Floats, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time
     ) -> XYHeading:
         """Return x, y and heading after the step."""
-        ...
-
-
-class TurnFunction(Protocol):
-    """Headings [rad] after a time t [s] under a held direction, equal to a `StepFunction`'s."""
-
-    def __call__(self, heading: Floats, u: Floats, a: Floats, t: Time) -> Floats:
-        """Return the headings after the step."""
-        ...
-
-
-class StridesFunction(Protocol):
-    """The displacement and turn of a `StepFunction`, without its start."""
-
-    def __call__(self, heading: Floats, u: Floats, a: Floats, v: Floats, t: Time) -> Strides:
-        """Return the terms that the step adds to x, to y and to the heading."""
         ...
 
 
@@ -116,17 +97,9 @@ class Lanes(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A motion, defined by its NumPy step, the plant's step and the compiled step.
-
-    `lanes(a, longest)` returns the class of constants for robots with turning rates a (N,) [rad/s]
-    in steps of at most `longest` [s]: a motion may have a faster class for robots that turn slowly.
-    `turn` returns the headings of `step`, and `strides` the increments, both bit for bit;
-    prediction is slower without them.
-    """
+    """A motion, defined by its NumPy step, the plant's step and the compiled step."""
 
     name: str
     step: StepFunction
     hold: Hold
-    lanes: Callable[[Floats, float], type[Lanes]]
-    turn: TurnFunction | None = None
-    strides: StridesFunction | None = None
+    lanes: type[Lanes]

@@ -34,11 +34,9 @@ def _atan_ratio(q: Floats) -> Floats:
     return np.arctan(root) / root
 
 
-_QUARTER, _HALF = (math.pi / 4) ** 2, (math.pi / 2) ** 2
+_QUARTER = (math.pi / 4) ** 2
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
-HALF_SINE = fit(lambda q: np.sinc(np.sqrt(q) / (2 * np.pi)), _HALF, 5)  # 2 sin(x/2)/x of q = x^2
-HALF_COSINE = fit(lambda q: np.cos(np.sqrt(q) / 2), _HALF, 5)  # cos(x/2)
 TURN = 2 * math.pi
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
 ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
@@ -72,13 +70,6 @@ def sincos(x):
     s, c = t * horner(SINE, q), horner(COSINE, q)
     s, c = 2.0 * s * c, 1.0 - 2.0 * s * s
     return 2.0 * s * c, 1.0 - 2.0 * s * s
-
-
-def sincos_quarter(x):
-    """Return (sin x, cos x) for |x| <= pi/2, by halving the angle once."""
-    q = x * x
-    s, c = x * horner(HALF_SINE, q), horner(HALF_COSINE, q)
-    return s * c, 1.0 - 0.5 * s * s
 
 
 def wrap(x):

@@ -15,8 +15,7 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso import pso
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso, pso
 from tetractl.control.rng import mix
 from tetractl.control.stop import TargetStop
 from tetractl.core.plan import Limits, Problem

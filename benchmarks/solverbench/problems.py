@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.control.stop import BudgetStop
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses

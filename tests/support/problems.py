@@ -4,8 +4,7 @@ import numpy as np
 from support.oracle import World
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import Swarm
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso, swarms
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Poses
 from tetractl.model.obstacles import Obstacles
@@ -84,22 +83,18 @@ def is_decided(problem: Problem, length: int, warm, spec: Pso, key: int) -> bool
         near = np.abs(one - other) <= 1e-9 * (1 + np.abs(one))
         return bool(np.any(near & (u != other_u).any(axis=-1)))
 
-    swarm = Swarm.scatter(spec, length, key)
-    swarm.best_cost = evaluate(problem, swarm.best).total
-    if warm is not None:
-        swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
-    else:
-        swarm.tell(np.full(spec.particles, np.inf))
+    moving = swarms(spec, problem, length, warm, key)
+    swarm = next(moving)
     for _ in range(spec.iterations):
         before, before_cost = swarm.u_gb.copy(), swarm.cost
-        costs = evaluate(problem, swarm.ask()).total
-        if close(costs, swarm.best_cost, swarm.u, swarm.best):
+        best, best_cost = swarm.best.T.copy(), swarm.best_cost.copy()
+        next(moving)
+        if close(evaluate(problem, swarm.u.T).total, best_cost, swarm.u.T, best):
             return False
-        swarm.tell(costs)
         leader = int(np.argmin(swarm.best_cost))
-        least, best = swarm.best_cost[leader], swarm.best[leader]
-        if close(swarm.best_cost, least, swarm.best, best):
+        least, own = swarm.best_cost[leader], swarm.best.T[leader]
+        if close(swarm.best_cost, least, swarm.best.T, own):
             return False
-        if close(least, before_cost, best, before):
+        if close(least, before_cost, own, before):
             return False
     return True

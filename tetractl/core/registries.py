@@ -8,7 +8,7 @@ OPTIMIZERS = Registry(
     "tetractl.optimizers",
     "optimizer",
     {
-        "pso": "tetractl.control.optimizers.pso_section:Pso",
+        "pso": "tetractl.control.optimizers.pso:Pso",
         "multistart": "tetractl.control.optimizers.multistart:Multistart",
         "cem": "tetractl.control.optimizers.cem:CrossEntropy",
         "mppi": "tetractl.control.optimizers.mppi:Mppi",

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.optimizers.pso import LOWER, UPPER
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, swarms
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
@@ -136,34 +135,26 @@ def _run(
     shown: Sequence[float],
     rerun: Rerun,
 ) -> SwarmHistory:
-    from tetractl.control.kernels import pso as kernel
-    from tetractl.control.kernels.rollout import lay_out
-    from tetractl.control.optimizers.compiled_pso import make_rules, scatter
-
-    rollout = lay_out(asked.problem, section.particles)
-    swarm, spent = scatter(section, asked.problem, rollout, asked.length, asked.warm, asked.key)
-    rules = make_rules(section, asked.key, spent, Limits())
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
-    frames, path = list[Frame](), []
-    for z in range(last + 1):
-        if z:
-            kernel.iterate(rollout, swarm, rules, z - 1, z)
+    frames, path, again = list[Frame](), [], []
+    for swarm in swarms(section, asked.problem, asked.length, asked.warm, asked.key):
         if rerun.expired():
             raise LogError(f"{log.path}: the first search of the trial takes too long to run again")
         seen = swarm.u[SEEN].T.copy()
         path.append(seen[0])
-        if z in wanted:
-            frames.append(Frame(z, seen, swarm.u_gb[SEEN], float(swarm.history[z])))
-    own = swarm.u if swarm.better[0] > 0.5 else swarm.best
-    again = swarm.history[: last + 1]
-    return SwarmHistory(
-        tuple(frames),
-        np.array(path),
-        own[SEEN, 0],
-        _landscape(asked.problem, swarm.u_gb),
-        bool(np.array_equal(again, logged.history)),
-    )
+        again.append(swarm.cost)
+        if swarm.z in wanted:
+            frames.append(Frame(swarm.z, seen, swarm.u_gb[SEEN], swarm.cost))
+        if swarm.z == last:
+            return SwarmHistory(
+                tuple(frames),
+                np.array(path),
+                swarm.best[SEEN, 0],
+                _landscape(asked.problem, swarm.u_gb),
+                bool(np.array_equal(again, logged.history)),
+            )
+    raise AssertionError("the swarm moves without end")
 
 
 def _landscape(problem: Problem, u_gb: Floats) -> Floats:

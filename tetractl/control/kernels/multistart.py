@@ -1,4 +1,4 @@
-"""One round of `tetractl.control.optimizers.multistart`: scatters starts and polishes the best."""
+"""Polishes the starts of a round of `tetractl.control.optimizers.multistart`."""
 
 import math
 from collections.abc import Callable
@@ -6,18 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import Integers, Polish, polish
-from tetractl.control.kernels.options import ENTRY_STRICT, INLINE_STRICT
 from tetractl.control.kernels.rollout import Rollout, costs
-from tetractl.control.kernels.update import GOLDEN, mixed
 from tetractl.core.plan import never
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 
 BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, below 1 ms
-S11 = np.uint64(11)
-UNIT_53 = 2.0**-53
 
 
 class Polished(NamedTuple):
@@ -39,34 +34,6 @@ def workspace(count: int, length: int, steps_max: int) -> Polished:
         evaluations=np.empty(count, dtype=np.int64),
         merits=np.empty((count, steps_max + 1)),
     )
-
-
-_wrap = compiled(**INLINE_STRICT)(polynomials.wrap)
-
-
-@compiled(**ENTRY_STRICT)
-def scatter(key, below, share, middle, warm, knots, starts):
-    """Write smooth random sequences to starts (L, P), with the same bits as NumPy's arithmetic.
-
-    knots (K, P) are overwritten by the draws 0 ... K P - 1 of the key, from -1 to 1; below (L,) and
-    share (L,) place each signal between two knots, as in `tetractl.control.curves.places`.
-    """
-    count, particles = knots.shape
-    for k in range(count):
-        base = key + np.uint64(k * particles + 1) * GOLDEN
-        for n in range(particles):
-            z = mixed(base + np.uint64(n) * GOLDEN)
-            knots[k, n] = np.float64(np.int64(z >> S11)) * UNIT_53 * 2 - 1
-    for j in range(starts.shape[0]):
-        k, s = below[j], share[j]
-        after = min(k + 1, count - 1)
-        for n in range(particles):
-            starts[j, n] = knots[k, n] * (1 - s) + knots[after, n] * s
-        for n in range(particles if warm.size == 0 else 0):
-            starts[j, n] = _wrap(middle + math.pi * starts[j, n])
-        for n in range(0 if warm.size == 0 else particles):
-            around = warm[j] + 0.5 * starts[j, n]
-            starts[j, n] = _wrap(around if n % 2 == 0 else middle + math.pi * starts[j, n])
 
 
 def polish_each(

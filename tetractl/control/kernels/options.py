@@ -23,8 +23,6 @@ would differ in the last bits from run to run.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
-INLINE_STRICT, ENTRY_STRICT = _PART, _ENTRY
-"""For functions that must round exactly as NumPy does."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""
 

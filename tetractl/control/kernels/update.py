@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import INLINE_FAST
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -23,22 +23,18 @@ def mixed(z):
     return z ^ (z >> S31)
 
 
-@compiled(**INLINE_FAST)
-def move(u, v, best, better, j, u_gb, key, first, inertia, cognitive, social):
-    """Apply (14)-(17) to signal j of every particle, with draws first, first + 1, ...
-
-    Before that, the coordinate of a particle that has just improved becomes its local best, (18):
-    this is done here because the row is in the processor's cache.
-    """
+@compiled(**ENTRY_FAST)
+def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
+    """Apply (14)-(17) to u and v (L, P) in place, with the draws of iteration z."""
+    length, particles = u.shape
     c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers of 31 bits
-    base = key + np.uint64(first + 1) * GOLDEN
-    for n in range(u.shape[1]):
-        z = mixed(base + np.uint64(n) * GOLDEN)
-        r1, r2 = float(np.int32(z >> S33)), float(np.int32(z & LOW_31))
-        at = u[j, n]
-        own = at if better[n] > 0.5 else best[j, n]
-        best[j, n] = own
-        velocity = inertia * v[j, n] + c1 * r1 * (own - at) + c2 * r2 * (u_gb - at)
-        velocity = max(-SPAN, min(velocity, SPAN))
-        v[j, n] = velocity
-        u[j, n] = max(-math.pi, min(at + velocity, math.pi))
+    for j in range(length):
+        base = key + np.uint64((z * length + j) * particles + 1) * GOLDEN
+        for n in range(particles):
+            draw = mixed(base + np.uint64(n) * GOLDEN)
+            r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
+            at = u[j, n]
+            velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)
+            velocity = max(-SPAN, min(velocity, SPAN))
+            v[j, n] = velocity
+            u[j, n] = max(-math.pi, min(at + velocity, math.pi))

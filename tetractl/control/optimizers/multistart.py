@@ -14,6 +14,7 @@ arbitrary starts and targets, most random sequences end in a corner between wall
 other robots, and hops from nearly good sequences find good ones.
 """
 
+import math
 from collections.abc import Callable
 from typing import Literal
 
@@ -21,7 +22,7 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import require_finite
-from tetractl.control.curves import bearing, interpolate, places
+from tetractl.control.curves import bearing, interpolate
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
@@ -156,27 +157,27 @@ class _PolishedProgress(Progress):
             particles = self.section.particles
             self.many = compiled_costs(self.problem, particles)
             count = round(self.section.knots * self.section.growth(self.problem))
-            self.knots = np.empty((min(count, self.length), particles))
-            self.places = places(len(self.knots), self.length)
+            self.shape = min(count, self.length), particles
             self.middle = bearing(self.problem)
-            self.starts = np.empty((self.length, particles))
-        self._scatter(key)
-        found = self.many(self.starts)
-        self.add(self.starts, found)
+        starts = self._scatter(key)
+        found = self.many(starts)
+        self.add(starts, found)
         order = np.argsort(found, kind="stable")[: self.section.polished]
-        return np.ascontiguousarray(self.starts[:, order].T)
+        return np.ascontiguousarray(starts[:, order].T)
 
-    def _scatter(self, key: int) -> None:
-        """Draw smooth random sequences, within the bounds of the paper's equation (12).
+    def _scatter(self, key: int) -> Floats:
+        """Draw smooth random sequences (length, P), within the bounds of the paper's equation (12).
 
         Each sequence is linear between `knots` directions drawn uniformly within pi of the mean
         bearing of the targets; with a warm start, every second sequence is the warm start plus a
         curve of this kind with values within half a radian of 0.
         """
-        warm = np.empty(0) if self.warm is None else self.warm
-        self.kernels.scatter(
-            np.uint64(key), *self.places, self.middle, warm, self.knots, self.starts
-        )
+        draws = uniform(key, 0, math.prod(self.shape)).reshape(self.shape)
+        curve = interpolate(2 * draws - 1, self.length)
+        starts = self.middle + np.pi * curve
+        if self.warm is not None:
+            starts[:, ::2] = self.warm[:, None] + 0.5 * curve[:, ::2]
+        return wrap(starts)
 
     def try_one(self, signals: Floats) -> None:
         """Evaluate one sequence (length,) and add its cost to the history."""

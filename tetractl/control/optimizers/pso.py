@@ -1,18 +1,19 @@
-"""Particle swarm optimisation: a readable version of the paper's Algorithm 1, equations (14)-(20).
+"""Particle swarm optimisation: the paper's Algorithm 1, equations (14)-(20).
 
-`pso` is the reference. `Pso.search` runs its compiled twin, `compiled_pso`, which must agree with
-it.
+Moves (14)-(17) and costs are compiled (`tetractl.control.kernels`); the rest is a few operations on
+arrays.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.cost import evaluate
-from tetractl.control.rng import mix, uniform, uniform_pair
+from tetractl.control.evaluate import compiled_costs
+from tetractl.control.rng import mix, uniform
+from tetractl.control.search_progress import Progress
 from tetractl.control.stop import PaperStop, StopCriterion, stopped
 from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats
@@ -22,8 +23,8 @@ LOWER, UPPER = -np.pi, np.pi  # lb and ub, (12)
 SPAN = abs(UPPER - LOWER)  # |ub - lb|, (15)
 
 
-class PsoFields(OptimizerSection):
-    """Fields of the particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
+class Pso(OptimizerSection):
+    """Particle swarm of the paper's Algorithm 1, equations (14)-(19)."""
 
     type: Literal["pso"] = "pso"
     particles: int = Field(default=100, ge=1, le=1_000_000)
@@ -70,95 +71,79 @@ class PsoFields(OptimizerSection):
         if found.stopped not in ({why} if why else cut):
             yield "stopped"
 
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or NULL."""
+        progress, n = Progress(length, limits), self.particles
+        for swarm in swarms(self, problem, length, warm, key):
+            progress.keep(swarm.u_gb, swarm.cost)
+            progress.evaluations += n if swarm.z else n + (warm is not None)
+            if swarm.z:  # line 9
+                progress.ended = stopped(np.array(progress.history), self.stop)
+            if swarm.z == self.iterations or not progress.affords(n):
+                return progress.search()
+        raise AssertionError("the swarm moves without end")
+
 
 @dataclass(slots=True)
 class Swarm:
     """np particles in L dimensions: `ask` for coordinates, then `tell` their costs.
 
-    u, v, best (np, L): coordinates u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
-    J(u_lb,n); u_gb (L,) with cost J(u_gb).
+    u, v, best (L, np): coordinates u_n, velocities v_n and local bests u_lb,n; best_cost (np,):
+    J(u_lb,n); u_gb (L,) with cost J(u_gb), None before it is known.
     """
 
-    section: PsoFields
+    section: Pso
     key: int
     u: Floats
     v: Floats
     best: Floats
-    best_cost: Floats
-    u_gb: Floats
-    cost: float
+    best_cost: Floats = field(default_factory=lambda: np.empty(0))
+    u_gb: Floats = field(default_factory=lambda: np.empty(0))
+    cost: float = np.inf
     z: int = 0
 
     @classmethod
-    def scatter(cls, section: PsoFields, length: int, key: int) -> "Swarm":
+    def scatter(cls, section: Pso, length: int, key: int) -> "Swarm":
         """Algorithm 1, line 1: draw u_n, v_n and u_lb,n uniformly in their search spaces."""
         n = section.particles
-        draws = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
-        u, v, best = (np.ascontiguousarray(draw.T) for draw in draws)
+        u, v, best = uniform(mix(key, 0), 0, 3 * length * n).reshape(3, length, n)
         return cls(
-            section,
-            mix(key, 1),
-            u=LOWER + SPAN * u,
-            v=-SPAN + 2 * SPAN * v,
-            best=LOWER + SPAN * best,
-            best_cost=np.full(n, np.inf),
-            u_gb=np.zeros(length),
-            cost=np.inf,
+            section, mix(key, 1), LOWER + SPAN * u, -SPAN + 2 * SPAN * v, LOWER + SPAN * best
         )
 
     def ask(self) -> Floats:
-        """Move the swarm by equations (14)-(17) and return the new coordinates (np, L)."""
+        """Move the swarm by equations (14)-(17) and return the new coordinates (L, np)."""
+        from tetractl.control.kernels.update import move
+
         w, c1, c2 = self.section.inertia, self.section.cognitive, self.section.social
-        size, shape = self.u.size, self.u.T.shape
-        r1, r2 = (r.reshape(shape).T for r in uniform_pair(self.key, self.z * size, size))
-        v_new = w * self.v + c1 * r1 * (self.best - self.u) + c2 * r2 * (self.u_gb - self.u)  # (14)
-        self.v = np.maximum(-SPAN, np.minimum(v_new, SPAN))  # (15)
-        u_new = self.u + self.v  # (16)
-        self.u = np.maximum(LOWER, np.minimum(u_new, UPPER))  # (17)
+        move(self.u, self.v, self.best, self.u_gb, np.uint64(self.key), self.z, w, c1, c2)
         self.z += 1
         return self.u
 
     def tell(self, costs: Floats) -> None:
         """Update the bests by equations (18)-(19) with the costs (np,) of `ask`'s coordinates."""
         better = costs < self.best_cost
-        self.best[better] = self.u[better]  # (18)
-        self.best_cost[better] = costs[better]
+        self.best = np.where(better, self.u, self.best)  # (18)
+        self.best_cost = np.minimum(costs, self.best_cost)
         leader = int(np.argmin(self.best_cost))
         if self.best_cost[leader] < self.cost:  # (19)
-            self.u_gb, self.cost = self.best[leader].copy(), float(self.best_cost[leader])
+            self.u_gb, self.cost = self.best[:, leader].copy(), float(self.best_cost[leader])
 
 
-def pso(
-    section: PsoFields,
-    problem: Problem,
-    length: int,
-    warm: Floats | None,
-    key: int,
-    limits: Limits,
-) -> Search:
-    """Algorithm 1, pso(u_gb^0): search sequences of `length` signals, from `warm` or from NULL."""
+def swarms(
+    section: Pso, problem: Problem, length: int, warm: Floats | None, key: int
+) -> Iterator[Swarm]:
+    """Yield Algorithm 1's swarm before the first and after each iteration, without end."""
+    costs = compiled_costs(problem, section.particles)
     swarm = Swarm.scatter(section, length, key)  # line 1
-    swarm.best_cost = evaluate(problem, swarm.best).total
-    evaluations = section.particles
+    swarm.best_cost = costs(swarm.best)
     if warm is None:  # lines 2-3
         leader = int(np.argmin(swarm.best_cost))
-        swarm.u_gb, swarm.cost = swarm.best[leader].copy(), float(swarm.best_cost[leader])
+        swarm.u_gb, swarm.cost = swarm.best[:, leader].copy(), float(swarm.best_cost[leader])
     else:  # lines 4-5: (19) compares it with the swarm later
-        swarm.u_gb, swarm.cost = warm.copy(), float(evaluate(problem, warm[None]).total[0])
-        evaluations += 1
-    history = [swarm.cost]
-    reason = StopReason.ITERATIONS
-    for _ in range(section.iterations):  # line 7
-        if not limits.allow(evaluations + section.particles):
-            reason = StopReason.EVALUATIONS
-            break
-        if limits.expired(evaluations):
-            reason = StopReason.DEADLINE
-            break
-        swarm.tell(evaluate(problem, swarm.ask()).total)  # line 8
-        evaluations += section.particles
-        history.append(swarm.cost)
-        if why := stopped(np.array(history), section.stop):  # line 9
-            reason = why
-            break
-    return Search(length, swarm.u_gb, swarm.cost, np.array(history), evaluations, reason)
+        swarm.u_gb, swarm.cost = warm.copy(), float(compiled_costs(problem, 1)(warm[:, None])[0])
+    while True:  # line 7
+        yield swarm
+        swarm.tell(costs(swarm.ask()))  # line 8

@@ -15,7 +15,7 @@ from tetractl.core.commands import Steer
 from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.kernels.levenberg import polish
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 

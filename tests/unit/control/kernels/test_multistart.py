@@ -9,37 +9,12 @@ from hypothesis import strategies as st
 from support import problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.curves import interpolate, places
 from tetractl.control.kernels.levenberg import lay_out_polish, polish
-from tetractl.control.kernels.multistart import polish_each, scatter, workspace
+from tetractl.control.kernels.multistart import polish_each, workspace
 from tetractl.control.kernels.rollout import lay_out
-from tetractl.control.rng import uniform
 from tetractl.core.poses import wrap
 
 TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
-
-
-@given(
-    key=st.integers(0, 2**64 - 1),
-    count=st.integers(1, 13),
-    extra=st.integers(0, 40),
-    particles=st.integers(1, 130),
-    middle=st.floats(-math.pi, math.pi),
-    warm=st.booleans(),
-)
-def test_starts_are_scattered_as_numpy_computes_them_to_the_last_bit(
-    key, count, extra, particles, middle, warm
-):
-    length = count + extra
-    around = np.random.default_rng(count).uniform(-4, 4, length if warm else 0)
-    draws = uniform(key, 0, count * particles).reshape(count, particles) * 2 - 1
-    curve = interpolate(draws, length)
-    expected = middle + np.pi * curve
-    if warm:
-        expected[:, ::2] = around[:, None] + 0.5 * curve[:, ::2]
-    knots, found = np.empty((count, particles)), np.empty((length, particles))
-    scatter(np.uint64(key), *places(count, length), middle, around, knots, found)
-    assert np.array_equal(found, wrap(expected))
 
 
 def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH):

@@ -3,25 +3,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, assume, example, given, settings
+from hypothesis import example, given
 from hypothesis import strategies as st
 from support import problems
 
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
-from tetractl.control.optimizers.pso import pso
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.core.plan import Limits
 
 MODELS = st.sampled_from(["euler", "arc", "exact"])
-STOPS = st.sampled_from(
-    [
-        {"type": "paper"},
-        {"type": "relative"},
-        {"type": "target", "cost": 900},
-        {"type": "budget"},
-    ]
-)
 
 
 def compiled_costs(problem, signals):
@@ -85,38 +76,6 @@ def test_costs_agree_at_the_bounds_and_along_the_axes(model):
     assert compiled_costs(problem, signals) == pytest.approx(
         evaluate(problem, signals).total, rel=1e-9
     )
-
-
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.filter_too_much])
-@given(
-    seed=st.integers(0, 2**32),
-    key=st.integers(0, 2**64 - 1),
-    robots=st.integers(1, 3),
-    obstacles=st.integers(0, 3),
-    length=st.integers(2, 12),
-    particles=st.integers(1, 33),
-    iterations=st.integers(1, 14),
-    model=MODELS,
-    swept=st.booleans(),
-    warm=st.booleans(),
-    stop=STOPS,
-    budget=st.none() | st.integers(1, 400),
-)
-def test_whole_searches_agree(
-    seed, key, robots, obstacles, length, particles, iterations, model, swept, warm, stop, budget
-):
-    problem = problems.problem(problems.world(seed, robots, obstacles, model, swept))
-    fields = {"particles": particles, "iterations": iterations, "stop": stop}
-    spec = Pso.model_validate(fields)
-    start = np.random.default_rng(seed).uniform(-math.pi, math.pi, length) if warm else None
-    assume(problems.is_decided(problem, length, start, spec, key))
-    slow = pso(spec, problem, length, start, key, Limits(budget))
-    fast = spec.search(problem, length, start, key, Limits(budget))
-    assert (fast.length, fast.stopped) == (slow.length, slow.stopped)
-    assert fast.evaluations == slow.evaluations
-    assert fast.history == pytest.approx(slow.history, rel=1e-9)
-    assert fast.cost == fast.history[-1]
-    assert fast.signals == pytest.approx(slow.signals, abs=1e-9)
 
 
 def test_a_search_leaves_its_problem_alone():

@@ -15,7 +15,7 @@ from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.cem import CrossEntropy
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso_section import Pso
+from tetractl.control.optimizers.pso import Pso
 from tetractl.control.search_progress import Progress
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Limits, StopReason

@@ -24,12 +24,12 @@ import time
 from typing import Literal
 import numpy as np
 from tetractl.core.plan import Outcome, Plan, Search, StopReason
-from tetractl.experiment.controller import ControllerSection, same
+from tetractl.experiment.controller import ALONE, ControllerSection
 
 class East(ControllerSection):
     type: Literal["east"]
     fails_at: int = 99
-    def build(self, setup, key, wrap=same, timer=time.perf_counter_ns):
+    def build(self, setup, key, host=ALONE):
         return Driver(self)
 
 class Driver:

@@ -4,7 +4,7 @@ import numpy as np
 
 from tetractl.core.plan import Search, StopReason
 from tetractl.core.poses import Observation, Poses
-from tetractl.experiment.controller import same
+from tetractl.experiment.controller import Host
 
 STARTS = np.array([[900.0, 800, 0], [900, 1200, 0], [900, 1600, 0]])
 TARGETS = np.array([[1700.0, 500, 0], [1700, 1500, 0], [1700, 2000, 0]])
@@ -16,8 +16,8 @@ def seen(poses=STARTS, now=0):
 
 
 def mpc(experiment, key, optimizer=None):
-    wrap = same if optimizer is None else lambda _: optimizer
-    return experiment.controller.build(experiment.setup, key, wrap)
+    host = Host() if optimizer is None else Host(lambda _: optimizer)
+    return experiment.controller.build(experiment.setup, key, host)
 
 
 class Scripted:

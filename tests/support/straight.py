@@ -4,7 +4,6 @@ It stands for what another package may bring: the contract suite runs against it
 trial loop, the log and `verify`, none of which knows it.
 """
 
-import time
 from typing import Literal
 
 import numpy as np
@@ -14,7 +13,7 @@ from tetractl.control.curves import bearing
 from tetractl.control.rng import mix
 from tetractl.core.plan import Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.registries import CONTROLLERS
-from tetractl.experiment.controller import ControllerSection, same
+from tetractl.experiment.controller import ALONE, ControllerSection
 from tetractl.model.obstacles import Obstacles
 
 
@@ -25,7 +24,7 @@ class Straight(ControllerSection):
     signals: int = 20
     """Signals predicted ahead."""
 
-    def build(self, setup, key, wrap=same, timer=time.perf_counter_ns):
+    def build(self, setup, key, host=ALONE):
         return _Straight(self, setup, key)
 
 

@@ -162,7 +162,7 @@ class Faulty(SequenceSection):
     fault: str
     _inner: object = PrivateAttr()
 
-    def build(self, setup, key, wrap=None, timer=None):
+    def build(self, setup, key, host=None):
         self._inner = super().build(setup, key)
         return self
 

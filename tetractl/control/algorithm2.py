@@ -5,8 +5,7 @@ H + 1 from what is left of the sequence in use; the best is exerted. Nothing is 
 `tetractl.control.mpc` is the controller that we recommend.
 """
 
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -21,7 +20,7 @@ from tetractl.core.plan import End, Limits, Outcome, Plan
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import OptimizerSection, same
+from tetractl.experiment.controller import ALONE, Host
 
 
 class PsoMpc(SearchFields):
@@ -30,15 +29,9 @@ class PsoMpc(SearchFields):
 
     type: Literal["pso-mpc"] = "pso-mpc"
 
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> "Algorithm2":
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Algorithm2":
         """Return the controller of one trial."""
-        return Algorithm2(self, setup, key, wrap(self.optimizer))
+        return Algorithm2(self, setup, key, host.wrap(self.optimizer))
 
 
 class Algorithm2:

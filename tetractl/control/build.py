@@ -8,6 +8,7 @@ from tetractl.control.work_clock import WorkClock
 from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
 from tetractl.experiment.abilities import Modelled, Searches
+from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
@@ -19,7 +20,7 @@ def build_controller(experiment: Experiment, key: int) -> Controller:
     if experiment.plant.real_time:
         return experiment.controller.build(experiment.setup, key)
     work = WorkClock()
-    return experiment.controller.build(experiment.setup, key, work.wrap, work)
+    return experiment.controller.build(experiment.setup, key, Host(work.wrap, work))
 
 
 def warm_up(experiment: Experiment, announce: Callable[[str], None]) -> None:

@@ -10,9 +10,7 @@ rise. The paper gives no parameters for this earlier algorithm of its authors; t
 tetractl's choice. Obstacles are ignored.
 """
 
-import time
 from collections import deque
-from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import ClassVar, Literal
 
@@ -20,21 +18,20 @@ import numpy as np
 from pydantic import Field
 
 from tetractl.control.cost import costs_along, predict
-from tetractl.control.fixed_sequence import plain_problem, search_of
+from tetractl.control.fixed_sequence import search_of
+from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import mix
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff
 from tetractl.core.plan import Outcome, Plan, Problem
 from tetractl.core.poses import Floats, Observation, Poses
-from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Positive
-from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.experiment.controller import ALONE, Host
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.obstacles import Obstacles
 
 
-class EnsembleSection(ControllerSection):
+class EnsembleSection(PlainSection):
     """Feedback Ensemble Control: the field rotates until the sum of distances to the targets would
     fall without a field; then it is off as long as the sum falls. The controller ignores obstacles
     and works in simulations only."""
@@ -55,52 +52,39 @@ class EnsembleSection(ControllerSection):
     """The trial ends if the field has made this number of turns without being switched off, and
     the next step would not reduce the sum of distances."""
 
-    def problem(self, setup: Setup) -> Problem:
-        """Return the problem used to compute the logged cost, for robots at their starts."""
-        return plain_problem(setup, self.period, Obstacles.of(setup.obstacles))
+    def warm_up(self, setup: Setup) -> None:
+        """Do nothing: nothing is compiled."""
 
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> "Ensemble":
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Ensemble":
         """Return the controller of one trial."""
         return Ensemble(self, setup, key)
 
 
-class Ensemble:
+class Ensemble(PlainController):
     """The controller of one trial. No random numbers are drawn; `key` is only used for the log."""
 
     def __init__(self, section: EnsembleSection, setup: Setup, key: int) -> None:
-        self.section, self._key = section, key
-        self._problem = section.problem(setup)
+        super().__init__(section, setup, key)
+        self.section = section
         self._delay_ns = round(section.dead_time * SECOND)
         # times from which directions act [ns], and the directions u [rad], None for no field
         self._acting: deque[tuple[int, float | None]] = deque()
         # direction of the rotating field [rad], None while it is off
         self._phase: float | None = None
         self._turned = 0.0  # angle by which the field has turned since it was switched on [rad]
-        self._k = 0
 
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
+    def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
+        """Return the problem with the poses at which the decision acts."""
+        return replace(self.problem, poses=self._when_acting(observation))
+
+    def decided(
+        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
     ) -> Plan | Outcome:
         """Rotate the field further, switch it off, or end the trial."""
         section = self.section
-        problem = replace(self._problem, poses=self._when_acting(observation))
-        gaps = problem.poses.distances(problem.targets)
-        if section.arrived(gaps):
-            return Outcome.ARRIVED
-        if self._k > section.steps_max:
-            return Outcome.STEPS_MAX
         straight = _ahead(problem, problem.poses, None, section.period)
         fall = float(gaps.sum()) - _sum(problem, straight.array())
-        driving = self._phase is None and self._k > 0  # the field stays off until V would rise
+        driving = self._phase is None and self.k > 0  # the field stays off until V would rise
         least = 0.0 if driving else section.fall * float(problem.speed.sum()) * section.period
         if fall > least:
             self._phase, self._turned = None, 0.0
@@ -113,7 +97,6 @@ class Ensemble:
                 return Outcome.NOTHING_BETTER
             plan = self._decide(problem, signals, Poses.of(path[-1]))
         self._acting.append((observation.sampled_ns + self._delay_ns, plan.direction))
-        self._k += 1
         return plan
 
     def _turn(self, problem: Problem) -> None:
@@ -138,7 +121,7 @@ class Ensemble:
             obstacle_cost=float(costs.obstacle[0]),
             searches=(search_of(signals, cost),),
             chosen=0,
-            generator=mix(self._key, self._k),
+            generator=mix(self.key, self.k),
             instead=FieldOff() if self._phase is None else None,
         )
 
@@ -152,7 +135,7 @@ class Ensemble:
         for (since, u), end in zip(self._acting, [*ends, until], strict=False):
             seconds = (end - max(since, now)) / SECOND
             if seconds > 0:
-                poses = _ahead(self._problem, poses, u, seconds)
+                poses = _ahead(self.problem, poses, u, seconds)
         return poses
 
 

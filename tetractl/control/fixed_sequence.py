@@ -1,5 +1,5 @@
-"""Functions that controllers share: the problem whose cost is logged by controllers that do not
-search, search records of given signals, plans from search records, and the best moment to stop.
+"""Functions that controllers share: search records of given signals, plans from search records,
+where robots will be, and the best moment to stop.
 """
 
 from collections.abc import Callable
@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.cost import Foreseen, evaluate, foresee
-from tetractl.control.delay import driven
 from tetractl.core.clock import SECOND
-from tetractl.core.plan import Plan, Problem, Region, Search, StopReason
-from tetractl.core.poses import Floats
-from tetractl.core.setup import Setup
+from tetractl.core.plan import Plan, Problem, Search, StopReason
+from tetractl.core.poses import Floats, Poses
+from tetractl.core.registries import MOTIONS
 
 MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
 
@@ -23,23 +22,6 @@ class StopForecast:
 
     delay_ns: int
     error: float
-
-
-def plain_problem(setup: Setup, period: float, obstacles: Region, swept: bool = False) -> Problem:
-    """Return the problem of robots at their starts, predicted by the exact motion with the control
-    period `period` [s]; touching an obstacle costs nothing."""
-    return Problem(
-        poses=setup.starts,
-        targets=setup.targets,
-        a=setup.a,
-        speed=setup.speed,
-        motion="exact",
-        period=period,
-        first_period=period,
-        obstacles=obstacles,
-        obstacle_weight=0.0,
-        swept=swept,
-    )
 
 
 def given_search(problem: Problem, signals: Floats) -> Search:
@@ -88,3 +70,23 @@ def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForec
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
+
+
+def driven(
+    problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
+) -> tuple[Floats, Floats, Floats]:
+    """Return x, y and heading (..., N) of robots that start at `start` and drive for `seconds`.
+
+    `seconds` [s] is a number or an array (..., 1). Robots follow `direction` (N,) [rad], NaN for a
+    robot that stands still.
+    """
+    stands = np.isnan(direction)
+    moving = np.where(stands, 0.0, seconds)
+    towards = np.where(stands, 0.0, direction)
+    if problem.bias is not None:
+        towards = towards + problem.bias
+    step = MOTIONS.load(problem.motion).step
+    x, y, heading = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, moving)
+    if problem.flow is not None:
+        x, y = x + moving * problem.flow[:, 0], y + moving * problem.flow[:, 1]
+    return x, y, heading

@@ -16,18 +16,16 @@ plan under way, and only the first signal is exerted.
 """
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tetractl.control.corners import away
-from tetractl.control.delay import driven
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_foresee, compiled_path
-from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
-from tetractl.control.holding import signals_ahead
+from tetractl.control.fixed_sequence import best_stop, driven, given_search, make_plan
+from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins, off_course
 from tetractl.control.mpc_section import RecommendedMpc
@@ -48,9 +46,8 @@ from tetractl.core.plan import (
     never,
 )
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import Square
+from tetractl.experiment.controller import Host, Square
 
 NEXT = 2  # number of next signals of the present plan that must be safe
 UNSURE = 2  # number of last signals of a plan that need not be safe
@@ -88,12 +85,10 @@ class Mpc:
         section: RecommendedMpc,
         setup: Setup,
         key: int,
-        optimizer: Optimizer,
-        circler: Optimizer,
-        timer: Callable[[], int] = time.perf_counter_ns,
+        host: Host,
     ) -> None:
-        self.section, self.setup, self.key, self.timer = section, setup, key, timer
-        self.optimizer, self.circler = optimizer, circler
+        self.section, self.setup, self.key, self.timer = section, setup, key, host.timer
+        self.optimizer, self.circler = host.wrap(section.optimizer), host.wrap(CircleSearch())
         square = isinstance(section.first_plan, Square)
         self.estimator = StateEstimator(
             section.problem(setup), section.period, section.known(setup), square, setup.loss

@@ -2,22 +2,22 @@
 `SearchFields`, and `mpc`, the recommended controller, all of them.
 """
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, PositiveInt
 
-from tetractl.control.prior import Prior, nothing
+from tetractl.control.plain import PlainSection
+from tetractl.control.prior import Prior
 from tetractl.core.plan import Limits, Problem
 from tetractl.core.poses import Poses
-from tetractl.core.protocols import Controller, Optimizer
+from tetractl.core.protocols import Controller
 from tetractl.core.registries import MOTIONS, OPTIMIZERS
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative, Positive, defaults
-from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.experiment.controller import ALONE, Host, OptimizerSection
 from tetractl.experiment.registry_fields import KindName, KindSection
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
@@ -107,7 +107,7 @@ class PriorSection(Model):
         )
 
 
-class SearchFields(ControllerSection):
+class SearchFields(PlainSection):
     """The fields that `pso-mpc` and `mpc` share, with the paper's defaults."""
 
     motion: Annotated[str, KindName(MOTIONS)] = "euler"
@@ -142,36 +142,23 @@ class SearchFields(ControllerSection):
         residuals = robots * (2 + robots // 2 + len(setup.obstacles))
         return swarm + residuals * length
 
-    def known(self, setup: Setup) -> Prior:
-        """Return what is assumed of the robots' motion: nothing is uncertain."""
-        return nothing(self.problem(setup), self.dead_time)
-
     def problem(self, setup: Setup, poses: Poses | None = None) -> Problem:
         """Return the problem with the robots at `poses`, or at their starts; obstacles are tested
         at the predicted samples, as in the paper's equation (13)."""
-        return Problem(
-            poses=setup.starts if poses is None else poses,
-            targets=setup.targets,
-            a=setup.a,
-            speed=setup.speed,
-            motion=self.motion,
-            period=self.period,
-            first_period=self.period,
-            obstacles=Obstacles.of(setup.obstacles),
-            obstacle_weight=self.obstacle_weight,
-            swept=False,
+        problem = replace(
+            super().problem(setup), motion=self.motion, obstacle_weight=self.obstacle_weight
         )
+        return problem if poses is None else replace(problem, poses=poses)
 
     def warm_up(self, setup: Setup) -> None:
         """Call the planner's functions once so that they are compiled: search for one signal,
         predict the robots' paths under it, and follow robots in a few frames."""
         from tetractl.control.evaluate import compiled_foresee
-        from tetractl.control.filter import warm_up
 
         problem = self.problem(setup)
         found = self.optimizer.search(problem, 1, np.zeros(1), 0, Limits())
         compiled_foresee(problem, found.signals)
-        warm_up(self.known(setup), setup.starts)
+        super().warm_up(setup)
 
 
 @defaults(
@@ -257,15 +244,8 @@ class RecommendedMpc(SearchFields):
             return super().known(setup)
         return self.prior.of(self.problem(setup), self.dead_time, setup)
 
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> Controller:
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
         """Return the controller of one trial."""
-        from tetractl.control.holding import CircleSearch
         from tetractl.control.mpc import Mpc
 
-        return Mpc(self, setup, key, wrap(self.optimizer), wrap(CircleSearch()), timer)
+        return Mpc(self, setup, key, host)

@@ -10,25 +10,21 @@ tightest bend that a robot can drive.
 Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for path planning" (1998).
 """
 
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.estimator import StateEstimator
-from tetractl.control.filter import warm_up
-from tetractl.control.fixed_sequence import best_stop, given_search, make_plan, plain_problem
-from tetractl.control.prior import nothing
-from tetractl.control.rng import mix, uniform
-from tetractl.core.commands import Command
+from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
+from tetractl.control.plain import PlainController, PlainSection
+from tetractl.control.rng import uniform
 from tetractl.core.plan import End, Outcome, Plan, Problem, Region
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.protocols import Optimizer
 from tetractl.core.setup import Bounds, Setup
 from tetractl.experiment.base import NonNegative, Positive
-from tetractl.experiment.controller import ControllerSection, OptimizerSection, same
+from tetractl.experiment.controller import ALONE, Host
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
@@ -42,7 +38,7 @@ DRAWS = 5000
 drives straight to it."""
 
 
-class RrtSection(ControllerSection):
+class RrtSection(PlainSection):
     """A rapidly-exploring random tree with feedback, for one robot: the field points at the next
     corner of a path that keeps clear of obstacles and walls."""
 
@@ -70,59 +66,32 @@ class RrtSection(ControllerSection):
     def problem(self, setup: Setup) -> Problem:
         """Return the problem used to compute the logged cost, for the robot at its start."""
         obstacles = Obstacles.of(setup.obstacles, self.margin, setup.arena)
-        return plain_problem(setup, self.period, obstacles, swept=True)
+        return replace(super().problem(setup), obstacles=obstacles, swept=True)
 
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[[OptimizerSection], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> "Rrt":
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> "Rrt":
         """Return the controller of one trial."""
         return Rrt(self, setup, key)
 
-    def warm_up(self, setup: Setup) -> None:
-        """Compile the prediction over the dead time."""
-        warm_up(nothing(self.problem(setup), self.dead_time), setup.starts)
 
-
-class Rrt:
+class Rrt(PlainController):
     """The controller of one trial; `key` seeds all its random numbers."""
 
     def __init__(self, section: RrtSection, setup: Setup, key: int) -> None:
-        self.section, self._key = section, key
-        problem = section.problem(setup)
-        self._estimator = StateEstimator(
-            problem, section.period, nothing(problem, section.dead_time)
-        )
+        super().__init__(section, setup, key)
+        self.section = section
         radius = float(setup.speed[0] / setup.a[0])
         self._edge = section.edge * radius
         self._reach = max(section.reach * radius, float(setup.speed[0]) * section.period)
         self._arena = setup.arena
         self._path = setup.targets  # corners still to be passed (M, 2), the target last
-        self._k = 0
 
-    def plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
+    def decided(
+        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
     ) -> Plan | Outcome | End:
         """Point the field at the next corner of the path, or end the trial."""
-        section = self.section
-        problem = self._estimator.seen(observation, last_command)
-        gaps = problem.poses.distances(problem.targets)
-        if section.arrived(gaps):
-            return Outcome.ARRIVED
-        if self._k > section.steps_max:
-            return Outcome.STEPS_MAX
-        step_key = mix(self._key, self._k)
         signals = np.array([self._towards(problem, step_key)])
-        if ended := self._passing(problem, observation, signals, float(gaps[0])):
-            return ended
-        self._k += 1
-        return make_plan(problem, [given_search(problem, signals)], 0, step_key)
+        ended = self._passing(problem, observation, signals, float(gaps[0]))
+        return ended or make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
         """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.
@@ -154,7 +123,7 @@ class Rrt:
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None
-        held = self._estimator.held_at_action(observation)
+        held = self.estimator.held_at_action(observation)
         stopping = best_stop(problem, held, self.section.period)
         if stopping.error > evaluate(problem, signals[None]).target[0]:
             return None

@@ -7,6 +7,7 @@ Each section is in the file of the class that it configures, and named in
 import time
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import Field
@@ -81,9 +82,18 @@ class OptimizerSection(Model):
             yield "evaluations"
 
 
-def same(optimizer: Optimizer) -> Optimizer:
-    """Return the optimiser unchanged."""
-    return optimizer
+@dataclass(frozen=True, slots=True)
+class Host:
+    """What a controller uses of the program that runs it: `wrap`, through which it passes each
+    optimiser, and `timer`, the only clock that it reads [ns]. So a log can be verified by repeating
+    every search."""
+
+    wrap: Callable[[OptimizerSection], Optimizer] = lambda optimizer: optimizer
+    timer: Callable[[], int] = time.perf_counter_ns
+
+
+ALONE = Host()
+"""The host of a controller whose searches nobody counts or repeats."""
 
 
 class ControllerSection(Model):
@@ -142,18 +152,8 @@ class ControllerSection(Model):
         yield from ()
 
     @abstractmethod
-    def build(
-        self,
-        setup: Setup,
-        key: int,
-        wrap: Callable[["OptimizerSection"], Optimizer] = same,
-        timer: Callable[[], int] = time.perf_counter_ns,
-    ) -> Controller:
-        """Return the controller of one trial; `key` seeds all its random numbers.
-
-        The controller must pass each optimiser that it uses through `wrap`, and read no clock but
-        `timer` [ns], so that a log can be verified by repeating every search.
-        """
+    def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
+        """Return the controller of one trial; `key` seeds all its random numbers."""
 
     def warm_up(self, setup: Setup) -> None:
         """Compile the functions that the controller needs, or load them from the cache."""

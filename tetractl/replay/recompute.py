@@ -30,7 +30,7 @@ from tetractl.core.plan import (
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller, Optimizer
 from tetractl.core.trial import Result, Step
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
@@ -186,7 +186,7 @@ def recompute(
     rerun = Rerun(search_again, cpu, limit_s)
     if not search_again:
         rerun.start()
-    controller = log.experiment.controller.build(setup, key, rerun.wrap, rerun.timer)
+    controller = log.experiment.controller.build(setup, key, Host(rerun.wrap, rerun.timer))
     tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
     estimated = any(step.plan.estimate is not None for step in log.steps)
     last: Step | None = None

@@ -17,7 +17,7 @@ from tetractl.core.errors import LogError, TetractlError
 from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats
 from tetractl.core.protocols import Optimizer
-from tetractl.experiment.controller import OptimizerSection
+from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import NoSearchError, Rerun
@@ -113,8 +113,7 @@ def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
     controller = log.experiment.controller.build(
         log.start.setup,
         key,
-        lambda section: _SpyOptimizer(section, rerun.wrap(section), asked),
-        rerun.timer,
+        Host(lambda section: _SpyOptimizer(section, rerun.wrap(section), asked), rerun.timer),
     )
     rerun.begin(step.plan.searches)
     with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded

@@ -14,6 +14,7 @@ from tetractl.control.work_clock import WorkClock
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import End, Plan
 from tetractl.core.poses import Floats, wrap
+from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.trial_log import TrialLog
@@ -100,7 +101,7 @@ def what_if(log: TrialLog, other: Experiment) -> WhatIf:
     key, _ = trial_seeds(log.start.seed, log.start.trial)
     setup = other.setup
     work = WorkClock()
-    controller = other.controller.build(setup, key, work.wrap, work)
+    controller = other.controller.build(setup, key, Host(work.wrap, work))
     found, ended, last = [], "", None
     steps = first_steps(log)
     for step in steps:

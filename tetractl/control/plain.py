@@ -1,0 +1,87 @@
+"""What the controllers without a search share: the problem whose cost is logged, and a step."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+from functools import cached_property
+
+from tetractl.control.estimator import StateEstimator
+from tetractl.control.filter import warm_up
+from tetractl.control.prior import Prior, nothing
+from tetractl.control.rng import mix
+from tetractl.core.commands import Command
+from tetractl.core.plan import End, Outcome, Plan, Problem
+from tetractl.core.poses import Floats, Observation
+from tetractl.core.setup import Setup
+from tetractl.experiment.controller import ControllerSection
+from tetractl.model.obstacles import Obstacles
+
+
+class PlainSection(ControllerSection):
+    """A controller that knows the robots' motion, and predicts them over the dead time."""
+
+    def problem(self, setup: Setup) -> Problem:
+        """Return the problem used to compute the logged cost, for robots at their starts, predicted
+        by the exact motion; touching an obstacle costs nothing."""
+        return Problem(
+            poses=setup.starts,
+            targets=setup.targets,
+            a=setup.a,
+            speed=setup.speed,
+            motion="exact",
+            period=self.period,
+            first_period=self.period,
+            obstacles=Obstacles.of(setup.obstacles),
+            obstacle_weight=0.0,
+            swept=False,
+        )
+
+    def known(self, setup: Setup) -> Prior:
+        """Return what is assumed of the robots' motion: nothing is uncertain."""
+        return nothing(self.problem(setup), self.dead_time)
+
+    def warm_up(self, setup: Setup) -> None:
+        """Compile the prediction over the dead time by using it once."""
+        warm_up(self.known(setup), setup.starts)
+
+
+class PlainController:
+    """The controller of one trial: its number of the step, k, and its estimator; `key` seeds all
+    its random numbers."""
+
+    def __init__(self, section: PlainSection, setup: Setup, key: int) -> None:
+        self.key, self.k, self._ends = key, 0, section
+        self.problem = section.problem(setup)
+        self._known = section.known(setup)
+
+    @cached_property
+    def estimator(self) -> StateEstimator:
+        """The robots' poses at the moment when the next direction acts."""
+        return StateEstimator(self.problem, self._ends.period, self._known)
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | Outcome | End:
+        """Decide what the robots do in one step, or end the trial."""
+        problem = self.predicted(observation, last_command)
+        gaps = problem.poses.distances(problem.targets)
+        if self._ends.arrived(gaps):
+            return Outcome.ARRIVED
+        if self.k > self._ends.steps_max:
+            return Outcome.STEPS_MAX
+        decision = self.decided(problem, observation, gaps, mix(self.key, self.k))
+        self.k += 1
+        return decision
+
+    def predicted(self, observation: Observation, last_command: Command | None) -> Problem:
+        """Return the problem with the poses at which the next direction acts."""
+        return self.estimator.seen(observation, last_command)
+
+    @abstractmethod
+    def decided(
+        self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
+    ) -> Plan | Outcome | End:
+        """Return the decision of step k, whose random numbers `step_key` seeds, for robots that are
+        `gaps` (N,) away from their targets."""

@@ -16,7 +16,7 @@ from tetractl.core.plan import End, Limits, Outcome, Plan, Problem, Search, Stop
 from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import LabSupervision, Optimizer
 from tetractl.core.setup import Setup
-from tetractl.experiment.controller import ControllerSection, OptimizerSection
+from tetractl.experiment.controller import ControllerSection, Host, OptimizerSection
 from tetractl.model.obstacles import Obstacles
 from tetractl.plant.simulation import SimSection
 from tetractl.testing.finding import SEED, Finding, Findings, near, random_watched, same, true
@@ -82,7 +82,7 @@ class Play:
     def _drive(self, section: ControllerSection, setup: Setup) -> None:
         clock, timer = VirtualClock(), count(step=SECOND // 1000)
         plant = SimSection().build(setup, clock, np.random.SeedSequence(SEED), LabSupervision())
-        controller = section.build(setup, SEED, self._wrap, lambda: next(timer))
+        controller = section.build(setup, SEED, Host(self._wrap, lambda: next(timer)))
         plant.open()
         command, earlier = None, list[Observation]()
         for k in range(STEPS_MAX + 2):

@@ -9,7 +9,7 @@ from support.trials import experiment
 
 from tetractl.control.corners import TURN_S, away, turn_away, way_out
 from tetractl.control.cost import predict
-from tetractl.control.delay import driven
+from tetractl.control.fixed_sequence import driven
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds

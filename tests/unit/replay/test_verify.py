@@ -16,7 +16,7 @@ from support.paths import ROOT
 from tetractl.core.commands import HALTS, PlantInfo
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
-from tetractl.experiment.controller import same
+from tetractl.experiment.controller import ALONE
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
@@ -109,7 +109,7 @@ def test_every_decision_comes_out_with_the_same_bits(tmp_path, sets):
 class Late:
     """A clock that is past every deadline after so many looks at it."""
 
-    wrap = staticmethod(same)
+    wrap = staticmethod(ALONE.wrap)
 
     def __init__(self, looks):
         self.looks, self.time = looks, 0

@@ -93,7 +93,7 @@ class Host:
 
 
 ALONE = Host()
-"""The host of a controller whose searches nobody counts or repeats."""
+"""The host of a controller whose searches are neither counted nor repeated."""
 
 
 class ControllerSection(Model):

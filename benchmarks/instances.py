@@ -126,7 +126,7 @@ def _read(path: Path) -> list[dict[str, str]]:
 
 def _arm(name: str, rows: list[dict[str, str]], cpu_s: list[float]) -> Arm:
     column = next(key for key in rows[0] if key.startswith("total_error_"))
-    every = "".join(row["trial_digest"] for row in rows)
+    every = "".join(row["content_digest"] for row in rows)
     return Arm(
         name,
         column.rpartition("_")[2],

@@ -6,7 +6,7 @@ import shutil
 import pytest
 from support import random_trials
 from support.cli import tetractl
-from support.mutate import rewrite
+from support.mutate import rewrite, stating
 from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, run, write
@@ -15,6 +15,7 @@ from tetractl.core.table import table_files
 from tetractl.emulate.script import parse_script
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format.channels import RUN
+from tetractl.log.format.tetractl_pb2 import Fact
 from tetractl.log.read import limits
 from tetractl.log.read import rows as log_rows
 from tetractl.log.read.salvage import scan
@@ -138,7 +139,7 @@ def test_a_job_script_has_no_line_of_a_files_name(tmp_path):
     refused(tetractl(tmp_path, "study", "study.yaml", "--slurm", 2, "--out", "a\rb"), r"a\rb")
 
 
-@pytest.mark.parametrize("log", ["format-2-sim", "format-2-lab"])
+@pytest.mark.parametrize("log", ["format-3-sim", "format-3-lab"])
 def test_a_golden_log_is_exported_as_parquet(log, tmp_path):
     """Regression: their seed is above 2**63 - 1."""
     path = GOLDEN / f"{log}.mcap"
@@ -151,10 +152,8 @@ def test_the_estimates_of_a_log_with_any_fact_are_drawn_or_told(fact, tmp_path):
     made = random_trials.write(random_trials.trial(steps=3), tmp_path / "made.mcap")
     contents = scan(made)
 
-    def facts(name, now):
-        return now | {"plant.true_a": fact} if name == RUN else now
-
-    log = rewrite(contents, tmp_path / "log.mcap", {}, facts)
+    facts = [Fact(key="true_a", value=fact)]
+    log = rewrite(contents, tmp_path / "log.mcap", stating(contents, RUN, facts=facts))
     done = tetractl(tmp_path, "plot", log, "--kind", "estimate", "-o", "e.png")
     refused(done, "log.mcap", "true_a", code=1)
 

@@ -11,12 +11,12 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel
 from support.commands import COSTLY
-from support.mutate import chunk, rewrite
+from support.mutate import chunk, rewrite, stating
 from support.paths import ROOT
 from support.random_trials import trial, write
 
 from tetractl.log.format.channels import FRAMES, HOST, LOG, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
-from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 
@@ -45,7 +45,7 @@ def steps_of_searches(contents, path):
     del step.searches[:]
     step.searches.extend([one] * 20_000)
     step.chosen = 0
-    several = b"".join(message(4, step.SerializeToString()) for _ in range(5))
+    several = b"".join(message(5, step.SerializeToString()) for _ in range(5))
     return before_the_end(contents, path, [chunk(several)] * 30)
 
 
@@ -92,14 +92,10 @@ def escapes(contents, path):
             step.searches[step.chosen].stopped = EVIL
             entries[entry] = entry._replace(data=step.SerializeToString())
 
-    def add(name, facts):
-        if name == RUN:
-            return facts | {"spec_name": EVIL, "plant.fact": EVIL, f"plant.{EVIL}": "1"}
-        if name == RESULT:
-            return facts | {"reason": f"=cmd{EVIL}"}
-        return facts | {"host": EVIL, EVIL: EVIL} if name == HOST else facts
-
-    return rewrite(contents, path, entries, add)
+    evil = [Fact(key=EVIL, value=EVIL), Fact(key="host", value=EVIL)]
+    entries |= stating(contents, RUN, spec_name=EVIL, facts=evil)
+    entries |= stating(contents, RESULT, reason=f"=cmd{EVIL}") | stating(contents, HOST, facts=evil)
+    return rewrite(contents, path, entries)
 
 
 def zeros_behind(contents, path):

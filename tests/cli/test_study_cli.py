@@ -10,8 +10,7 @@ import subprocess
 import pytest
 from support.studies import FAILING, SMALL, Running, results, rows, tetractl, write
 
-from tetractl.log.format.trial_digest import trial_digest
-from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.reader import content_digest, read_result
 
 
 def study(*args, cwd):
@@ -47,7 +46,7 @@ def test_a_study_leaves_a_folder_an_arm_a_table_and_figures(whole):
     assert len(found) == 40
     for row in found[::7]:
         log = out / row["log"]
-        assert row["trial_digest"] == trial_digest(read_trial(log))
+        assert row["content_digest"] == content_digest(log)
         assert float(row["total_error_mm"]) == read_result(log).result.total_error
     assert found[0]["controller"] == "many"
     assert {row["plant.dead_time"] for row in found} == {"0", "0.1"}
@@ -107,7 +106,7 @@ def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path
     assert "40 trials added" in done.stderr
     assert results(tmp_path / "out") == results(whole[0] / "out")
     for row in table(tmp_path / "out")[::11]:
-        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
+        assert content_digest(tmp_path / "out" / row["log"]) == row["content_digest"]
 
 
 def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
@@ -121,7 +120,7 @@ def test_a_failed_trial_is_told_and_does_not_stop_the_others(tmp_path):
     assert [row["outcome"] == "aborted" for row in found] == [True] * 4 + [False] * 4
     assert [bool(row["log"]) for row in found] == [True] * 4 + [False] * 4
     for row in found[:4]:
-        assert trial_digest(read_trial(tmp_path / "out" / row["log"])) == row["trial_digest"]
+        assert content_digest(tmp_path / "out" / row["log"]) == row["content_digest"]
 
 
 def test_shares_of_one_arm_are_one_batch(tmp_path):

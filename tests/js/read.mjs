@@ -29,13 +29,9 @@ for await (const message of reader.readMessages({ validateCrcs: true })) {
   }
 }
 
-const metadata = {};
-for await (const record of reader.readMetadata()) {
-  metadata[record.name] = Object.fromEntries(record.metadata);
-}
 const attachments = {};
 for await (const record of reader.readAttachments({ validateCrcs: true })) {
   attachments[record.name] = new TextDecoder().decode(record.data);
 }
 await file.close();
-console.log(JSON.stringify({ channels, metadata, attachments }));
+console.log(JSON.stringify({ channels, attachments }));

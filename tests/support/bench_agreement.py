@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 from support.paths import ROOT
+from support.recorder import Recorder
 from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
 from tetractl.control.build import build_controller
@@ -20,7 +21,6 @@ from tetractl.core.commands import PlantInfo
 from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.core.trial import EPOCH_NS, Result, TrialRecords
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
-from tetractl.log.write.recorder import Recorder
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
 from tetractl.plant.simulation import SimSection

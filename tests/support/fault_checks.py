@@ -13,7 +13,8 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.audit import audit
+from tetractl.replay.difference import EXACT
+from tetractl.replay.verify import differences
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
 
@@ -66,7 +67,7 @@ def check_log(expect, played):
         return
     if expect.outcome == "done":
         assert trial.result.outcome.complete
-        assert audit(trial, same_host=True).problems == []
+        assert [*differences(scan(log), trial, EXACT)] == []
     else:
         assert trial.result.outcome == expect.outcome
         if expect.outcome == "aborted":

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from support.needs_opencv import cv2
+from support.recorder import Recorder
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Sample, Stop
@@ -15,7 +16,6 @@ from tetractl.experiment.load import parse_spec, start_of
 from tetractl.experiment.plants import on_plant
 from tetractl.lab.cameras.cells.camera import CellCamera
 from tetractl.log.read.reader import path_verdict, trial_path
-from tetractl.log.write.recorder import Recorder
 from tetractl.log.write.writer import LogWriter
 
 SPEC = """

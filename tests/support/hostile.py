@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment
 from support import commands, random_trials, studies
 from support.mutate import places, rewrite
 from support.seeds import mutant
@@ -122,14 +122,6 @@ def _spoilt(record: Any, rng: random.Random) -> list[Any]:
         return [record] * rng.choice([0, 2, 30])
     if isinstance(record, Attachment):
         return [replace(record, data=bytes_like(record.data, rng))]
-    if isinstance(record, Metadata):
-        key, kept = rng.choice(sorted(record.metadata) or [""]), dict(record.metadata)
-        kept[key] = text_like(kept.get(key, ""), rng)
-        if rng.randrange(10) == 0:
-            del kept[key]
-        # MCAP holds UTF-8
-        sound = {k: v.encode("utf-8", "replace").decode() for k, v in kept.items()}
-        return [replace(record, metadata=sound)]
     return [_spoilt_entry(record, rng)]
 
 

@@ -3,7 +3,7 @@
 import math
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import reduce
 from pathlib import Path
 from typing import Any
@@ -11,11 +11,10 @@ from typing import Any
 import zstandard
 from google.protobuf.message import Message
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment
 
-from tetractl.log.format.channels import CHANNELS, RESULT, TIMING, Entry
-from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST
-from tetractl.log.format.metadata import add_checksum
+from tetractl.log.format.channels import CHANNELS, DIGESTS, HOST, Entry
+from tetractl.log.format.tetractl_pb2 import Host
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.write.sink import Sink
 
@@ -72,33 +71,44 @@ def with_entry(contents: RawLog, path: Path, index: int, place: Place) -> Path:
     return rewrite(contents, path, {entry: entry._replace(data=message.SerializeToString())})
 
 
+def stating(contents: RawLog, topic: str, **fields: Any) -> dict[Entry, Entry]:
+    """The first message of a topic with some fields replaced, to be given to `rewrite`."""
+    entry = contents.by_topic[topic][0]
+    message: Any = CHANNELS[topic].FromString(entry.data)
+    for name, value in fields.items():
+        if isinstance(value, list):
+            del getattr(message, name)[:]
+            getattr(message, name).extend(value)
+        else:
+            setattr(message, name, value)
+    return {entry: entry._replace(data=message.SerializeToString())}
+
+
+def of_host(contents: RawLog, **facts: str) -> dict[Entry, Entry]:
+    """The message of the host with some facts replaced, to be given to `rewrite`."""
+    entry = contents.by_topic[HOST][0]
+    message = Host.FromString(entry.data)
+    for fact in message.facts:
+        fact.value = facts.get(fact.key, fact.value)
+    return {entry: entry._replace(data=message.SerializeToString())}
+
+
 def rewrite(
-    contents: RawLog,
-    path: Path,
-    entries: Mapping[Entry, Entry],
-    facts: Callable[[str, dict[str, str]], dict[str, str]] = lambda name, facts: facts,
-    apart: bool = False,
+    contents: RawLog, path: Path, entries: Mapping[Entry, Entry], apart: bool = False
 ) -> Path:
-    """Write a log again with some entries and facts replaced, or each message in its own chunk."""
-    sink, own = Sink(path), (CHECKSUM, DIGEST, HOST_DIGEST)
+    """Write a log again with some entries replaced, or each message in its own chunk."""
+    sink = Sink(path)
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
     for record in contents.records:
-        if isinstance(record, Entry):
+        if isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        elif record.topic == DIGESTS:
+            sink.seal(record.log_ns)
+        else:
             sink.messages([entries.get(record, record)])
             if apart:
                 sink.flush()
-        elif isinstance(record, Attachment):
-            sink.attachment(record.name, record.media_type, record.log_time, record.data)
-        elif isinstance(record, Metadata):
-            plain = {k: v for k, v in record.metadata.items() if k not in own}
-            plain = facts(record.name, plain)
-            if record.name == RESULT:
-                sink.metadata(record.name, plain, DIGEST)
-            elif record.name == TIMING and HOST_DIGEST in record.metadata:
-                sink.metadata(record.name, plain, HOST_DIGEST)
-            else:
-                sink.copy_metadata(record.name, add_checksum(plain))
     sink.close(complete=True)
     return path
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from mcap.records import Metadata
 from support import seeds
 from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
@@ -223,10 +222,7 @@ def log(data: bytes) -> None:
 
 
 def inside(data: bytes) -> None:
-    """A whole log with right checksums, in which one message or fact holds anything.
-
-    Two bytes for which message; or, the second being 255, which fact.
-    """
+    """A whole log with right checksums, in which one message, by two bytes, holds anything."""
     path = _spoilt(data)
     for read in (read_trial, read_result, overview):
         with only(LogError):
@@ -235,33 +231,23 @@ def inside(data: bytes) -> None:
 
 def _spoilt(data: bytes) -> Path:
     which, stuff = int.from_bytes(data[:2], "little"), data[2:]
-    contents, entries, facts = _whole()
+    contents, entries = _whole()
     path = scratch() / "inside.mcap"
     path.unlink(missing_ok=True)
-    if which >= 0xFF00:
-        record, key = facts[which % 256 % len(facts)]
-        put = {key: text(stuff)}
-        rewrite(contents, path, {}, lambda name, now: now | (put if name == record else {}))
-    else:
-        entry = entries[which % len(entries)]
-        rewrite(contents, path, {entry: entry._replace(data=stuff)})
-    return path
+    entry = entries[which % len(entries)]
+    return rewrite(contents, path, {entry: entry._replace(data=stuff)})
 
 
 @cache
-def _whole() -> tuple[RawLog, list, list[tuple[str, str]]]:
-    contents = scan(ROOT / "tests" / "golden" / "format-2-sim.mcap")
+def _whole() -> tuple[RawLog, list]:
+    contents = scan(ROOT / "tests" / "golden" / "format-3-sim.mcap")
     first = {entry.topic: entry for entry in reversed(contents.entries)}
-    records = [record for record in contents.records if isinstance(record, Metadata)]
-    return contents, list(first.values()), [(r.name, key) for r in records for key in r.metadata]
+    return contents, list(first.values())
 
 
 def insides() -> list[bytes]:
-    contents, entries, facts = _whole()
-    found = [i.to_bytes(2, "little") + entry.data for i, entry in enumerate(entries)]
-    for i, (record, key) in enumerate(facts[:256]):
-        found.append((0xFF00 + i).to_bytes(2, "little") + contents.metadata[record][key].encode())
-    return found
+    _, entries = _whole()
+    return [i.to_bytes(2, "little") + entry.data for i, entry in enumerate(entries)]
 
 
 TARGETS = {

@@ -91,8 +91,10 @@ def _recorded(trial: "TrialLog", plant: ui.PlantChoice) -> "LoadedSpec":
 
 def _compare(log: Path, again: Path) -> int:
     """Print whether two logs of a trial have the same content; return FAILED if they differ."""
-    from tetractl.log.read.reader import content_digest, read_result, read_trial
-    from tetractl.replay.difference import trial_difference
+    from tetractl.log.format.channels import RESOLVED_SPEC
+    from tetractl.log.read.reader import read_result, trial_of
+    from tetractl.log.read.salvage import scan
+    from tetractl.replay.comparison import log_difference
     from tetractl.replay.verify import host_differences
 
     first, second = read_result(log), read_result(again)
@@ -102,19 +104,19 @@ def _compare(log: Path, again: Path) -> int:
         one, two = (names.get(plant.type, plant.type) for plant in plants)
         ui.tell(f"the log is {one}, the new one {two}: the two are not compared")
         return Exit.DONE
-    one, two = (content_digest(path) for path in (log, again))
+    was, is_now = scan(log), scan(again)
+    one, two = was.digests.content, is_now.digests.content
     if one == two:
         ui.tell(f"the content digests agree: {one}")
         return Exit.DONE
     ui.tell(f"the content digests differ: {one} in {log}, {two} in {again}")
-    was, is_now = read_trial(log), read_trial(again)
-    if difference := trial_difference(is_now, was):
+    if difference := log_difference(is_now, was):
         ui.tell(f"  {difference}")
     if first.recovered or not first.outcome.complete:
         ui.tell(f"  {log} is damaged, or its trial did not run to its end")
-    if was.start.resolved != is_now.start.resolved:
+    if was.text(RESOLVED_SPEC) != is_now.text(RESOLVED_SPEC):
         ui.tell("  the log's spec lacks fields of this tetractl")
-    ui.tell(*(f"  {line}" for line in host_differences(was)))
+    ui.tell(*(f"  {line}" for line in host_differences(trial_of(was))))
     return Exit.FAILED
 
 

@@ -52,7 +52,6 @@ def _lines(found: "Overview") -> Iterator[str]:
     )
     events = (f"{one.time_s:8.2f} s  {one.level:<7}  {one.text}" for one in found.events)
     sizes = {name: f"{size} bytes" for name, size in found.attachments.items()}
-    computed = {"computed": found.trial_digest} if found.trial_digest else {}
     yield from _section("run", _aligned(found.run))
     yield from _section("result", _aligned(_result(found)))
     yield from _section("events", events)
@@ -62,7 +61,6 @@ def _lines(found: "Overview") -> Iterator[str]:
     yield from _section("host", _aligned(found.host))
     yield from _section("provenance", _aligned(found.provenance))
     yield from _section("content digest", _aligned(_digest(found)))
-    yield from _section("digest of the trial", _aligned(computed))
     if found.damage:
         lost = (f"lost: {lost}" for lost in found.damage.lost)
         yield from _section("damage", [*found.damage.problems, *lost])
@@ -162,9 +160,7 @@ def recover(
         print(printable(f"{log}: complete; there is nothing to recover"))
     else:
         ui.tell(*(f"damaged: {problem}" for problem in done.damage.problems))
-        kept = (
-            f"{done.chunks} chunks with {done.messages} messages, {done.metadata} metadata records"
-        )
+        kept = f"{done.chunks} chunks with {done.messages} messages"
         print(printable(f"{done.path}: {kept}, {done.attachments} attachments"))
         for lost in done.damage.lost:
             print(printable(f"lost: {lost}"))

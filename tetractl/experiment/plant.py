@@ -60,6 +60,11 @@ class PlantSection(Model):
         """Longest simulated time from a control step's frame to its command [s]."""
         return 0.0
 
+    @property
+    def sampling_hz(self) -> float:
+        """Rate at which a simulation computes poses [Hz]; 0 if it has no rate of its own."""
+        return 0.0
+
     @abstractmethod
     def clock(self) -> Clock:
         """Return a new clock, virtual for a simulation and monotonic for the lab."""

@@ -118,8 +118,8 @@ def trial_code(packages: tuple[tuple[str, str], ...] = ()) -> str:
     return cache_name(sources, repr([*computing, *packages]))
 
 
-def host_metadata(packages: Mapping[str, str]) -> dict[str, str]:
-    """Return the metadata record of the host at the start of a log: time, machine, versions.
+def host_facts(packages: Mapping[str, str]) -> dict[str, str]:
+    """Return the facts of the host at the start of a log: time, machine, versions.
 
     `packages` are name and version of each package that provides a kind used by the spec.
     """
@@ -132,7 +132,7 @@ def plugins(packages: Mapping[str, str]) -> dict[str, str]:
 
 
 def is_version(key: str) -> bool:
-    """Return whether a key of the host's metadata is one of `versions` or `plugins`."""
+    """Return whether a key of the host is one of `versions` or `plugins`."""
     return key in VERSION_KEYS or key.startswith(PLUGIN)
 
 

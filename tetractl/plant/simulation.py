@@ -130,6 +130,11 @@ class SimSection(PlantSection):
         return sum(disturbance.planning_max_s for disturbance in self.disturbances)
 
     @property
+    def sampling_hz(self) -> float:
+        """The rate of the true poses [Hz]."""
+        return self.truth_rate
+
+    @property
     def disturbed(self) -> bool:
         """Whether the plant has any disturbance."""
         noise = self.measurement_noise

@@ -1,4 +1,4 @@
-"""Finds the first value in which two records differ: two trials, plans or messages."""
+"""Finds the first value in which two records differ: two plans, results or messages."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
@@ -7,10 +7,6 @@ from typing import Any
 import numpy as np
 from google.protobuf.message import Message
 from numpy.typing import NDArray
-
-from tetractl.core.trial import TrialRecords
-
-COORDINATES = ("x", "y", "heading")
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +84,8 @@ def _differences(
             yield name, f"logged {len(logged)}, computed {len(ours)}"
         for i, (one, two) in enumerate(zip(ours, logged, strict=False)):
             yield from _differences(one, two, tolerance, _path(name, i))
+    elif is_dataclass(ours) and type(ours) is not type(logged):
+        yield name, f"logged {type(logged).__name__}, computed {type(ours).__name__}"
     else:
         one, two = _items(ours), _items(logged)
         for key in (*one, *(two.keys() - one.keys())):
@@ -114,73 +112,6 @@ def _array_difference(
         at = tuple(int(i) for i in np.argwhere(wrong)[0])
         text = f"logged {logged[at].item()!r}, computed {ours[at].item()!r}"
         yield ".".join(map(str, (name, *at))) if name else ".".join(map(str, at)), text
-
-
-def trial_difference(
-    ours: TrialRecords, logged: TrialRecords, tolerance: Tolerance = EXACT
-) -> Difference | None:
-    """Return the first difference between two trials, None if they agree; solve times are ignored.
-
-    If one trial is longer, the commands, frames and steps that both trials have are compared first,
-    then how many each trial has.
-    """
-    counts = [(len(one.commands), len(one.frames), len(one.steps)) for one in (ours, logged)]
-    common = tuple(map(min, *counts))
-    found = first_difference(_parts(ours, common), _parts(logged, common), tolerance)
-    if found is None:
-        return None
-    name, *place = found[0].split(".")
-    if name in ("mocap", "truth", "valid") and place:  # number of the frame, not its row
-        place[0] = str(logged.frames[int(place[0])])
-        place[2:] = [COORDINATES[int(axis)] for axis in place[2:]]
-    if name == "steps" and len(place) > 1:
-        return Difference(logged.steps[int(place[0])].k, ".".join(place[1:]), found[1])
-    return Difference(None, ".".join((name, *place)), found[1])
-
-
-def _parts(trial: TrialRecords, common: tuple[int, ...]) -> Mapping[str, Any]:
-    """Return the parts of a trial to compare, in order: of commands, frames and steps only the
-    first `common[0]`, `common[1]` and `common[2]`.
-    """
-    commands, frames, steps = common
-    result = trial.result
-    return {
-        "run": {"plant": trial.start.plant},
-        "commands": trial.commands[:commands],
-        "frames": trial.frames[:frames],
-        "mocap_ns": trial.mocap_ns[:frames],
-        "received_ns": trial.received_ns[:frames],
-        "valid": trial.valid[:frames],
-        "mocap": trial.mocap[:frames],
-        "truth": None if trial.truth is None else trial.truth[:frames],
-        "steps": [
-            {"k": step.k, "observation": step.observation, **_items(step.plan)}
-            for step in trial.steps[:steps]
-        ],
-        "count": {
-            "commands": len(trial.commands),
-            "frames": len(trial.frames),
-            "steps": len(trial.steps),
-        },
-        "notes": trial.notes,
-        "result": result
-        and {
-            "outcome": result.outcome,
-            "reason": result.reason,
-            "final": result.verdict.final,
-            "entered": result.verdict.entered,
-            "clearance": result.verdict.clearance,
-            "edge": result.verdict.edge,
-            "apart": result.verdict.apart,
-            "duration_s": result.duration_s,
-            "total_error": result.total_error,
-            "robot_errors": result.robot_errors,
-            "steps": result.steps,
-            "passed": result.passed,
-            "inside": result.inside,
-            "lost": result.lost,
-        },
-    }
 
 
 def _path(name: str, part: object) -> str:

@@ -9,10 +9,10 @@ from PIL import Image
 from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
-PIXELS_MAX = 8192  # longest side of a picture [px]
-SHOWN = 720  # longer side of a picture as shown [px]
-QUALITY = 60  # JPEG quality, 1 to 100
-MOST = 120  # largest number of pictures per trial in a report
+SIDE_MAX = 8192  # longest side of a picture [px]
+SHOWN_SIDE = 720  # longer side of a picture as shown [px]
+SHOWN_QUALITY = 60  # JPEG quality, 1 to 100
+PICTURES_MAX = 120  # largest number of pictures per trial in a report
 
 
 class DishPictures:
@@ -49,22 +49,22 @@ class DishPictures:
     def jpeg(self, which: int) -> bytes:
         """Return a picture as a JPEG file."""
         file = io.BytesIO()
-        self._pictures[which].save(file, "JPEG", quality=QUALITY)
+        self._pictures[which].save(file, "JPEG", quality=SHOWN_QUALITY)
         return file.getvalue()
 
 
 def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
-    """Return a JPEG in grey levels, reduced to at most SHOWN pixels per side, and its original
+    """Return a JPEG in grey levels, reduced to at most SHOWN_SIDE pixels per side, and its original
     width and height; None if it cannot be read.
     """
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
         size = picture.size
-        if max(size) > PIXELS_MAX:
+        if max(size) > SIDE_MAX:
             return None
-        picture.draft("L", (SHOWN, SHOWN))
+        picture.draft("L", (SHOWN_SIDE, SHOWN_SIDE))
         grey = picture.convert("L")
-        grey.thumbnail((SHOWN, SHOWN))
+        grey.thumbnail((SHOWN_SIDE, SHOWN_SIDE))
         return grey, size
     except Exception:  # Pillow's exceptions for hostile bytes are not documented
         return None

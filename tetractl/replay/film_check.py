@@ -23,7 +23,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.difference import Difference
 
-SAME = 1e-9  # relative tolerance of a blob's numbers on another machine
+BLOB_TOLERANCE = 1e-9  # relative tolerance of a blob's numbers on another machine
 NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
 
 
@@ -31,7 +31,7 @@ class FilmCheck:
     """Checks the film of one log; `notes` lists comparisons that were not possible."""
 
     def __init__(self, raw: RawLog, log: TrialLog, same_host: bool) -> None:
-        self._log, self._tolerance = log, 0.0 if same_host else SAME
+        self._log, self._tolerance = log, 0.0 if same_host else BLOB_TOLERANCE
         self._entries = [one for topic in channels.FILM for one in raw.by_topic[topic]]
         self.notes: list[str] = []
 

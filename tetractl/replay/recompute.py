@@ -188,7 +188,6 @@ def recompute(
         rerun.start()
     controller = log.experiment.controller.build(setup, key, Host(rerun.wrap, rerun.timer))
     tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
-    estimated = any(step.plan.estimate is not None for step in log.steps)
     last: Step | None = None
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
@@ -211,8 +210,7 @@ def recompute(
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
             return Difference(step.k, "generator", text)
-        if step.plan.estimate is None and (log.damage or not estimated):
-            # missing in the log: lost, or of an earlier version
+        if step.plan.estimate is None and log.damage:  # lost
             decision = replace(decision, estimate=None)
         found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
         if found:

@@ -1,175 +1,40 @@
-"""Verifies a log: checks that its records agree, and repeats its simulation and every decision.
+"""Verifies a log: runs its trial again from spec, seed and logged frames, and compares the records.
 
-Messages for viewers are computed from the records of the trial: the decoded records are encoded
-again by the log writer's encoder, and every message and its times must have the same bytes. If
-another machine or version wrote the log, numbers must agree within the tolerance `NEARLY`, and the
-arena may be drawn differently.
+Each decision is computed again (`recompute`), and with the plans in the log the trial is repeated
+(`repeat`): the log writer's encoder makes every record again, and each must have the same bytes and
+times as in the log (`comparison`). If another machine or version wrote the log, numbers must agree
+within a tolerance, and the arena may be drawn differently.
 """
 
 import time
-from collections import Counter
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from foxglove_schemas_protobuf.Log_pb2 import Log
-from google.protobuf.message import DecodeError
-
-from tetractl.core.errors import printable
-from tetractl.experiment.load import resolved_yaml
+from tetractl.core.commands import Command
+from tetractl.core.errors import TetractlError
+from tetractl.core.plan import Outcome
 from tetractl.experiment.registry_fields import packages
 from tetractl.log import provenance
-from tetractl.log.format import channels, layout
-from tetractl.log.format.channels import CHANNELS, TEXT, Entry
-from tetractl.log.format.codec import Frames
-from tetractl.log.format.metadata import WARNINGS
-from tetractl.log.format.scene import decode_note, encode_note
-from tetractl.log.format.tetractl_pb2 import CameraFrames
+from tetractl.log.format import channels
+from tetractl.log.format.channels import Entry
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import TrialLog
-from tetractl.log.write.messages import Messages
-from tetractl.replay.audit import audit
+from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
+from tetractl.replay.comparison import Comparison, TooLongError
 from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
 from tetractl.replay.film_check import FilmCheck
+from tetractl.replay.lab_checks import lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
-from tetractl.replay.resimulate import resimulate
+from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
 
 NEARLY = Tolerance(1e-9, 1e-9)
-DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN})
-"""Topics whose messages earlier versions may have drawn differently."""
-
-
-def derived_differences(raw: RawLog, log: TrialLog, same_host: bool) -> Iterator[Difference]:
-    """Yield the first difference in each topic, and differences in the operator messages that
-    follow from the records; nothing for a damaged log.
-    """
-    if log.damage:
-        return
-    called_for: list[Entry] = []  # the required messages of /log
-    yield from _messages(raw, log, same_host, called_for)
-    yield from _operator_messages(raw, log, called_for)
-    if not same_host:
-        return
-    for name, text in (
-        (channels.RESOLVED_SPEC, resolved_yaml(log.experiment)),
-        (channels.LAYOUT, layout.layout(log.start.setup)),
-    ):
-        if raw.text(name) != text:
-            yield Difference(None, name, "differs from the experiment's")
-    for name in (channels.SPEC, channels.ENVIRONMENT):
-        if name not in raw.attachments:
-            yield Difference(None, name, "missing")
-
-
-def _messages(
-    raw: RawLog, log: TrialLog, same_host: bool, called_for: list[Entry]
-) -> Iterator[Difference]:
-    """Compare the messages of all topics except /log and the film, one at a time to save memory.
-
-    Messages encoded for /log are appended to `called_for`.
-    """
-    others = {channels.LOG, *channels.FILM}  # `FilmCheck` checks the film
-    left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - others}
-    count, until = dict.fromkeys(left, 0), time.thread_time() + limits.seconds_limit()
-    for made in _encoded(raw, log):
-        if time.thread_time() > until:
-            text = f"not encoded again: it would take over {limits.seconds_limit():g} s"
-            yield Difference(None, made.topic, f"{text}; {limits.FACTOR}=2 allows twice as much")
-            return
-        if made.topic == channels.LOG:
-            called_for.append(made)
-        if made.topic not in left:  # a difference was reported already
-            continue
-        entry, number = next(left[made.topic], None), count[made.topic]
-        count[made.topic] += 1
-        if entry == made:
-            continue
-        if (difference := _entry_difference(made, entry, number, same_host)) is not None:
-            yield difference
-            del left[made.topic]
-    for topic, rest in left.items():
-        if next(rest, None) is not None:
-            yield Difference(None, topic, f"has more than the {count[topic]} messages of the trial")
-
-
-def _encoded(raw: RawLog, log: TrialLog) -> Iterator[Entry]:
-    """Yield the encoded messages of a trial, in order within a topic; for /log only those that
-    follow from the records.
-
-    Camera frames are grouped into messages as in the log, since nothing else states how the log
-    writer grouped them.
-    """
-    messages = Messages(log.start)
-    yield from messages.start()
-    begin = 0
-    frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
-    yield from messages.tracking(frames)
-    for entry in raw.by_topic[channels.FRAMES]:
-        end = begin + len(CameraFrames.FromString(entry.data).frame)
-        if begin < end:
-            yield from messages.block(frames.part(slice(begin, end)))
-        begin = end
-    for step in log.steps:
-        yield from (entry for entry in messages.step(step) if entry.topic != channels.COMMANDS)
-    for command in log.commands:
-        if command is log.stop and log.result:
-            yield from messages.stop(command, log.result)
-        else:
-            yield messages.command(command)
-
-
-def _entry_difference(
-    made: Entry, entry: Entry | None, number: int, same_host: bool
-) -> Difference | None:
-    name = f"{made.topic}[{number}]"
-    if entry is None:
-        return Difference(None, name, "missing")
-    if entry[1:3] != made[1:3]:
-        return Difference(None, name, f"has the times {entry[1:3]}, not {made[1:3]}")
-    if not same_host and made.topic in DRAWN:
-        return None
-    try:
-        ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
-    except DecodeError:
-        return Difference(None, name, "not a valid message of its channel")
-    found = first_difference(ours, logged, EXACT if same_host else NEARLY)
-    if found is None:
-        return Difference(None, name, "has other bytes") if same_host else None
-    return Difference(None, f"{name}.{found[0]}", found[1])
-
-
-def _operator_messages(
-    raw: RawLog, log: TrialLog, called_for: Sequence[Entry]
-) -> Iterator[Difference]:
-    """Check that /log has the messages that follow from the records, as tetractl writes them."""
-    begin = log.start.start_unix_ns
-    for number, entry in enumerate(raw.by_topic[channels.LOG]):
-        note = decode_note(Log.FromString(entry.data), begin)
-        stamp = begin + note.t_ns
-        made = Entry(entry.topic, stamp, stamp, encode_note(note, begin).SerializeToString())
-        if entry != made:
-            yield Difference(
-                None, f"{channels.LOG}[{number}]", "differs from the message that tetractl writes"
-            )
-            break
-    notes = (decode_note(Log.FromString(entry.data), begin) for entry in called_for)
-    shown = (replace(note, text=printable(note.text, TEXT)) for note in notes)
-    logged = Counter(log.notes)
-    for note in (Counter(shown) - logged).elements():
-        yield Difference(None, "log", f"/log lacks {note.text!r} at {note.t_ns} ns")
-        break
-    if len(logged) < len(log.notes):
-        note, _ = logged.most_common(1)[0]
-        yield Difference(None, "log", f"/log has {note.text!r} twice at {note.t_ns} ns")
-    stated = raw.metadata[channels.RESULT].get(WARNINGS)
-    warnings = sum(note.level in ("warning", "error") for note in log.notes[:-1])
-    if stated is not None and stated != str(warnings):
-        text = f"states {stated}, but /log has {warnings}"
-        yield Difference(None, f"result.{WARNINGS}", text)
+"""Tolerance for the records of another processor that follow from other records."""
+ROUGHLY = Tolerance(1e-6, 1e-6)
+"""Tolerance for the simulation of another processor, since a sine may differ in its last bit."""
 
 
 DECIDES_BITS = (
@@ -223,26 +88,109 @@ def verify(path: Path) -> Verification:
     raw = scan(path)
     log = trial_of(raw)
     elsewhere = host_differences(log)
-    findings = audit(log, same_host=not elsewhere)
-    simulated = resimulate(log, same_host=not elsewhere)
-    derived = derived_differences(raw, log, same_host=not elsewhere)
-    film = FilmCheck(raw, log, same_host=not elsewhere)
-    shown = tuple(film.differences())
     method, found = Method.RECOMPUTED, recompute(log, search_again=True)
     if found and elsewhere:
         method, found = Method.REEVALUATED, recompute(log, search_again=False)
+    others = [*differences(raw, log, EXACT)]
+    if others and elsewhere:
+        tolerance = ROUGHLY if log.start.plant.simulated else NEARLY
+        others = [*differences(raw, log, tolerance)]
+    film = FilmCheck(raw, log, same_host=not elsewhere)
     known = len(first_steps(log))
-    checked = found.step if found and found.step is not None else known
+    gaps, loses = frame_gaps(log), log.experiment.plant.loses_frames and not log.damage
+    lost = [f"missing: {gap}" for gap in gaps]
     return Verification(
         path=str(path),
         steps=len(log.steps),
-        checked=checked,
+        checked=found.step if found and found.step is not None else known,
         method=method,
         elsewhere=elsewhere,
-        problems=(*filter(None, (found, simulated)), *findings.problems, *derived, *shown),
-        notes=(*findings.notes, *film.notes),
+        problems=(
+            *([found] if found else []),
+            *others,
+            *(Difference(None, "frames", text) for text in lost if not loses),
+            *_damage(log),
+            *film.differences(),
+        ),
+        notes=(*(lost if loses else ()), *film.notes),
         seconds=time.perf_counter() - began,
     )
+
+
+def _damage(log: TrialLog) -> Iterator[Difference]:
+    """Yield the damage of a log, the control steps it lacks and the digests that do not match."""
+    for gap in step_gaps(log):
+        yield Difference(gap.first, "k", f"missing: {gap}")
+    if log.altered:
+        yield Difference(None, "content_digest", ALTERED)
+    if log.damage:
+        for text in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
+            yield Difference(None, "damage", text)
+    elif log.host_altered:
+        text = "the records of the host do not match the digest that the log states"
+        yield Difference(None, "host_digest", text)
+
+
+def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:
+    """Yield what is wrong in how the host is described; nothing repeats what is said of it."""
+    begin = log.start.start_unix_ns
+    for topic, at_ns in ((channels.HOST, begin), (channels.HOST_END, begin + stop.sent_ns)):
+        made = list[Entry]()
+        for message in raw.messages(topic):
+            message.DiscardUnknownFields()
+            made.append(Entry.of(topic, message, at_ns))
+        if len(made) != 1 or made != raw.by_topic[topic]:
+            yield Difference(None, topic, "is not the one message that tetractl writes")
+    used = provenance.plugins(packages(log.experiment))
+    known = {"started", "pid", *provenance.host(), *provenance.VERSION_KEYS, *used}
+    if others := (log.host | log.provenance).keys() - known:
+        yield Difference(None, channels.HOST, f"states the unknown {min(others)!r}")
+
+
+def differences(raw: RawLog, log: TrialLog, tolerance: Tolerance) -> Iterator[Difference]:
+    """Yield the differences between the records of a repeated trial and those in its log; nothing
+    for a damaged log, whose trial cannot be repeated.
+    """
+    simulated, result, stop = log.start.plant.simulated, log.result, log.stop
+    if log.damage or result is None:
+        return
+    if simulated != log.experiment.plant.simulated:
+        yield Difference(None, "run.mode", "differs from the plant of the spec")
+        return
+    if channels.ENVIRONMENT not in raw.attachments:
+        yield Difference(None, channels.ENVIRONMENT, "missing")
+    if result.outcome is Outcome.ABORTED and not result.reason:
+        yield Difference(None, "result.reason", "aborted without a reason")
+    if stop is None:
+        yield Difference(None, "stop", "missing: no stop is on /commands")
+        return
+    if simulated and too_large(log):
+        text = "not simulated again: the trial has too many samples of robots and obstacles"
+        yield Difference(None, "plant", f"{text}; {limits.FACTOR}=2 allows twice as many")
+        return
+    yield from _host(raw, log, stop)
+    sink = Comparison(raw, tolerance)
+    repetition = Repetition(log, result, sink)
+    try:
+        if simulated:
+            simulate(log, stop, repetition)
+        else:
+            give_again(log, raw, stop, repetition, sink)
+    except TooLongError:
+        text = f"not compared: it would take over {2 * limits.seconds_limit():g} s"
+        yield Difference(None, "records", f"{text}; {limits.FACTOR}=2 allows twice as much")
+        return
+    except (TetractlError, ValueError, OverflowError) as error:
+        yield Difference(None, "plant", f"cannot be simulated again: {error}")
+        return
+    if repetition.failure:
+        yield Difference(None, "plant", f"cannot be simulated again: {repetition.failure}")
+    yield from sink.differences()
+    stated = result.solve_ns, result.deadline_misses
+    if found := first_difference(repetition.timing, stated, name="result.timing"):
+        yield Difference(None, *found)
+    if not simulated:
+        yield from lab_differences(log, result, stop)
 
 
 def host_differences(log: TrialLog) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ from tetractl.replay.identification.tracks import require_field
 from tetractl.replay.recompute import first_steps, plan_again
 from tetractl.run.task import trial_seeds
 
-SAME = 1e-9
+SAME_RAD = 1e-9
 """Directions that differ by less than this [rad] count as the same."""
 
 
@@ -60,7 +60,7 @@ class WhatIf:
     @property
     def changed(self) -> int:
         """Number of steps at which the other controller decides another direction."""
-        return sum(abs(step.difference) > SAME for step in self.steps)
+        return sum(abs(step.difference) > SAME_RAD for step in self.steps)
 
 
 def other_experiment(log: TrialLog, sets: Sequence[str]) -> Experiment:

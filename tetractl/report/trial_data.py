@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.replay.dish_pictures import MOST, DishPictures
+from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.replay.player import first_seen, tracked
 
 FRAMES_HZ = 30.0
@@ -119,7 +119,7 @@ def _thinned(log: TrialLog) -> NDArray[np.intp]:
 
 def _dish(log: TrialLog) -> dict[str, Any] | None:
     """Return a microscope's pictures as JPEG, with their times and corners; None without any."""
-    pictures = DishPictures(log, MOST)
+    pictures = DishPictures(log, PICTURES_MAX)
     if not pictures.times:
         return None
     files = map(pictures.jpeg, range(len(pictures.times)))

@@ -25,9 +25,9 @@ from tetractl.core.worker import Worker
 from tetractl.experiment.choosing import chosen_cells, settled
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
+from tetractl.log.format.digest import LogDigests
 from tetractl.log.provenance import host, processor, trial_code
-from tetractl.log.write.recorder import Recorder
-from tetractl.log.write.writer import LogWriter
+from tetractl.log.write.writer import Encoder, LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
@@ -173,19 +173,21 @@ def run_task(
             if finished.result.outcome is not Outcome.ABORTED:
                 return finished
         task = replace(task, log=True)
-    spec, digest = _loaded(task.spec, task.code), Recorder() if task.digest else None
+    spec = _loaded(task.spec, task.code)
     with ExitStack() as stack:
         log = stack.enter_context(_log(spec, folder, task.trial)) if task.log else None
         wall_s, cpu_s = time.perf_counter(), time.process_time()
-        writers = [writer for writer in (log, digest) if writer]
+        records = LogDigests()
+        observer = log or (Encoder(records) if task.digest else None)
+        writers = [observer] if observer else []
         result = run_with(writers, spec, task.trial, observers, interrupt, supervision)
         wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
-    if digest is None:
+    if not task.digest or observer is None:
         return Finished(result, task.log, wall_s, cpu_s)
     if log and log.failure:  # a trial interrupted by the failure has another digest
         raise log.failure
-    type_ = processor(host())
-    return Finished(result, task.log, wall_s, cpu_s, digest.trial_digest, digest.warnings, type_)
+    digest = log.digest if log else records.stated().content
+    return Finished(result, task.log, wall_s, cpu_s, digest, observer.warnings, processor(host()))
 
 
 @lru_cache(maxsize=64)

@@ -258,7 +258,7 @@ class ServedReplay:
         self._sent = 0  # index of the next entry to send
         self._announced: tuple[Playback, float] | None = None
         span_ns = (self._start_ns + player.start_ns, self._start_ns + player.until_ns)
-        name = contents.run.items["name"]
+        name = contents.run.name
         self.viewers = Viewers(name, span_ns, self._asked)
 
     def follow(self) -> None:

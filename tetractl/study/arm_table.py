@@ -45,7 +45,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
 
     The columns of `trials.csv` are `log` (a path from the study's folder, empty if no log was
     kept), `trial`, `arm`, `controller`, the swept fields by their paths, all columns of
-    `tetractl export`, `trial_digest` and `code`. `times.csv` has the columns that differ from run
+    `tetractl export`, `content_digest` and `code`. `times.csv` has the columns that differ from run
     to run.
     """
     paths = {"trials": store.folder / TRIALS, "times": store.folder / TIMES}
@@ -56,7 +56,7 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
         log = f"{arm.name}/trial-{row.trial:03d}.mcap" if row.logged else ""
         head = {"log": log, "trial": row.trial, "arm": arm.name}
         swept = {path: as_cell(arm.values.get(path)) for path in loaded.paths}
-        tail = {"trial_digest": row.trial_digest, "code": row.code}
+        tail = {"content_digest": row.content_digest, "code": row.code}
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
         trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
         times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(row))

@@ -13,10 +13,9 @@ from typing import Self
 
 from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.experiment.yaml.problems import did_you_mean
-from tetractl.log.format.metadata import result_metadata
-from tetractl.log.format.trial_digest import trial_digest
+from tetractl.log.format.run_records import encode_result
 from tetractl.log.provenance import host, processor
-from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.reader import content_digest, read_result
 from tetractl.log.read.rows import Row
 from tetractl.replay.difference import first_difference
 from tetractl.run.interrupt import Interrupt, interrupted_once
@@ -156,8 +155,8 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
     folder = store.place(arm.name, row.trial)
     with interrupted_once():
         result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
-    digest = trial_digest(read_trial(path))
-    if digest != row.trial_digest:
+    digest = content_digest(path)
+    if digest != row.content_digest:
         text = _difference(path, row)
         set_aside(folder, row.trial)
         hint, here = None, processor(host())
@@ -166,7 +165,8 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         if row.code != arm.code:
             hint = "the row was computed by outdated code"
         raise LogError(
-            f"{which}: the digest of its log is {digest}, that of its row {row.trial_digest}{text}",
+            f"{which}: the digest of its log is {digest}, "
+            f"that of its row {row.content_digest}{text}",
             hint,
         )
     store.add_row(arm, replace(row, logged=True))
@@ -177,7 +177,7 @@ def _difference(log: Path, row: Row) -> str:
     """Return the first difference between the results in the log and in the row, "" if none."""
     now = read_result(log)
     unit = now.experiment.units.length
-    ours, stated = (result_metadata(of.result, unit, of.warnings) for of in (now, row))
+    ours, stated = (encode_result(of.result, unit, of.warnings) for of in (now, row))
     found = first_difference(ours, stated, name="result")
     return "; {}: {}".format(*found) if found else ""
 

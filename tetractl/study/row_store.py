@@ -64,7 +64,7 @@ class Store(TrialFolder):
             arm_hash=arm.hash,
             code=arm.code,
             processor=finished.processor,
-            trial_digest=finished.digest,
+            content_digest=finished.digest,
             count=task.count,
             logged=finished.logged,
             wall_s=finished.wall_s,
@@ -109,12 +109,12 @@ class Store(TrialFolder):
         """
         twin = self.rows[arm.name].get(row.trial)
         if twin is not None:
-            if deciding(twin) == deciding(row) and twin.trial_digest != row.trial_digest:
+            if deciding(twin) == deciding(row) and twin.content_digest != row.content_digest:
                 raise UsageError(
                     f"{folder}: trial {row.trial} of {arm.name} differs from that in {self.folder},"
                     " though code and type of processor are the same"
                 )
-            if twin.logged or not row.logged or twin.trial_digest != row.trial_digest:
+            if twin.logged or not row.logged or twin.content_digest != row.content_digest:
                 return False
         if row.logged:
             source = log_path(folder / arm.name, row.trial)

@@ -11,7 +11,7 @@ from support.dish_films import film
 from support.film_logs import write_film
 
 from tetractl.log.read.reader import read_trial
-from tetractl.replay.dish_pictures import SHOWN, DishPictures
+from tetractl.replay.dish_pictures import SHOWN_SIDE, DishPictures
 from tetractl.report.trial_data import trial_data
 from tetractl.view.figures.trajectory import trajectory_figure
 
@@ -49,7 +49,7 @@ def test_plot_and_page_have_the_picture(log):
     data = trial_data(log, "trial-000.mcap")["dish"]
     assert len(data["jpeg"]) == len(log.pictures)
     first = Image.open(io.BytesIO(base64.b64decode(data["jpeg"][0])))
-    assert max(first.size) <= SHOWN
+    assert max(first.size) <= SHOWN_SIDE
 
 
 def test_what_cannot_be_decoded_is_left_out(log):

@@ -15,6 +15,7 @@ from tetractl.core.cell_film import cut
 from tetractl.lab.cameras.cells.detect_cells import PART_LOW
 from tetractl.log.format import channels
 from tetractl.log.format.crop_images import encode_film
+from tetractl.log.format.tetractl_pb2 import Run
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
@@ -81,11 +82,12 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
 
 def test_another_opencv_is_not_comparable_and_no_failure(shown, tmp_path):
     log = scan(shown[0])
-
-    def facts(name, items):
-        return items | {"plant.opencv": "4.0.1"} if name == channels.RUN else items
-
-    path = rewrite(log, tmp_path / "other.mcap", {}, facts)
+    entries = {}
+    for entry in log.by_topic[channels.RUN]:
+        run = Run.FromString(entry.data)
+        next(fact for fact in run.facts if fact.key == "opencv").value = "4.0.1"
+        entries[entry] = entry._replace(data=run.SerializeToString())
+    path = rewrite(log, tmp_path / "other.mcap", entries)
     found = verify(path)
     assert found.ok
     (note,) = [note for note in found.notes if "film" in note]

@@ -10,7 +10,7 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from numpy._core._multiarray_umath import __cpu_dispatch__
 from support import mutate, random_trials
-from support.mutate import rewrite, with_entry
+from support.mutate import of_host, rewrite, stating, with_entry
 from support.paths import ROOT
 
 from tetractl.core.commands import HALTS, PlantInfo
@@ -20,11 +20,11 @@ from tetractl.experiment.controller import ALONE
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
 from tetractl.log import provenance
-from tetractl.log.format.channels import HOST, LOG, RESULT, STEP
+from tetractl.log.format.channels import FRAMES, HOST_END, HOST_TIMING, LOG, RESULT, RUN, STEP
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.audit import audit
+from tetractl.replay.lab_checks import lab_differences
 from tetractl.replay.recompute import recompute
 from tetractl.replay.verify import Method, verify
 from tetractl.run.interrupt import Interrupt
@@ -165,24 +165,27 @@ def test_the_first_step_and_field_that_differ_are_named(tmp_path, contents):
     assert (found.problems[0].step, found.problems[0].field) == (2, "searches.1.history.3")
 
 
-def test_steps_come_in_order_and_are_late_where_their_time_says_so(log):
-    whole = read_trial(log)
-    before, step = whole.steps[1:3]
-    back = replace(step.observation, frame=before.observation.frame - 1)
-    for changed, field in (
-        (replace(step, observation=back), "command.sent_ns"),
-        (replace(step, deadline_missed=True), "timing.deadline_missed"),
-    ):
-        forged = replace(whole, steps=(*whole.steps[:2], changed, *whole.steps[3:]))
-        assert field in {one.field for one in audit(forged, same_host=True).problems}
+@pytest.mark.parametrize(
+    ("topic", "place", "field"),
+    [
+        (HOST_TIMING, ("deadline_missed",), "/host/timing[0].deadline_missed"),
+        (HOST_END, ("solve_ns", 0), "result.timing.0.0"),
+        (RUN, ("robots", 1), "/run[0].robots.1"),
+        (FRAMES, ("x", 7), "/frames[0].x.7"),
+    ],
+)
+def test_what_contradicts_the_repeated_trial_is_named(tmp_path, contents, topic, place, field):
+    at = next(i for i, entry in enumerate(contents.entries) if entry.topic == topic)
+    found = verify(with_entry(contents, tmp_path / "changed.mcap", at, place))
+    assert field in {problem.field for problem in found.problems}
 
 
-def elsewhere(name, facts):
-    return facts | ({"cpu": "another"} if name == HOST else {})
+def elsewhere(contents):
+    return of_host(contents, cpu="another")
 
 
 def test_on_another_processor_equal_bits_still_count(tmp_path, contents):
-    found = verify(rewrite(contents, tmp_path / "other.mcap", {}, elsewhere))
+    found = verify(rewrite(contents, tmp_path / "other.mcap", elsewhere(contents)))
     assert (found.method, found.problems) == (Method.RECOMPUTED, ())
     assert found.elsewhere == (
         f"cpu: another on the log's host, {provenance.host()['cpu']} on this one",
@@ -195,13 +198,13 @@ def test_on_another_processor_the_costs_have_to_agree(tmp_path, contents, monkey
     place = ("searches", 1, "history", 0)  # of no consequence to any cost
     changed = scan(with_entry(contents, tmp_path / "changed.mcap", steps[1], place))
     assert verify(tmp_path / "changed.mcap").problems
-    found = verify(rewrite(changed, tmp_path / "there.mcap", {}, elsewhere))
+    found = verify(rewrite(changed, tmp_path / "there.mcap", elsewhere(changed)))
     assert (found.method, found.problems) == (Method.REEVALUATED, ())
     monkeypatch.setattr(mutate, "CHANGE", 1e-8)
     for place in (("searches", 1, "signals", 0), ("searches", 0, "cost"), ("path_x", 3), ("cost",)):
         name = tmp_path / f"{'-'.join(map(str, place))}.mcap"
         changed = scan(with_entry(contents, name, steps[1], place))
-        found = verify(rewrite(changed, name.with_suffix(".there.mcap"), {}, elsewhere))
+        found = verify(rewrite(changed, name.with_suffix(".there.mcap"), elsewhere(changed)))
         assert found.method == Method.REEVALUATED
         assert found.problems[0].step == 1
 
@@ -210,14 +213,12 @@ def test_on_another_processor_the_costs_have_to_agree(tmp_path, contents, monkey
 def test_an_outcome_is_not_changed_with_all_that_says_it(tmp_path, contents, outcome):
     """Regression: a bad trial could be taken out of the means so."""
 
-    def change(name, facts):
-        return facts | ({"outcome": outcome, "reason": "why"} if name == RESULT else {})
-
     last = [entry for entry in contents.entries if entry.topic == LOG][-1]
     note = Log.FromString(last.data)
     note.message = note.message.replace("steps max", f"{outcome} (why)")
     said = {last: last._replace(data=note.SerializeToString())}
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", said, change))
+    said |= stating(contents, RESULT, outcome=outcome, reason="why")
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", said))
     assert found.problems[0].field == "outcome"
     assert "the controller decides 'steps max'" in found.problems[0].message
 
@@ -268,8 +269,8 @@ def test_on_another_processor_a_history_has_to_fall(tmp_path, contents):
     entry = next(e for e in contents.entries if e.topic == STEP)
     step = ControllerStep.FromString(entry.data)
     step.searches[0].history[0] = step.searches[0].cost - 1.0
-    changed = {entry: entry._replace(data=step.SerializeToString())}
-    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed, elsewhere))
+    changed = {entry: entry._replace(data=step.SerializeToString())} | elsewhere(contents)
+    found = verify(rewrite(contents, tmp_path / "changed.mcap", changed))
     assert found.problems[0].field == "searches.0.history"
 
 
@@ -283,16 +284,21 @@ def test_what_viewers_cannot_decode_is_noticed(tmp_path, contents):
     ]
 
 
-@pytest.mark.parametrize(("simulated", "noticed"), [(False, True), (True, False)])
-def test_a_wall_that_a_logged_path_crosses_was_entered(tmp_path, simulated, noticed):
-    """Only the lab evaluates the logged frames; a simulation's truth may go round a corner."""
-    made = random_trials.trial(simulated=simulated)
+def test_a_wall_that_a_path_logged_in_the_lab_crosses_was_entered(tmp_path):
+    made = random_trials.trial(simulated=False)
     clear = replace(made.result.verdict, entered=(False,) * 3, clearance=(0.0,) * 3)
     log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
-    assert log.result
-    log = replace(log, result=replace(log.result, verdict=clear))
-    fields = {problem.field for problem in audit(log, same_host=True).problems}
-    assert any(field.startswith("result.entered") for field in fields) == noticed
+    found = lab_differences(log, replace(log.result, verdict=clear), log.stop)
+    assert any(problem.field.startswith("result.entered") for problem in found)
+
+
+def test_steps_of_the_lab_come_in_order(tmp_path):
+    log = read_trial(random_trials.write(random_trials.trial(simulated=False), tmp_path / "t.mcap"))
+    before, step = log.steps[1:3]
+    back = replace(step, observation=replace(step.observation, frame=before.observation.frame - 1))
+    forged = replace(log, steps=(*log.steps[:2], back, *log.steps[3:]))
+    found = {one.field for one in lab_differences(forged, log.result, log.stop)}
+    assert "command.sent_ns" in found
 
 
 def lab_log(tmp_path, valid, speed_mm, halts):
@@ -341,5 +347,6 @@ def lost(robot, since, until=100):
 )
 def test_a_complete_lab_trial_shows_every_robot_at_rest(tmp_path, valid, speed_mm, halts, said):
     log = lab_log(tmp_path, valid, speed_mm, halts)
-    found = [p.message for p in audit(log, same_host=True).problems if p.field == "result.outcome"]
+    differences = lab_differences(log, log.result, log.stop)
+    found = [one.message for one in differences if one.field == "result.outcome"]
     assert found == ([said] if said else [])

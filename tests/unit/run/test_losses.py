@@ -1,16 +1,16 @@
 """Robots that are lost: the trial ends, goes on without them, or with others in their places."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
+from support.mutate import with_entry
 
 from tetractl.core.errors import SpecError
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import Losses, LossRule
 from tetractl.experiment.load import parse_spec
+from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.replay.audit import audit
+from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.describe import _notes
 from tetractl.results.outcomes import LOST
@@ -76,8 +76,10 @@ def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(robots, on_lost
     assert not still[:, known].any()
     assert max(np.array(result.robot_errors)[known], default=0) < 100
     assert verify(path).problems == ()
-    forged = replace(log, result=replace(result, lost=(9, *result.lost[1:])))
-    assert [one.field for one in audit(forged, True).problems] == ["result.lost.0"]
+    contents = scan(path)
+    (at,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
+    forged = with_entry(contents, tmp_path / "forged.mcap", at, ("lost", 0))
+    assert [one.field for one in verify(forged).problems] == ["/result[0].lost.0"]
     assert LOST.of_trial(read_result(path)) == {"lost": sum(result.lost)}
     assert any("lost" in note for note in _notes(read_result(path)))
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.mutate import with_entry
 from support.paths import ROOT
 
 from tetractl.core.commands import Sample
@@ -12,8 +13,9 @@ from tetractl.core.plan import Outcome
 from tetractl.core.poses import Observation, Poses
 from tetractl.core.tour import HoldTask, TourMeasure
 from tetractl.experiment.load import load_spec, parse_spec
+from tetractl.log.format.channels import RESULT
 from tetractl.log.read.reader import read_result, read_trial
-from tetractl.replay.audit import audit
+from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.outcomes import TIME_INSIDE
 from tetractl.run.interrupt import Interrupt
@@ -58,9 +60,11 @@ def test_robots_pass_way_points_and_stay_circling_or_standing(wheels, least, tmp
     assert TIME_INSIDE.of_trial(summary) == {"inside_one": result.inside[0]}
     assert TIME_INSIDE.of_trial(cut) == {"inside_one": None}
     assert verify(path).problems == ()
+    contents = scan(path)
+    (at,) = (i for i, entry in enumerate(contents.entries) if entry.topic == RESULT)
     for field in ("inside", "passed"):
-        forged = replace(log, result=replace(result, **{field: (0.999,)}))
-        assert [one.field for one in audit(forged, True).problems] == [f"result.{field}.0"]
+        forged = with_entry(contents, tmp_path / f"{field}.mcap", at, (field, 0))
+        assert [one.field for one in verify(forged).problems] == [f"/result[0].{field}.0"]
 
 
 def test_the_time_inside_is_a_share_of_the_tracked_frames_of_the_hold():

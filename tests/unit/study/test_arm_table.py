@@ -53,7 +53,7 @@ def test_the_table_has_one_tidy_row_a_trial(ran):
         "plant.dead_time",
         "robots.r.a",
     ]
-    assert list(found[0])[-2:] == ["trial_digest", "code"]
+    assert list(found[0])[-2:] == ["content_digest", "code"]
     assert "deadline_misses" not in found[0]
     with paths[1].open(newline="") as file:
         times = list(csv.DictReader(file))

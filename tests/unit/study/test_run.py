@@ -8,8 +8,7 @@ from support.studies import SMALL, run
 
 from tetractl.core.errors import LogError, TetractlError, UsageError
 from tetractl.experiment.load import parse_spec
-from tetractl.log.format.trial_digest import trial_digest
-from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.reader import content_digest, read_result
 from tetractl.run import task
 from tetractl.run.executors import Here
 from tetractl.run.interrupt import Interrupt
@@ -37,7 +36,7 @@ def done(tmp_path, finished):
 
 def logged(log):
     """The digest of the trial in a log."""
-    return trial_digest(read_trial(log))
+    return content_digest(log)
 
 
 def edit(folder, **fields):
@@ -55,7 +54,7 @@ def without_logs(folder):
 
 
 def digests(rows):
-    return {key: row.trial_digest for key, row in rows.items()}
+    return {key: row.content_digest for key, row in rows.items()}
 
 
 def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
@@ -67,7 +66,7 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     run_trial(alone, tmp_path, 2, (), Interrupt())
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
-    assert row.trial_digest == logged(log_path(tmp_path, 2))
+    assert row.content_digest == logged(log_path(tmp_path, 2))
     assert row.result.total_error == found.result.total_error
     assert row.warnings == found.warnings
     assert row.processor == found.processor != ""
@@ -83,7 +82,7 @@ def test_a_log_kept_changes_no_row(finished, tmp_path):
         assert replace(other, logged=True, wall_s=row.wall_s, cpu_s=row.cpu_s, result=same) == (
             replace(row, result=replace(result, deadline_misses=same.deadline_misses))
         )
-        assert logged(log_path(finished[0] / "out" / arm, trial)) == row.trial_digest
+        assert logged(log_path(finished[0] / "out" / arm, trial)) == row.content_digest
 
 
 def test_trials_come_first_over_all_arms(finished):
@@ -164,7 +163,7 @@ def test_shares_that_contradict_each_other_are_refused(done):
     other = done / "other"
     shutil.copytree(done / "out", other)
     mine = run(done, SMALL)
-    edit(other, trial_digest="0" * 64)
+    edit(other, content_digest="0" * 64)
     with (
         mine.store.opened(),
         pytest.raises(UsageError, match=f"trial 0 of {ARM} differs from that in .*out"),
@@ -172,7 +171,7 @@ def test_shares_that_contradict_each_other_are_refused(done):
         mine.store.merge([other])
     for may_differ in ({"code": "older"}, {"processor": "another-123456"}):
         shutil.copytree(done / "out" / ARM, other / ARM, dirs_exist_ok=True)
-        edit(other, trial_digest="0" * 64, **may_differ)
+        edit(other, content_digest="0" * 64, **may_differ)
         with mine.store.opened():
             assert mine.store.merge([other]) == 0
     with pytest.raises(UsageError, match="holds no trial of this study"):
@@ -186,8 +185,8 @@ def test_a_trial_is_repeated_to_its_log(done):
         says = repeat(ran.loaded, ran.store, f"{ARM}/1")
         row = ran.rows[ARM, 1]
         assert row.logged
-        assert logged(log_path(done / "out" / ARM, 1)) == row.trial_digest
-        assert row.trial_digest in says
+        assert logged(log_path(done / "out" / ARM, 1)) == row.content_digest
+        assert row.content_digest in says
         with pytest.raises(UsageError, match="has a log already"):
             repeat(ran.loaded, ran.store, f"{ARM}/1")
         for wrong in (ARM, f"{ARM}/x", f"{ARM}/7", "dead_time=0.2/0"):
@@ -217,7 +216,7 @@ def test_a_trial_is_repeated_with_the_number_of_trials_it_was_run_with(done):
 )
 def test_a_repeated_trial_that_differs_is_set_aside(done, changed, hint):
     without_logs(done / "out")
-    edit(done / "out", trial_digest="0" * 64, **changed)
+    edit(done / "out", content_digest="0" * 64, **changed)
     ran = run(done, SMALL)
     with ran.store.opened(), pytest.raises(LogError, match="the digest of its log is") as raised:
         repeat(ran.loaded, ran.store, f"{ARM}/1")

@@ -1,10 +1,10 @@
-"""The records of a log by name: channels and their schemas, metadata, attachments.
+"""The records of a log by name: channels with their schemas, and attachments.
 
 Host records describe the machine and the time, so they differ between two runs of the same trial;
 all other records of a simulated trial's log repeat byte for byte.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -17,18 +17,26 @@ from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     CellCrops,
     ControllerStep,
+    Digests,
     Estimate,
+    Host,
+    HostEnd,
+    Recovered,
+    Result,
+    Run,
     StepTiming,
     WheelCommand,
 )
 
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 TEXT = 2000
 """Largest number of characters of an operator message, after which a reader cuts it; control
 characters are escaped.
 """
 
+RUN = "/run"
+HOST = "/host/machine"
 FRAMES = "/frames"
 TRANSFORMS = "/tf"
 STEP = "/controller/step"
@@ -42,9 +50,13 @@ CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
 """The channels of a camera that follows cells."""
-
+HOST_END, RESULT, DIGESTS, RECOVERED = "/host/end", "/result", "/digests", "/recovered"
+SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
+"""The channels of the run and its result; of two messages of one of them, the first counts."""
 
 CHANNELS: dict[str, type[Message]] = {
+    RUN: Run,
+    HOST: Host,
     FRAMES: CameraFrames,
     TRANSFORMS: FrameTransforms,
     STEP: ControllerStep,
@@ -58,25 +70,22 @@ CHANNELS: dict[str, type[Message]] = {
     CROPS: RawImage,
     PICTURE: CompressedImage,
     BACKGROUND: CompressedImage,
+    HOST_END: HostEnd,
+    RESULT: Result,
+    DIGESTS: Digests,
+    RECOVERED: Recovered,
 }
 """Topic and message of each channel. The order is part of the format version: channels get the ids
 1, 2, ... in this order, which identify the messages of a log whose channel records are lost.
 """
-
-RUN = "tetractl.run"
-HOST = "tetractl.host"
-TIMING = "tetractl.timing"
-RESULT = "tetractl.result"
-RECOVERED = "tetractl.recovered"
-METADATA = frozenset({RUN, HOST, TIMING, RESULT, RECOVERED})
 
 SPEC = "spec.yaml"
 RESOLVED_SPEC = "spec.resolved.yaml"
 ENVIRONMENT = "environment.json"
 LAYOUT = "layout.json"
 
-HOST_RECORDS = frozenset({HOST_TIMING, HOST, TIMING, ENVIRONMENT, RECOVERED})
-"""Topics, metadata and attachments that differ between two runs of the same trial."""
+HOST_RECORDS = frozenset({HOST_TIMING, HOST, HOST_END, ENVIRONMENT})
+"""Topics and attachments that differ between two runs of the same trial."""
 
 
 class Entry(NamedTuple):
@@ -88,3 +97,9 @@ class Entry(NamedTuple):
     log_ns: int
     publish_ns: int
     data: bytes
+
+    @classmethod
+    def of(cls, topic: str, message: Message, log_ns: int, publish_ns: int | None = None) -> Self:
+        """Return a message with its bytes; both times are `log_ns` unless `publish_ns` is given."""
+        sampled_ns = log_ns if publish_ns is None else publish_ns
+        return cls(topic, log_ns, sampled_ns, message.SerializeToString())

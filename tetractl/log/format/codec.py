@@ -12,7 +12,7 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-STOPPED = 60  # largest number of characters read of the reason why a search stopped
+STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
 
 
 class Frames(NamedTuple):
@@ -251,7 +251,7 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
 
 def _encode_search(search: Search) -> pb.Search:
     fields = _named(search, "length", "signals", "cost", "history", "evaluations")
-    return pb.Search(stopped=printable(search.stopped, STOPPED), **fields)
+    return pb.Search(stopped=printable(search.stopped, STOP_REASON_MAX), **fields)
 
 
 def _decode_search(message: pb.Search) -> Search:
@@ -261,7 +261,7 @@ def _decode_search(message: pb.Search) -> Search:
         cost=message.cost,
         history=_floats(message.history),
         evaluations=message.evaluations,
-        stopped=StopReason.read(printable(message.stopped, STOPPED)),
+        stopped=StopReason.read(printable(message.stopped, STOP_REASON_MAX)),
     )
 
 

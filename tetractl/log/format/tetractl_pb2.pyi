@@ -190,3 +190,121 @@ class Estimate(_message.Message):
     dead_time_std: float
     misfit: _containers.RepeatedScalarFieldContainer[float]
     def __init__(self, k: _Optional[int] = ..., a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ...) -> None: ...
+
+class Fact(_message.Message):
+    __slots__ = ("key", "value")
+    KEY_FIELD_NUMBER: _ClassVar[int]
+    VALUE_FIELD_NUMBER: _ClassVar[int]
+    key: str
+    value: str
+    def __init__(self, key: _Optional[str] = ..., value: _Optional[str] = ...) -> None: ...
+
+class Run(_message.Message):
+    __slots__ = ("format_version", "run_id", "mode", "name", "trial", "seed", "spec_hash", "spec_name", "robots", "unit", "start_unix_ns", "plant", "camera_rate_hz", "facts")
+    FORMAT_VERSION_FIELD_NUMBER: _ClassVar[int]
+    RUN_ID_FIELD_NUMBER: _ClassVar[int]
+    MODE_FIELD_NUMBER: _ClassVar[int]
+    NAME_FIELD_NUMBER: _ClassVar[int]
+    TRIAL_FIELD_NUMBER: _ClassVar[int]
+    SEED_FIELD_NUMBER: _ClassVar[int]
+    SPEC_HASH_FIELD_NUMBER: _ClassVar[int]
+    SPEC_NAME_FIELD_NUMBER: _ClassVar[int]
+    ROBOTS_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    START_UNIX_NS_FIELD_NUMBER: _ClassVar[int]
+    PLANT_FIELD_NUMBER: _ClassVar[int]
+    CAMERA_RATE_HZ_FIELD_NUMBER: _ClassVar[int]
+    FACTS_FIELD_NUMBER: _ClassVar[int]
+    format_version: int
+    run_id: str
+    mode: str
+    name: str
+    trial: int
+    seed: int
+    spec_hash: str
+    spec_name: str
+    robots: _containers.RepeatedScalarFieldContainer[str]
+    unit: str
+    start_unix_ns: int
+    plant: str
+    camera_rate_hz: float
+    facts: _containers.RepeatedCompositeFieldContainer[Fact]
+    def __init__(self, format_version: _Optional[int] = ..., run_id: _Optional[str] = ..., mode: _Optional[str] = ..., name: _Optional[str] = ..., trial: _Optional[int] = ..., seed: _Optional[int] = ..., spec_hash: _Optional[str] = ..., spec_name: _Optional[str] = ..., robots: _Optional[_Iterable[str]] = ..., unit: _Optional[str] = ..., start_unix_ns: _Optional[int] = ..., plant: _Optional[str] = ..., camera_rate_hz: _Optional[float] = ..., facts: _Optional[_Iterable[_Union[Fact, _Mapping]]] = ...) -> None: ...
+
+class Host(_message.Message):
+    __slots__ = ("facts",)
+    FACTS_FIELD_NUMBER: _ClassVar[int]
+    facts: _containers.RepeatedCompositeFieldContainer[Fact]
+    def __init__(self, facts: _Optional[_Iterable[_Union[Fact, _Mapping]]] = ...) -> None: ...
+
+class Result(_message.Message):
+    __slots__ = ("outcome", "reason", "unit", "steps", "duration_s", "total_error", "robot_errors", "entered", "clearance", "edge", "apart", "final_x", "final_y", "final_heading", "passed", "inside", "lost", "warnings")
+    OUTCOME_FIELD_NUMBER: _ClassVar[int]
+    REASON_FIELD_NUMBER: _ClassVar[int]
+    UNIT_FIELD_NUMBER: _ClassVar[int]
+    STEPS_FIELD_NUMBER: _ClassVar[int]
+    DURATION_S_FIELD_NUMBER: _ClassVar[int]
+    TOTAL_ERROR_FIELD_NUMBER: _ClassVar[int]
+    ROBOT_ERRORS_FIELD_NUMBER: _ClassVar[int]
+    ENTERED_FIELD_NUMBER: _ClassVar[int]
+    CLEARANCE_FIELD_NUMBER: _ClassVar[int]
+    EDGE_FIELD_NUMBER: _ClassVar[int]
+    APART_FIELD_NUMBER: _ClassVar[int]
+    FINAL_X_FIELD_NUMBER: _ClassVar[int]
+    FINAL_Y_FIELD_NUMBER: _ClassVar[int]
+    FINAL_HEADING_FIELD_NUMBER: _ClassVar[int]
+    PASSED_FIELD_NUMBER: _ClassVar[int]
+    INSIDE_FIELD_NUMBER: _ClassVar[int]
+    LOST_FIELD_NUMBER: _ClassVar[int]
+    WARNINGS_FIELD_NUMBER: _ClassVar[int]
+    outcome: str
+    reason: str
+    unit: str
+    steps: int
+    duration_s: float
+    total_error: float
+    robot_errors: _containers.RepeatedScalarFieldContainer[float]
+    entered: _containers.RepeatedScalarFieldContainer[bool]
+    clearance: _containers.RepeatedScalarFieldContainer[float]
+    edge: _containers.RepeatedScalarFieldContainer[float]
+    apart: _containers.RepeatedScalarFieldContainer[float]
+    final_x: _containers.RepeatedScalarFieldContainer[float]
+    final_y: _containers.RepeatedScalarFieldContainer[float]
+    final_heading: _containers.RepeatedScalarFieldContainer[float]
+    passed: _containers.RepeatedScalarFieldContainer[float]
+    inside: _containers.RepeatedScalarFieldContainer[float]
+    lost: _containers.RepeatedScalarFieldContainer[int]
+    warnings: int
+    def __init__(self, outcome: _Optional[str] = ..., reason: _Optional[str] = ..., unit: _Optional[str] = ..., steps: _Optional[int] = ..., duration_s: _Optional[float] = ..., total_error: _Optional[float] = ..., robot_errors: _Optional[_Iterable[float]] = ..., entered: _Optional[_Iterable[bool]] = ..., clearance: _Optional[_Iterable[float]] = ..., edge: _Optional[_Iterable[float]] = ..., apart: _Optional[_Iterable[float]] = ..., final_x: _Optional[_Iterable[float]] = ..., final_y: _Optional[_Iterable[float]] = ..., final_heading: _Optional[_Iterable[float]] = ..., passed: _Optional[_Iterable[float]] = ..., inside: _Optional[_Iterable[float]] = ..., lost: _Optional[_Iterable[int]] = ..., warnings: _Optional[int] = ...) -> None: ...
+
+class HostEnd(_message.Message):
+    __slots__ = ("solve_ns", "deadline_misses", "ended")
+    SOLVE_NS_FIELD_NUMBER: _ClassVar[int]
+    DEADLINE_MISSES_FIELD_NUMBER: _ClassVar[int]
+    ENDED_FIELD_NUMBER: _ClassVar[int]
+    solve_ns: _containers.RepeatedScalarFieldContainer[int]
+    deadline_misses: int
+    ended: str
+    def __init__(self, solve_ns: _Optional[_Iterable[int]] = ..., deadline_misses: _Optional[int] = ..., ended: _Optional[str] = ...) -> None: ...
+
+class Digests(_message.Message):
+    __slots__ = ("content", "host")
+    CONTENT_FIELD_NUMBER: _ClassVar[int]
+    HOST_FIELD_NUMBER: _ClassVar[int]
+    content: str
+    host: str
+    def __init__(self, content: _Optional[str] = ..., host: _Optional[str] = ...) -> None: ...
+
+class Recovered(_message.Message):
+    __slots__ = ("source", "source_bytes", "source_sha256", "problems", "lost")
+    SOURCE_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_BYTES_FIELD_NUMBER: _ClassVar[int]
+    SOURCE_SHA256_FIELD_NUMBER: _ClassVar[int]
+    PROBLEMS_FIELD_NUMBER: _ClassVar[int]
+    LOST_FIELD_NUMBER: _ClassVar[int]
+    source: str
+    source_bytes: int
+    source_sha256: str
+    problems: _containers.RepeatedScalarFieldContainer[str]
+    lost: _containers.RepeatedScalarFieldContainer[str]
+    def __init__(self, source: _Optional[str] = ..., source_bytes: _Optional[int] = ..., source_sha256: _Optional[str] = ..., problems: _Optional[_Iterable[str]] = ..., lost: _Optional[_Iterable[str]] = ...) -> None: ...

@@ -19,14 +19,6 @@ CHUNK = 1 << 24
 """Largest unpacked size of a chunk [bytes]; tetractl's chunks have about a million."""
 MESSAGE = 1 << 22
 """Largest size of a message that is decoded [bytes]; a step of 1000 robots has about a million."""
-METADATA = 1 << 18
-"""Largest size of a metadata record [bytes], twice what the result of 1000 robots needs."""
-TIMING = 1 << 22
-"""Largest size of the record with the solve times [bytes], enough for 400,000 steps."""
-KEYS = 10_000
-"""Largest number of items in a metadata record."""
-KEY = 200
-"""Largest number of characters in a key of a metadata record."""
 ATTACHMENT = 1 << 22
 """Largest size of an attachment [bytes], four times the largest spec."""
 PROBLEMS = 50

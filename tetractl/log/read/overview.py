@@ -1,4 +1,4 @@
-"""An overview of a log: its metadata, and the counts and sizes of its records."""
+"""An overview of a log: its records of the run, and the counts and sizes of its records."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,7 +8,6 @@ from tetractl.core.plan import Estimate
 from tetractl.core.table.table_files import json_text
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
-from tetractl.log.format.trial_digest import trial_digest
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
@@ -30,9 +29,8 @@ class ChannelCount:
 class Overview:
     """The contents of a log.
 
-    `digest` is the content digest computed from the file, `stated_digest` that in the result
-    record, and `trial_digest` the hash of the trial's records, as in a study's row; None for a
-    damaged log. `run`, `host` and `provenance` are the metadata of the run, `attachments` the sizes
+    `digest` is the content digest computed from the file, as in a study's row, `stated_digest` that
+    in the log. `run`, `host` and `provenance` are the records of the run, `attachments` the sizes
     of attachments [bytes]. `estimate` is the controller's last estimate of the robots, at control
     step `estimate_step`; None without an estimate.
     """
@@ -51,7 +49,6 @@ class Overview:
     provenance: dict[str, str]
     digest: str
     stated_digest: str | None
-    trial_digest: str | None
     damage: Damage | None
 
     def as_json(self) -> str:
@@ -82,7 +79,6 @@ def overview(path: Path) -> Overview:
         provenance=trial.provenance,
         digest=trial.content_digest,
         stated_digest=trial.digest,
-        trial_digest=None if problems else trial_digest(trial),
         damage=Damage(problems, lost) if problems else None,
     )
 

@@ -1,22 +1,28 @@
-"""The records found in a log file, and its metadata decoded once."""
+"""The records found in a log file, and those of the run decoded once."""
 
 import os
 import stat
 from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
-from mcap.records import Attachment, Channel, Metadata, Schema
+from google.protobuf.message import DecodeError
+from mcap.records import Attachment, Channel, Schema
 
 from tetractl.core.errors import LogError, printable
 from tetractl.core.trial import Result
-from tetractl.log import provenance
 from tetractl.log.format import channels
-from tetractl.log.format.channels import FORMAT_VERSION, Entry
-from tetractl.log.format.digest import CHECKSUM, DIGEST, HOST_DIGEST, ContentDigest
-from tetractl.log.format.metadata import FORMAT, WARNINGS, RunRecord, read_damage, read_run
-from tetractl.log.read.limits import FACTOR, Budget, file_limit
+from tetractl.log.format.channels import Entry
+from tetractl.log.format.digest import LogDigests
+from tetractl.log.format.run_records import decode_facts
+from tetractl.log.format.tetractl_pb2 import Digests, Run
+from tetractl.log.provenance import is_version
+from tetractl.log.read import limits
+from tetractl.log.read.limits import FACTOR, Budget, TooMuchError, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
@@ -31,7 +37,7 @@ class RawLog:
 
     path: Path
     size: int = 0  # bytes
-    records: list[Entry | Metadata | Attachment] = field(default_factory=list)  # in file order
+    records: list[Entry | Attachment] = field(default_factory=list)  # in file order
     chunks: int = 0
     problems: list[str] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
@@ -60,37 +66,46 @@ class RawLog:
                 found.setdefault(record.name, record)
         return found
 
-    @cached_property
-    def metadata(self) -> dict[str, dict[str, str]]:
-        """The items of each metadata record by its name, as written; of two with the same name, the
-        first.
+    def text(self, name: str) -> str | None:
+        """Return the attachment `name` as text, None if it is lost."""
+        found = self.attachments.get(name)
+        return None if found is None else found.data.decode(errors="replace")
+
+    def messages(self, topic: str) -> Iterator[Any]:
+        """Decode the messages of a topic; raises DecodeError, and TooMuchError for a message that
+        is too long.
         """
-        found: dict[str, dict[str, str]] = {}
-        for record in self.records:
-            if isinstance(record, Metadata):
-                found.setdefault(record.name, record.metadata)
-        return found
+        found = [entry.data for entry in self.by_topic[topic]]
+        longest = max(map(len, found), default=0)
+        if longest > limits.MESSAGE:
+            raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
+        return map(channels.CHANNELS[topic].FromString, found)
+
+    def _stated(self, topic: str) -> Any:
+        """Return the first message of a topic, an empty one if it is lost or unreadable."""
+        with suppress(DecodeError, ValueError):
+            return next(self.messages(topic), channels.CHANNELS[topic]())
+        return channels.CHANNELS[topic]()
 
     @cached_property
-    def run(self) -> RunRecord:
-        """The run record; LogError if it is lost, unreadable or of a newer log format."""
-        items = self.metadata.get(channels.RUN)
-        if items is None:
-            if self.problems:
-                raise LogError(f"{self.path}: damaged: the record of the run is lost")
-            raise LogError(f"{self.path}: an MCAP file, but not a log of tetractl")
+    def run(self) -> Run:
+        """What identifies the trial; LogError if it is lost, unreadable or of another format."""
+        if not self.by_topic[channels.RUN]:
+            lost = "damaged: the record of the run is lost"
+            other = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"
+            raise LogError(f"{self.path}: {lost if self.problems else other}")
         try:
-            version = int(items[FORMAT])
-            if version == FORMAT_VERSION:
-                return read_run(items)
-        except (KeyError, RecursionError, TypeError, ValueError) as error:
+            run = next(self.messages(channels.RUN))
+        except (DecodeError, ValueError) as error:
+            text = f"the record of the run cannot be read: {_reason(error)}"
+            raise LogError(f"{self.path}: {text}") from None
+        if run.format_version != channels.FORMAT_VERSION:
+            version = f"format {run.format_version}, not {channels.FORMAT_VERSION}"
             raise LogError(
-                f"{self.path}: the record of the run cannot be read: {_reason(error)}"
-            ) from None
-        raise LogError(
-            f"{self.path}: has log format {version}; this tetractl reads format {FORMAT_VERSION}",
-            "use the tetractl that wrote the log",
-        )
+                f"{self.path}: was written by another version of tetractl: {version}",
+                "use the tetractl that wrote the log",
+            )
+        return run
 
     @property
     def result(self) -> Result | None:
@@ -100,89 +115,75 @@ class RawLog:
     @cached_property
     def result_read(self) -> tuple[Result | None, str]:
         """The result and "", or None and the reason why it cannot be read."""
-        items = self.metadata.get(channels.RESULT)
-        if items is None:
+        if not self.by_topic[channels.RESULT]:
             return None, "the log has no result: the run was cut short or the log's end is lost"
         try:
-            timing, run = self.metadata.get(channels.TIMING), self.run
-            return stated_result(items, timing, len(run.robots), run.items["unit"]), ""
-        except (KeyError, LogError, OverflowError, RecursionError, TypeError, ValueError) as error:
+            message = next(self.messages(channels.RESULT))
+            end = next(self.messages(channels.HOST_END), None)
+            return stated_result(message, end, len(self.run.robots), self.run.unit), ""
+        except (DecodeError, LogError, OverflowError, ValueError) as error:
             return None, f"the result has values that tetractl does not write: {_reason(error)}"
 
     @property
     def warnings(self) -> int:
         """The number of operator warnings and errors stated in the log; 0 if not stated."""
-        stated = self.metadata.get(channels.RESULT, {}).get(WARNINGS, "")
-        return int(stated) if stated.isdecimal() and len(stated) < 12 else 0
+        return max(0, self._stated(channels.RESULT).warnings)
+
+    @cached_property
+    def digests(self) -> Digests:
+        """The digests, computed from the records."""
+        found = LogDigests()
+        for record in self.records:
+            if isinstance(record, Entry):
+                found.messages([record])
+            else:
+                found.attachment(record.name, record.media_type, record.log_time, record.data)
+        return found.stated()
 
     @property
     def stated_digest(self) -> str | None:
-        """The content digest that the result record states."""
-        return self.metadata.get(channels.RESULT, {}).get(DIGEST)
+        """The content digest that the log states."""
+        return self._stated(channels.DIGESTS).content or None
+
+    @property
+    def host_altered(self) -> bool:
+        """Whether the host records do not match their digest."""
+        stated = self._stated(channels.DIGESTS).host
+        return bool(stated) and stated != self.digests.host
 
     @cached_property
     def recovered(self) -> Damage | None:
-        """The damage of the log from which this one was recovered, None if it was not recovered."""
-        items = self.metadata.get(channels.RECOVERED)
-        if items is None:
+        """The damage of the log from which this one was recovered; None if it was not recovered or
+        lost nothing.
+        """
+        if not self.by_topic[channels.RECOVERED]:
             return None
-        try:
-            found = read_damage(items)
-        except (KeyError, RecursionError, TypeError, ValueError):
-            return Damage(("recovered from a damaged log",), ())
-        if found is None:
+        told = self._stated(channels.RECOVERED)
+        if told.source and not told.lost:
             return None
-        return Damage(*(tuple(map(printable, told)) for told in (found.problems, found.lost)))
+        whence = f"recovered from {told.source or 'a log'}, which was damaged"
+        return Damage(
+            *(tuple(map(printable, texts)) for texts in ((whence, *told.problems), told.lost))
+        )
 
     @cached_property
     def host(self) -> dict[str, str]:
         """Machine and time of the run."""
-        return self._host(versions=False)
+        return {key: value for key, value in self._facts.items() if not is_version(key)}
 
     @cached_property
     def versions(self) -> dict[str, str]:
         """Versions of the code that ran the trial."""
-        return self._host(versions=True)
-
-    def _host(self, versions: bool) -> dict[str, str]:
-        items = self.metadata.get(channels.HOST, {}).items()
-        chosen = {key: value for key, value in items if provenance.is_version(key) == versions}
-        return {key: value for key, value in chosen.items() if key != CHECKSUM}
-
-    def text(self, name: str) -> str | None:
-        """Return the attachment `name` as text, None if it is lost."""
-        found = self.attachments.get(name)
-        return None if found is None else found.data.decode(errors="replace")
+        return {key: value for key, value in self._facts.items() if is_version(key)}
 
     @cached_property
-    def digest(self) -> str:
-        """The content digest, computed from the records."""
-        return self._digest(ContentDigest())
-
-    @property
-    def host_altered(self) -> bool:
-        """Whether the host records do not match their digest, which the last of them states.
-
-        False for logs of earlier versions, which lack this digest.
-        """
-        stated = self.metadata.get(channels.TIMING, {}).get(HOST_DIGEST)
-        return stated is not None and stated != self._digest(ContentDigest(host=True))
-
-    def _digest(self, digest: ContentDigest) -> str:
-        for record in self.records:
-            if isinstance(record, Entry):
-                digest.message(record)
-            elif isinstance(record, Metadata):
-                digest.metadata(record.name, record.metadata)
-            else:
-                digest.attachment(record.name, record.media_type, record.data)
-        return digest.hexdigest()
+    def _facts(self) -> dict[str, str]:
+        return decode_facts(self._stated(channels.HOST).facts)
 
 
 def _reason(error: Exception) -> str:
     """Return the message of an error in decoding a record, in one line."""
-    text = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-    return printable(text or type(error).__name__, 200)
+    return printable(str(error) or type(error).__name__, 200)
 
 
 def read_file(path: Path) -> tuple[bytes, int, str | None]:

@@ -4,7 +4,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
@@ -21,6 +20,7 @@ from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.codec import Frames
+from tetractl.log.format.run_records import decode_plant, run_items
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits, validate
 from tetractl.log.read.limits import TooMuchError
@@ -79,9 +79,9 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         commands=commands,
         notes=tuple(_notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
-        content_digest=contents.digest,
+        content_digest=contents.digests.content,
         host_altered=contents.host_altered,
-        run=contents.run.items,
+        run=run_items(contents.run),
         pictures=tuple(
             (entry.publish_ns - start.start_unix_ns, CompressedImage.FromString(entry.data).data)
             for entry in contents.by_topic[channels.PICTURE]
@@ -179,9 +179,9 @@ def content_digest(path: Path) -> str:
     """Return the SHA-256 over all records of a log except its host records.
 
     A simulated trial that is run again has the same digest. A complete log states this digest in
-    its result record.
+    its last message.
     """
-    return scan(Path(path)).digest
+    return scan(Path(path)).digests.content
 
 
 def _start(contents: RawLog) -> tuple[Experiment, Start]:
@@ -192,10 +192,9 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     if len(resolved) > MAX_BYTES:
         raise LogError(f"{contents.path}: its resolved spec is longer than {MAX_BYTES} characters")
     try:
-        experiment, own_hash = _resolved(resolved)
-        hashed = run.items["spec_hash"] if own_hash is None else own_hash
+        experiment, hashed = _resolved(resolved)
         validate.check_run(run, len(experiment.robots))
-    except (SpecError, KeyError, RecursionError, ValueError) as error:
+    except (SpecError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
             for key, version in contents.versions.items()
@@ -213,7 +212,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
         spec_hash=hashed,
         seed=run.seed,
         trial=run.trial,
-        plant=run.plant,
+        plant=decode_plant(run),
         start_unix_ns=run.start_unix_ns,
         attached=tuple(
             (name, item.data.decode(errors="replace"))
@@ -233,7 +232,7 @@ def _resolved(text: str) -> tuple[Experiment, str]:
 def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots; true poses are NaN if a damaged log lost them."""
     parts = [Frames.of((), robots)]
-    for message in _messages(contents, channels.FRAMES):
+    for message in contents.messages(channels.FRAMES):
         cost = limits.NUMBER_COST * (7 * robots + 3) * len(message.frame)
         contents.budget.spend(cost, "very many camera frames")
         parts.append(codec.decode_frames(message, robots))
@@ -244,7 +243,7 @@ def _frames(contents: RawLog, robots: int) -> Frames:
 
 def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
     """Decode the commands to `robots` robots."""
-    for message in _messages(contents, channels.COMMANDS):
+    for message in contents.messages(channels.COMMANDS):
         command = codec.decode_command(message)
         validate.check_command(command, robots)
         yield command
@@ -252,9 +251,9 @@ def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
 
 def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
     """Decode the control steps of N robots, with their solve times and estimates."""
-    timings = {message.k: message for message in _messages(contents, channels.HOST_TIMING)}
-    estimates = {message.k: message for message in _messages(contents, channels.ESTIMATE)}
-    for message in _messages(contents, channels.STEP):
+    timings = {message.k: message for message in contents.messages(channels.HOST_TIMING)}
+    estimates = {message.k: message for message in contents.messages(channels.ESTIMATE)}
+    for message in contents.messages(channels.STEP):
         searches = message.searches
         numbers = sum(len(search.signals) + len(search.history) for search in searches)
         numbers += len(message.signals) + 3 * len(message.path_x)
@@ -268,16 +267,7 @@ def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
 
 def _notes(contents: RawLog, start_unix_ns: int) -> Iterator[Note]:
     """Decode the operator messages; unprintable characters in them are escaped."""
-    for message in _messages(contents, channels.LOG):
+    for message in contents.messages(channels.LOG):
         note = decode_note(message, start_unix_ns)
         validate.check_times([note.t_ns])
         yield replace(note, text=printable(note.text, channels.TEXT))
-
-
-def _messages(contents: RawLog, topic: str) -> Iterator[Any]:
-    """Decode the messages of a topic."""
-    found = [entry.data for entry in contents.by_topic[topic]]
-    longest = max(map(len, found), default=0)
-    if longest > limits.MESSAGE:
-        raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
-    return map(channels.CHANNELS[topic].FromString, found)

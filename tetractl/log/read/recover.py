@@ -3,22 +3,20 @@
 import hashlib
 from collections import Counter
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
-from mcap.records import Attachment, Channel, Metadata, Schema
-from mcap.well_known import MessageEncoding
+from mcap.records import Attachment
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, HOST, HOST_TIMING, RECOVERED, TIMING, Entry
-from tetractl.log.format.metadata import damage_metadata
+from tetractl.log.format.channels import RECOVERED, Entry
+from tetractl.log.format.tetractl_pb2 import Recovered
 from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.limits import file_limit
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, frame_gaps, step_gaps
-from tetractl.log.write.sink import Sink, protobuf_schema
+from tetractl.log.write.sink import Sink
 
 PART_SUFFIX = ".recovering"
 """Suffix of an unfinished copy, which is not a log; the next recovery replaces the copy.
@@ -35,7 +33,6 @@ class Recovery:
     path: str | None
     chunks: int
     messages: int
-    metadata: int
     attachments: int
     damage: Damage
 
@@ -54,7 +51,7 @@ def recovered_path(log: Path) -> Path:
 
 
 def recover(log: Path, out: Path | None = None) -> Recovery:
-    """Write every intact chunk, metadata record and attachment of a log to a complete file.
+    """Write every intact chunk and attachment of a log to a complete file.
 
     The file is `out`, by default `recovered_path`; an undamaged log is copied only if `out` is
     given. An unfinished copy of an earlier call is replaced. Raises LogError if nothing can be
@@ -74,7 +71,6 @@ def recover(log: Path, out: Path | None = None) -> Recovery:
         path=None if path is None else str(path),
         chunks=contents.chunks,
         messages=counts[Entry],
-        metadata=counts[Metadata],
         attachments=counts[Attachment],
         damage=damage,
     )
@@ -90,9 +86,8 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
     problems, lost = map(
         list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     )
-    timed = len(contents.by_topic[HOST_TIMING]) == len(trial.steps)
-    if timed and {HOST, TIMING} <= contents.metadata.keys() and trial.digest and not trial.altered:
-        return problems, lost if RECOVERED in contents.metadata else []
+    if trial.digest and not trial.altered and not trial.host_altered:
+        return problems, lost if contents.recovered else []
     lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
     if trial.stop is None:
         lost.append("the stop at the end")
@@ -103,31 +98,29 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
     try:
         _fill(contents, damage, sink)
+        sink.close(complete=True)
     except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()
         raise
-    sink.close(complete=True)
 
 
 def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
-    for topic, message in CHANNELS.items():  # the channels, in case their records are lost
-        if topic not in contents.channels and contents.by_topic[topic]:
-            name, encoding, data = protobuf_schema(message)
-            channel = Channel(0, topic, MessageEncoding.Protobuf, {}, 0)
-            sink.channel(channel, Schema(0, data, encoding, name))
     for channel, schema in contents.channels.values():
         sink.channel(channel, schema)
-    for messages, records in groupby(contents.records, lambda one: isinstance(one, Entry)):
-        if messages:
-            sink.messages(record for record in records if isinstance(record, Entry))
-            continue
-        for record in records:
-            if isinstance(record, Attachment):
-                sink.attachment(record.name, record.media_type, record.log_time, record.data)
-            elif isinstance(record, Metadata) and record.name != RECOVERED:
-                sink.copy_metadata(record.name, record.metadata)
-    sha256 = _sha256(contents.path)
-    sink.metadata(RECOVERED, damage_metadata(damage, contents.path.name, contents.size, sha256))
+    for record in contents.records:
+        if isinstance(record, Attachment):
+            sink.attachment(record.name, record.media_type, record.log_time, record.data)
+        elif record.topic != RECOVERED:
+            sink.messages([record])
+    told = Recovered(
+        source=contents.path.name,
+        source_bytes=contents.size,
+        source_sha256=_sha256(contents.path),
+        problems=damage.problems,
+        lost=damage.lost,
+    )
+    last_ns = max((entry.log_ns for entry in contents.entries), default=0)
+    sink.messages([Entry.of(RECOVERED, told, last_ns)])
 
 
 def _sha256(path: Path) -> str:

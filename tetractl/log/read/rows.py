@@ -1,7 +1,7 @@
 """The rows of a study: one record per trial, with or without a log.
 
 The folder of an arm contains its spec and a file with one line of JSON per trial, in which `result`
-and `timing` have the items of the log's metadata records of these names.
+has the fields of the log's message of the result, except those that are 0 or empty.
 """
 
 import json
@@ -10,13 +10,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Self
 
+from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
+
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError, UsageError
 from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
-from tetractl.log.format.metadata import WARNINGS, result_metadata, timing_metadata
+from tetractl.log.format.run_records import encode_result
+from tetractl.log.format.tetractl_pb2 import HostEnd
+from tetractl.log.format.tetractl_pb2 import Result as ResultMessage
 from tetractl.log.read import limits
 from tetractl.log.read.limits import Budget, TooMuchError
 from tetractl.log.read.trial_log import Origin, ResultSummary
@@ -33,8 +37,8 @@ class Row:
     """One trial of an arm.
 
     `arm_hash` identifies the experiment, `code` and `processor` the code and the type of processor
-    that ran it. `trial_digest` is computed by `log.format.trial_digest`, `count` is the number of
-    trials of the batch, as stated in the trial's log, and `logged` is whether the log was kept.
+    that ran it. `content_digest` is that of the trial's log, `count` is the number of trials of the
+    batch, as stated in the log, and `logged` is whether the log was kept.
     `wall_s` and `cpu_s` are wall and processor time [s]. `place`, the file and line of the row, is
     not written.
     """
@@ -43,7 +47,7 @@ class Row:
     arm_hash: str
     code: str
     processor: str
-    trial_digest: str
+    content_digest: str
     count: int
     logged: bool
     wall_s: float
@@ -59,18 +63,20 @@ class Row:
 
     def line(self, experiment: Experiment) -> str:
         """Return the row as a line of JSON."""
+        message = encode_result(self.result, experiment.units.length, self.warnings)
         stated = {
             "trial": self.trial,
             "arm_hash": self.arm_hash,
             "code": self.code,
             "processor": self.processor,
-            "trial_digest": self.trial_digest,
+            "content_digest": self.content_digest,
             "count": self.count,
             "logged": self.logged,
             "wall_s": self.wall_s,
             "cpu_s": self.cpu_s,
-            "result": result_metadata(self.result, experiment.units.length, self.warnings),
-            "timing": timing_metadata(self.result),
+            "result": MessageToDict(message, preserving_proto_field_name=True),
+            "solve_ns": self.result.solve_ns,
+            "deadline_misses": self.result.deadline_misses,
         }
         return json.dumps(stated, allow_nan=False) + "\n"
 
@@ -81,19 +87,23 @@ class Row:
         Raises one of the exceptions `UNREADABLE` for a line that tetractl does not write.
         """
         texts = {name: _text(stated[name]) for name in ("arm_hash", "code", "processor")}
-        result, timing = _texts(stated["result"]), _texts(stated["timing"])
-        if type(stated["logged"]) is not bool or not timing:
+        message = ParseDict(stated["result"], ResultMessage())
+        end = HostEnd(
+            solve_ns=map(_count, stated["solve_ns"]),
+            deadline_misses=_count(stated["deadline_misses"]),
+        )
+        if type(stated["logged"]) is not bool or type(stated["solve_ns"]) is not list:
             raise TypeError("not a row")
         return cls(
             **texts,
             trial=_count(stated["trial"]),
-            trial_digest=f"{int(_text(stated['trial_digest']), 16):064x}",
+            content_digest=f"{int(_text(stated['content_digest']), 16):064x}",
             count=_count(stated["count"]),
             logged=stated["logged"],
             wall_s=_seconds(stated["wall_s"]),
             cpu_s=_seconds(stated["cpu_s"]),
-            warnings=_count(int(result[WARNINGS])),
-            result=stated_result(result, timing, len(experiment.robots), experiment.units.length),
+            warnings=_count(message.warnings),
+            result=stated_result(message, end, len(experiment.robots), experiment.units.length),
             place=place,
         )
 
@@ -113,12 +123,20 @@ class Row:
         )
 
 
-ROW_MAX = limits.METADATA + limits.TIMING
+ROW_MAX = limits.MESSAGE
 """Largest size of a row [bytes]."""
 LINE_COST, ROW_COST, SOLVE_COST = 400, 5200, 80
 """Bytes charged to the budget for a line, in addition for a row, and for each of its solve times.
 """
-UNREADABLE = (AttributeError, LookupError, OverflowError, RecursionError, TypeError, ValueError)
+UNREADABLE = (
+    AttributeError,
+    LookupError,
+    OverflowError,
+    ParseError,
+    RecursionError,
+    TypeError,
+    ValueError,
+)
 """Exceptions that decoding a line may raise if tetractl did not write it."""
 
 
@@ -140,13 +158,6 @@ def _text(value: Any) -> str:
     if len(value) > TEXT_MAX or not value.isprintable():
         raise ValueError("not a name")
     return value
-
-
-def _texts(record: Any) -> dict[str, str]:
-    """Return the items of a record; TypeError unless every value is text, as in a log."""
-    if not all(isinstance(value, str) for value in record.values()):
-        raise TypeError("an item is not text")
-    return record
 
 
 def check_rows(path: Path) -> None:

@@ -1,8 +1,8 @@
 """Finds every intact record of an MCAP file, however damaged the file is.
 
-MCAP has checksums for chunks and attachments, and tetractl's metadata has its own, so each record
-is verified by itself. The file is read from record to record; if a record is damaged, or the
-checksum over the data section does not match, the file is also searched for further records.
+MCAP has checksums for chunks and attachments, so each record is verified by itself. The file is
+read from record to record; if a record is damaged, or the checksum over the data section does not
+match, the file is also searched for further records.
 
 A file may be malicious: the bytes unpacked, copied and kept are subtracted from a budget.
 """
@@ -22,17 +22,15 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     Chunk,
+    ChunkIndex,
     DataEnd,
     Footer,
-    Metadata,
-    MetadataIndex,
     Schema,
     Statistics,
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, METADATA, RUN, TIMING, Entry
-from tetractl.log.format.metadata import checksum_ok
+from tetractl.log.format.channels import CHANNELS, SUMMARY, Entry
 from tetractl.log.read import limits
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog, read_file
@@ -48,11 +46,12 @@ word.
 """
 _NAME_MAX = 200
 
-Verified = int | Attachment | Metadata  # a record; for a chunk, its number of messages
 RawMessage = tuple[int, int, int, bytes]  # channel, log time, publish time, data
+Verified = list[RawMessage] | Attachment  # a record; of a chunk, its messages
 Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
 _MESSAGE = struct.Struct("<HIQQ")
+_TOPICS = dict(enumerate(CHANNELS, start=1))  # by the number of a channel
 
 
 def scan(path: Path) -> RawLog:
@@ -65,7 +64,8 @@ def scan(path: Path) -> RawLog:
 
 
 def peek(path: Path) -> RawLog | None:
-    """Return only metadata and attachments, found by the file's index; None for a damaged file.
+    """Return only attachments and the chunks with the messages of the run and its result, found by
+    the file's index; None for a damaged file.
 
     Two checksums are tested, which together cover the whole file: of the data section and of the
     index.
@@ -93,7 +93,6 @@ class _Scan:
         if problem:
             self._problems.append(problem)
         self._found: dict[int, Verified] = {}  # records by offset in the file
-        self._messages: dict[int, list[RawMessage]] = {}  # messages of the chunk at an offset
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._read = 0  # number of bytes decoded
@@ -116,7 +115,7 @@ class _Scan:
         return self._result
 
     def indexed(self) -> RawLog | None:
-        """Read metadata and attachments by the file's index; None for a damaged file."""
+        """Read what `peek` returns; None for a damaged file."""
         self._read_index(channels=False)
         if self._problems or not self._sealed():
             return None
@@ -163,9 +162,10 @@ class _Scan:
                 self._schemas[schema.id] = schema
             elif opcode == Opcode.STATISTICS:
                 self._expected = Statistics.read(self._stream(offset + _HEAD)).message_count
-            elif opcode == Opcode.METADATA_INDEX:
-                index = MetadataIndex.read(self._stream(offset + _HEAD))
-                self._indexed.append((index.offset, Opcode.METADATA))
+            elif opcode == Opcode.CHUNK_INDEX and not channels:
+                chunk = ChunkIndex.read(self._stream(offset + _HEAD))
+                if SUMMARY & {_TOPICS.get(number) for number in chunk.message_index_offsets}:
+                    self._indexed.append((chunk.chunk_start_offset, Opcode.CHUNK))
             elif opcode == Opcode.ATTACHMENT_INDEX:
                 index = AttachmentIndex.read(self._stream(offset + _HEAD))
                 self._indexed.append((index.offset, Opcode.ATTACHMENT))
@@ -201,8 +201,6 @@ class _Scan:
         """Yield each offset at which a record may begin, and its opcode."""
         for at in self._all(b"\x04\0\0\0zstd"):
             yield at - 28 - _HEAD, Opcode.CHUNK
-        for at in self._all(b"\0\0\0tetractl."):
-            yield at - 1 - _HEAD, Opcode.METADATA
         for at in self._all(_KIND):
             for length in range(1, _NAME_MAX):
                 name = at - length - 4
@@ -237,8 +235,7 @@ class _Scan:
             schemas, channels, messages = self._unpack(Chunk.read(stream))
             self._schemas |= {item.id: item for item in schemas}
             self._channels |= {item.id: item for item in channels}
-            self._messages[offset] = messages
-            self._found[offset] = len(messages)
+            self._found[offset] = messages
         elif opcode == Opcode.ATTACHMENT:
             if size > limits.ATTACHMENT:
                 raise ValueError(f"an attachment of {size} bytes is more than tetractl reads")
@@ -248,17 +245,6 @@ class _Scan:
                 raise ValueError("the attachment's checksum does not match")
             self._spend(size, "very large attachments")
             self._found[offset] = attachment
-        elif opcode == Opcode.METADATA:
-            metadata = Metadata.read(stream) if size <= limits.TIMING else None
-            if not metadata or (size > limits.METADATA and metadata.name != TIMING):
-                raise ValueError(f"metadata of {size} bytes are more than tetractl reads")
-            items = metadata.metadata
-            if len(items) > limits.KEYS or max(map(len, [metadata.name, *items])) > limits.KEY:
-                raise ValueError("metadata have more or longer keys than tetractl reads")
-            if metadata.name.startswith("tetractl.") and not checksum_ok(items):
-                raise ValueError("the metadata's checksum does not match")
-            self._spend(size, "very large metadata")
-            self._found[offset] = metadata
 
     def _unpack(self, chunk: Chunk) -> Inside:
         size = chunk.uncompressed_size
@@ -284,22 +270,17 @@ class _Scan:
     def _collect(self) -> None:
         """Sort the records found into file order, and count the messages that are missing."""
         result = self._result
-        found = {one.name: one for one in self._found.values() if isinstance(one, Metadata)}
-        topics = {number: channel.topic for number, channel in self._channels.items()}
-        if not topics and RUN in found:  # the first chunk and the index are lost
-            topics = dict(enumerate(CHANNELS, start=1))
-        for offset, record in sorted(self._found.items()):
-            if isinstance(record, Metadata) and record.name not in METADATA and self._problems:
-                continue  # without a checksum it may be damaged, or written by another program
-            if isinstance(record, int):
-                result.chunks += 1
-                result.records += [
-                    Entry(topics[channel], log_ns, publish_ns, data)
-                    for channel, log_ns, publish_ns, data in self._messages.pop(offset)
-                    if channel in topics
-                ]
-            else:
+        topics = {number: channel.topic for number, channel in self._channels.items()} or _TOPICS
+        for _, record in sorted(self._found.items(), key=lambda item: item[0]):
+            if isinstance(record, Attachment):
                 result.records.append(record)
+                continue
+            result.chunks += 1
+            result.records += [
+                Entry(topics[channel], log_ns, publish_ns, data)
+                for channel, log_ns, publish_ns, data in record
+                if channel in topics
+            ]
         result.channels = {
             channel.topic: (channel, self._schemas.get(channel.schema_id))
             for channel in self._channels.values()

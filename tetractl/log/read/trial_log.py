@@ -68,8 +68,8 @@ class Event:
 class TrialLog(TrialRecords):
     """A whole trial, read from its log.
 
-    `run` has the items of the run record as written; `digest` is the content digest stated in the
-    result record, and `content_digest` that computed from the file. `host_altered` is True if the
+    `run` has the values of the run record as written; `digest` is the content digest that the log
+    states, and `content_digest` that computed from the file. `host_altered` is True if the
     host records do not match their stated digest. `pictures` are a microscope's pictures, each with
     its time of exposure on the trial's clock [ns] and a JPEG file.
     """

@@ -12,6 +12,7 @@ from tetractl.log.format import channels, codec
 from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.crop_images import encode_film
+from tetractl.log.format.run_records import encode_result, encode_run
 from tetractl.log.format.scene import Scene, encode_note
 
 POSES_MAX = 20_000
@@ -21,89 +22,32 @@ SHOWN_HZ = 30
 """
 
 
-class Notes:
-    """Composes the operator messages of one trial, from its records in order.
-
-    `warnings` counts warnings and errors, except the message on the end of the trial, which repeats
-    the outcome.
-    """
-
-    def __init__(self, start: Start) -> None:
-        self._start, self._names = start, start.setup.names
-        # which robots were tracked in the last frame
-        self._tracked = np.ones(len(self._names), dtype=np.bool_)
-        self.warnings = 0
-
-    def started(self) -> Note:
-        """Return the message of the trial's start."""
-        return Note(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts")
-
-    def told(self, note: Note) -> Note:
-        """Return the message for a plant's note, and count it if it is a warning or error."""
-        self.warnings += note.level in ("warning", "error")
-        return note
-
-    def tracking(self, frames: Frames) -> Sequence[Note]:
-        """Return a message for each robot that was lost or found again in camera frames."""
-        valid, made = frames.valid, list[Note]()
-        if valid.all() and self._tracked.all():
-            return made
-        for i in np.flatnonzero((valid != np.vstack([self._tracked, valid])[:-1]).any(axis=1)):
-            t_ns = int(frames.received_ns[i])
-            for name, was, now in zip(self._names, self._tracked, valid[i], strict=True):
-                if was != now:
-                    level, word = ("info", "tracked again") if now else ("warning", "lost")
-                    made.append(self.told(Note(t_ns, level, f"{name} is {word}")))
-            self._tracked = valid[i]
-        return made
-
-    def undelivered(self, step: Step) -> Sequence[Note]:
-        """Return a message for each robot that did not receive the command of a control step."""
-        if all(step.command.delivered):
-            return ()
-        return [
-            self.told(
-                Note(
-                    step.command.sent_ns,
-                    "warning",
-                    f"{name} did not get the command of step {step.k}",
-                )
-            )
-            for name, delivered in zip(self._names, step.command.delivered, strict=True)
-            if not delivered
-        ]
-
-    def ended(self, stop: Command, result: Result) -> Note:
-        """Return the message on how the trial ended."""
-        level = "error" if result.outcome is Outcome.ABORTED else "info"
-        return Note(stop.sent_ns, level, result.summary)
-
-
 class Messages:
     """Encodes the records of one trial in their order; each method returns a record's messages.
 
     A message has two times [Unix ns]: log_time, when the host received or sent it, and
-    publish_time, when its content was sampled.
+    publish_time, when its content was sampled. `warnings` counts the operator messages that are
+    warnings or errors, except the message on the end of the trial, which repeats the outcome.
     """
 
     def __init__(self, start: Start) -> None:
-        self._start_ns, self._notes = start.start_unix_ns, Notes(start)
-        self._scene, self._robots = Scene(start.setup), len(start.setup.names)
+        self._start, self._start_ns = start, start.start_unix_ns
+        self._names = start.setup.names
+        self._scene, self._robots = Scene(start.setup), len(self._names)
+        # which robots were tracked in the last frame
+        self._tracked = np.ones(self._robots, dtype=np.bool_)
+        self.warnings = 0
         self._every, self._most = 1, 1
         if start.plant.simulated:
             self._every = max(1, round(start.plant.camera_rate_hz / SHOWN_HZ))
             self._most = max(1, POSES_MAX // self._robots)
 
-    @property
-    def warnings(self) -> int:
-        """The number of operator warnings and errors so far."""
-        return self._notes.warnings
-
     def start(self) -> list[Entry]:
-        """Return the messages for the static scene and the start of the trial."""
+        """Return the messages for what identifies the trial, its static scene and its start."""
         return [
+            self._entry(channels.RUN, encode_run(self._start), 0),
             self._entry(channels.SCENE, self._scene.static(self._start_ns), 0),
-            self._said(self._notes.started()),
+            self._said(0, "info", f"trial {self._start.trial} of {self._start.setup.name} starts"),
         ]
 
     def samples(self, samples: Sequence[Sample]) -> list[Entry]:
@@ -113,8 +57,18 @@ class Messages:
         return [*self.tracking(frames), *self.frames(frames), *films]
 
     def tracking(self, frames: Frames) -> list[Entry]:
-        """Return messages on robots that were lost or found again in camera frames."""
-        return [*map(self._said, self._notes.tracking(frames))]
+        """Return a message for each robot that was lost or found again in camera frames."""
+        valid, made = frames.valid, list[Entry]()
+        if valid.all() and self._tracked.all():
+            return made
+        for i in np.flatnonzero((valid != np.vstack([self._tracked, valid])[:-1]).any(axis=1)):
+            t_ns = int(frames.received_ns[i])
+            for name, was, now in zip(self._names, self._tracked, valid[i], strict=True):
+                if was != now:
+                    level, word = ("info", "tracked again") if now else ("warning", "lost")
+                    made.append(self._said(t_ns, level, f"{name} is {word}"))
+            self._tracked = valid[i]
+        return made
 
     def frames(self, frames: Frames) -> list[Entry]:
         """Return the messages for camera frames: few for a simulation, two per frame for a lab.
@@ -160,7 +114,7 @@ class Messages:
 
     def note(self, note: Note) -> Entry:
         """Return the message for an operator note."""
-        return self._said(self._notes.told(note))
+        return self._said(note.t_ns, note.level, note.text)
 
     def step(self, step: Step) -> list[Entry]:
         """Return the messages for a control step: decision, command, planned path, solve time and
@@ -178,19 +132,35 @@ class Messages:
         if step.plan.estimate is not None:
             estimate = codec.encode_estimate(step.k, step.plan.estimate)
             made.append(self._entry(channels.ESTIMATE, estimate, sent_ns, sampled_ns))
-        made += map(self._said, self._notes.undelivered(step))
+        made += (
+            self._said(sent_ns, "warning", f"{name} did not get the command of step {step.k}")
+            for name, delivered in zip(self._names, step.command.delivered, strict=True)
+            if not delivered
+        )
         return made
 
     def stop(self, stop: Command, result: Result) -> list[Entry]:
-        """Return the messages for the stop and the end of the trial."""
-        return [self.command(stop), self._said(self._notes.ended(stop, result))]
+        """Return the messages for the stop and the end, then for the run again, without which a log
+        whose first chunk is lost could not be read, and its result.
+        """
+        t_ns, warnings = stop.sent_ns, self.warnings
+        level = "error" if result.outcome is Outcome.ABORTED else "info"
+        ended = self._said(t_ns, level, result.summary)
+        stated = encode_result(result, self._start.setup.unit, warnings)
+        return [
+            self.command(stop),
+            ended,
+            self._entry(channels.RUN, encode_run(self._start), t_ns),
+            self._entry(channels.RESULT, stated, t_ns),
+        ]
 
-    def _said(self, note: Note) -> Entry:
-        return self._entry(channels.LOG, encode_note(note, self._start_ns), note.t_ns)
+    def _said(self, t_ns: int, level: str, text: str) -> Entry:
+        self.warnings += level in ("warning", "error")
+        note = encode_note(Note(t_ns, level, text), self._start_ns)
+        return self._entry(channels.LOG, note, t_ns)
 
     def _entry(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> Entry:
-        log_unix = self._start_ns + log_ns
-        publish_unix = log_unix if publish_ns is None else self._start_ns + publish_ns
-        return Entry(topic, log_unix, publish_unix, message.SerializeToString())
+        publish_unix = None if publish_ns is None else self._start_ns + publish_ns
+        return Entry.of(topic, message, self._start_ns + log_ns, publish_unix)

@@ -5,11 +5,11 @@ import fcntl
 import os
 import shutil
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from functools import cache, wraps
 from pathlib import Path
-from typing import BinaryIO, Concatenate, NoReturn, ParamSpec
+from typing import Any, BinaryIO, Concatenate, NoReturn, ParamSpec
 
 from google.protobuf.message import Message
 from mcap.records import Channel, Schema
@@ -19,9 +19,8 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
 from tetractl.core.version import __version__
-from tetractl.log.format.channels import CHANNELS, Entry
-from tetractl.log.format.digest import DIGEST, HOST_DIGEST, ContentDigest
-from tetractl.log.format.metadata import add_checksum
+from tetractl.log.format.channels import CHANNELS, DIGESTS, Entry
+from tetractl.log.format.digest import LogDigests
 
 CHUNK_S = 0.7
 """Longest time for which a message stays in memory [s of wall time]. With camera frames collected
@@ -68,7 +67,7 @@ class Sink:
     def __init__(self, path: Path, part: str = TRIAL_PART) -> None:
         self._path = path
         self._part = path.with_name(path.name + part)
-        self._digests = {DIGEST: ContentDigest(), HOST_DIGEST: ContentDigest(host=True)}
+        self.digests = LogDigests()
         self._file: BinaryIO | None = None
         # when the oldest message of the open chunk was added
         self._chunk_since: float | None = None
@@ -106,42 +105,20 @@ class Sink:
         """Add messages."""
         self._chunk_since = self._chunk_since or time.monotonic()
         for entry in entries:
-            for digest in self._digests.values():
-                digest.message(entry)
+            self.digests.messages([entry])
             topic, log_ns, publish_ns, data = entry
             self._mcap.add_message(self._channels[topic], log_ns, data, publish_ns)
-
-    @_while_open
-    def metadata(self, name: str, items: Mapping[str, str], last: str = "") -> None:
-        """Add a metadata record with its checksum, after all messages so far.
-
-        The last record of a log states the content digest (`last` is DIGEST), the last host record
-        the digest of all host records (`last` is HOST_DIGEST). Both digests cover the record that
-        states them.
-        """
-        self._flushed(name, items)
-        stated = {last: self._digests[last].hexdigest()} if last else {}
-        self._mcap.add_metadata(name, add_checksum({**items, **stated}))
-
-    @_while_open
-    def copy_metadata(self, name: str, items: Mapping[str, str]) -> None:
-        """Copy a metadata record of another log, including its checksum and digest."""
-        self._flushed(name, items)
-        self._mcap.add_metadata(name, dict(items))
-
-    def _flushed(self, name: str, items: Mapping[str, str]) -> None:
-        """End the chunk, since a metadata record follows, and add that record to the digests."""
-        self.flush()
-        for digest in self._digests.values():
-            digest.metadata(name, items)
 
     @_while_open
     def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
         """Add an attachment after all messages so far."""
         self.flush()
-        for digest in self._digests.values():
-            digest.attachment(name, media_type, data)
+        self.digests.attachment(name, media_type, unix_ns, data)
         self._mcap.add_attachment(0, unix_ns, name, media_type, data)
+
+    def seal(self, unix_ns: int) -> None:
+        """Add the digests of all records so far."""
+        self.messages([Entry.of(DIGESTS, self.digests.stated(), unix_ns)])
 
     @_while_open
     def flush(self) -> None:
@@ -234,8 +211,20 @@ class Sink:
 @cache
 def protobuf_schema(message: type[Message]) -> tuple[str, str, bytes]:
     """Return name, encoding and data of the schema of a message."""
-    data = build_file_descriptor_set(message).SerializeToString()
-    return message.DESCRIPTOR.full_name, SchemaEncoding.Protobuf, data
+    descriptor = message.DESCRIPTOR
+    found, used = build_file_descriptor_set(message), _used(descriptor)
+    for file in found.file:
+        if file.name == descriptor.file.name:  # tetractl's own has the messages of all channels
+            kept = [one for one in file.message_type if one.name in used]
+            del file.message_type[:]
+            file.message_type.extend(kept)
+    return descriptor.full_name, SchemaEncoding.Protobuf, found.SerializeToString()
+
+
+def _used(descriptor: Any) -> set[str]:
+    """Return the names of a message and of all messages inside it."""
+    parts = (field.message_type for field in descriptor.fields if field.message_type)
+    return {descriptor.name}.union(*map(_used, parts))
 
 
 def _owned(path: Path) -> BinaryIO:

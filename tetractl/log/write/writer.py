@@ -1,8 +1,8 @@
 """The log writer: an observer that stores a trial in an MCAP file."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Self
+from typing import Protocol, Self
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note, Sample
@@ -11,13 +11,14 @@ from tetractl.core.trial import Result, Start, Step
 from tetractl.core.worker import Worker
 from tetractl.log import provenance
 from tetractl.log.format import channels, layout
+from tetractl.log.format.channels import Entry
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.digest import DIGEST, HOST_DIGEST
-from tetractl.log.format.metadata import result_metadata, run_metadata, timing_metadata
+from tetractl.log.format.run_records import encode_facts
+from tetractl.log.format.tetractl_pb2 import Host, HostEnd
 from tetractl.log.write.messages import Messages
 from tetractl.log.write.sink import Sink
 
-SIZE = 1000  # length of the queue for the disk: over a minute of a trial in the lab
+QUEUE_MAX = 1000  # length of the queue for the disk: over a minute of a trial in the lab
 PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
 BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
@@ -28,45 +29,75 @@ chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunk
 LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
 
 
-class Encoder:
-    """Adds the records of one trial to a `Sink`."""
+class RecordSink(Protocol):
+    """Takes the records of a log, in their order."""
 
-    def __init__(self, sink: Sink, start: Start, real_time: bool) -> None:
-        self._sink, self._real_time = sink, real_time
-        self._start_ns = start.start_unix_ns
-        self._unit = start.setup.unit
-        self._messages = Messages(start)
-        self._robots = len(start.setup.names)
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Add messages."""
+        ...
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Add an attachment."""
+        ...
+
+    def flush(self) -> None:
+        """End the chunk of the messages so far."""
+        ...
+
+
+class Encoder:
+    """An observer that adds the records of one trial to a sink; without the host records, which
+    differ from run to run, if not `hosted`.
+    """
+
+    def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
+        self._sink, self._real_time, self._hosted = sink, real_time, hosted
         self._waiting: list[Frames] = []  # frames of a simulation's open chunk
         self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
         self._flushed_ns = 0
 
-    def start(self, start: Start) -> None:
-        """Add metadata, specs and scene, and sync the file."""
-        self._sink.metadata(channels.RUN, run_metadata(start))
-        self._sink.metadata(channels.HOST, provenance.host_metadata(start.packages))
-        for name, media_type, text in (
-            (channels.SPEC, "application/yaml", start.spec_text),
-            (channels.RESOLVED_SPEC, "application/yaml", start.resolved),
-            (channels.ENVIRONMENT, "application/json", provenance.environment()),
-            (channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(start.setup)),
-            *((name, "application/yaml", text) for name, text in start.attached),
-        ):
-            self._sink.attachment(name, media_type, self._start_ns, text.encode())
-        self._sink.messages(self._messages.start())
-        self._sink.sync()
+    @property
+    def warnings(self) -> int:
+        """The number of operator warnings and errors so far."""
+        return self._messages.warnings
 
-    def samples(self, samples: list[Sample]) -> None:
+    def on_start(self, start: Start) -> None:
+        """Add what identifies the trial, specs and scene."""
+        self._start_ns, self._messages = start.start_unix_ns, Messages(start)
+        self._robots = len(start.setup.names)
+        run, *scene = self._messages.start()
+        self._sink.messages([run])
+        if self._hosted:
+            host = Host(facts=encode_facts(provenance.host_facts(start.packages)))
+            self._sink.messages([Entry.of(channels.HOST, host, self._start_ns)])
+            self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
+        for name, text in (
+            (channels.SPEC, start.spec_text),
+            (channels.RESOLVED_SPEC, start.resolved),
+            *start.attached,
+        ):
+            self._attach(name, "application/yaml", text)
+        self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(start.setup))
+        self._sink.messages(scene)
+
+    def _attach(self, name: str, media_type: str, text: str) -> None:
+        self._sink.attachment(name, media_type, self._start_ns, text.encode())
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
         """Add camera frames; those of a simulation are collected until their chunk ends."""
         if samples:
             frames = Frames.of(samples, self._robots)
-            self._sink.messages(self._messages.tracking(frames))
-            self._waiting.append(frames)
-            if self._real_time:
-                self.flush_frames()
+            self.on_frames(frames)
             for sample in samples:
                 self._sink.messages(self._messages.film(sample))
-            self._end_chunk(samples[-1].observation.received_ns)
+            self._end_chunk(int(frames.received_ns[-1]))
+
+    def on_frames(self, frames: Frames) -> None:
+        """Add camera frames without their film."""
+        self._sink.messages(self._messages.tracking(frames))
+        self._waiting.append(frames)
+        if self._real_time:
+            self.flush_frames()
 
     def flush_frames(self) -> None:
         """Add the collected camera frames to the sink."""
@@ -74,27 +105,33 @@ class Encoder:
             self._sink.messages(self._messages.frames(Frames.joined(self._waiting)))
             self._waiting = []
 
-    def command(self, command: Command) -> None:
+    def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""
         self._sink.messages([self._messages.command(command)])
 
-    def note(self, note: Note) -> None:
+    def on_note(self, note: Note) -> None:
         """Add an operator message."""
         self._sink.messages([self._messages.note(note)])
 
-    def step(self, step: Step) -> None:
+    def on_step(self, step: Step) -> None:
         """Add a control step."""
         self._sink.messages(self._messages.step(step))
         self._end_chunk(step.command.sent_ns)
 
-    def stop(self, stop: Command, result: Result) -> None:
-        """Add the stop and the result."""
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Add the stop and, in a chunk of its own, the result."""
         self.flush_frames()
-        self._sink.messages(self._messages.stop(stop, result))
-        timing = timing_metadata(result) | {"ended": provenance.now()}
-        self._sink.metadata(channels.TIMING, timing, HOST_DIGEST)
-        stated = result_metadata(result, self._unit, self._messages.warnings)
-        self._sink.metadata(channels.RESULT, stated, DIGEST)
+        *ended, run, stated = self._messages.stop(stop, result)
+        self._sink.messages(ended)
+        self._sink.flush()
+        if self._hosted:
+            end = HostEnd(
+                solve_ns=result.solve_ns,
+                deadline_misses=result.deadline_misses,
+                ended=provenance.now(),
+            )
+            self._sink.messages([Entry.of(channels.HOST_END, end, stated.log_ns)])
+        self._sink.messages([run, stated])
 
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
@@ -118,17 +155,27 @@ class LogWriter:
         self._worker: Worker | None = None
 
     @property
+    def digest(self) -> str:
+        """The content digest of the records written so far."""
+        return self._sink.digests.stated().content
+
+    @property
+    def warnings(self) -> int:
+        """The number of operator warnings and errors so far."""
+        return self._encoder.warnings
+
+    @property
     def failure(self) -> Exception | None:
         """The reason why the log can no longer be written; None while it can."""
         return self._worker.failure if self._worker else None
 
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
-        self._sink = Sink(self._path)
-        self._encoder = Encoder(self._sink, start, self._real_time)
+        self._sink, self._start_ns = Sink(self._path), start.start_unix_ns
+        self._encoder = Encoder(self._sink, self._real_time, hosted=True)
         self._worker = Worker(
             f"log {self._path.name}",
-            size=SIZE,
+            size=QUEUE_MAX,
             wait_s=0.0 if self._real_time else PATIENCE_S,
             patience_s=PATIENCE_S,
             too_slow=LogError(
@@ -138,28 +185,30 @@ class LogWriter:
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
         )
-        self._put(Encoder.start, start)
+        self._put(self._encoder.on_start, start)
+        self._put(self._sink.sync)
         self._worker.drain()  # no robot moves before the start of the log is on the disk
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Queue camera frames."""
-        self._put(Encoder.samples, samples)
+        self._put(self._encoder.on_samples, samples)
 
     def on_command(self, command: Command) -> None:
         """Queue a command sent outside the control steps."""
-        self._put(Encoder.command, command)
+        self._put(self._encoder.on_command, command)
 
     def on_note(self, note: Note) -> None:
         """Queue an operator message."""
-        self._put(Encoder.note, note)
+        self._put(self._encoder.on_note, note)
 
     def on_step(self, step: Step) -> None:
         """Queue a control step."""
-        self._put(Encoder.step, step)
+        self._put(self._encoder.on_step, step)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, wait until the disk has them, and rename the log."""
-        self._put(Encoder.stop, stop, result)
+        self._put(self._encoder.on_stop, stop, result)
+        self._put(self._sink.seal, self._start_ns + stop.sent_ns)
         self._close(complete=True)
         if self._worker:
             self._worker.check()
@@ -181,7 +230,7 @@ class LogWriter:
 
     def _put(self, call: Callable[..., None], *records: object) -> None:
         if self._worker:
-            self._worker.put(call, self._encoder, *records)
+            self._worker.put(call, *records)
 
     def _close(self, complete: bool) -> None:
         """Process the calls in the queue, finish the file and end the thread."""

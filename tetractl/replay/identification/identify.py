@@ -15,7 +15,7 @@ from tetractl.replay.identification.fit import SampleInterval, fit
 from tetractl.replay.identification.passes import TrackFrames, speeds
 from tetractl.replay.identification.tracks import Track, require_same
 
-LEAST = 20  # least number of intervals of a robot for a fit
+INTERVALS_MIN = 20  # least number of intervals of a robot for a fit
 UNKNOWN_A = 3.0  # prior a if the log states no value [rad/s]
 
 
@@ -71,10 +71,10 @@ def identify(tracks: list[Track], a: Floats | None, dead_time: float = 0.05) -> 
     frames = [TrackFrames.of(track) for track in tracks]
     counts = np.sum([one.used.sum(axis=0) for one in frames], axis=0)
     for name, count in zip(tracks[0].names, counts, strict=True):
-        if count < LEAST:
+        if count < INTERVALS_MIN:
             raise UsageError(
                 f"robot {name} drives in only {count} intervals between frames",
-                f"{LEAST} intervals are needed; `tetractl design` proposes a motion",
+                f"{INTERVALS_MIN} intervals are needed; `tetractl design` proposes a motion",
             )
     expected = np.full(len(counts), UNKNOWN_A) if a is None else a
     fitted = fit(frames, expected, speeds(frames), dead_time)
@@ -112,7 +112,7 @@ QUANTITIES = {
 }
 """The fields of a robot in a table, with their units."""
 _ABREAST = 3  # largest number of robots in one table
-MOST = 6  # decimals
+DECIMALS_MAX = 6  # decimals
 
 
 def identified(found: IdentifiedRobots, when: str) -> Identified:
@@ -173,7 +173,7 @@ def cell(interval: SampleInterval) -> str:
     """
     ends = [one for one in (interval.low, interval.high) if math.isfinite(one)]
     width = max((abs(one - interval.value) for one in ends), default=0.0)
-    digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), MOST)
+    digits = 3 if width <= 0 else min(max(1 - math.floor(math.log10(width)), 0), DECIMALS_MAX)
     low, high = (
         f"{one:.{digits}f}" if math.isfinite(one) else "?" for one in (interval.low, interval.high)
     )

@@ -117,8 +117,8 @@ def require_same(tracks: list[Track]) -> None:
 
 
 ORIGIN = "CSV"
-POSES = ("time_s", "robot", "heading_rad")
-COMMANDS = ("time_s", "direction_rad")
+POSE_COLUMNS = ("time_s", "robot", "heading_rad")
+COMMAND_COLUMNS = ("time_s", "direction_rad")
 _POSITION = re.compile(r"x_(um|mm|cm|m)$")
 
 ROBOTS_MAX, TRIALS_MAX, POSES_MAX = 1000, 10_000, 2_000_000
@@ -152,14 +152,14 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
     for path in paths:
         rows = read_csv(path)
         first = next(rows, {})
-        commands = all(name in first for name in COMMANDS)
+        commands = all(name in first for name in COMMAND_COLUMNS)
         if not commands:
             unit = _unit(first, unit, path)
         for row in chain([first], rows):
             trial = row.get("log", ""), row.get("trial", "")
             one = trials.setdefault(trial, _Numbers(path))
             if commands:
-                one.commands.extend(_number(row, column, path) for column in COMMANDS)
+                one.commands.extend(_number(row, column, path) for column in COMMAND_COLUMNS)
                 one.commands.append(_number(row, "observed_s", path, True))
             else:
                 known = row.get("valid", "True").strip().lower() in ("true", "1", "")
@@ -182,11 +182,11 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
 
 def _unit(columns: Collection[str], unit: str, path: Path) -> str:
     """Return the length unit of a file of poses by its columns, which must be the given one."""
-    if not all(name in columns for name in POSES):
+    if not all(name in columns for name in POSE_COLUMNS):
         raise UsageError(
             f"{path}: contains neither poses nor commands",
-            f"poses have the columns {', '.join(POSES)}, x_mm, y_mm; commands "
-            f"{' and '.join(COMMANDS)}",
+            f"poses have the columns {', '.join(POSE_COLUMNS)}, x_mm, y_mm; commands "
+            f"{' and '.join(COMMAND_COLUMNS)}",
         )
     found = next((m[1] for name in columns if (m := _POSITION.match(name))), None)
     if found is None or (unit and unit != found):

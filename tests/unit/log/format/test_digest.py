@@ -1,20 +1,19 @@
 """Two runs of one trial differ in nothing but the host records."""
 
 import pytest
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment
 from support.random_trials import trial, write
 
 from tetractl.log import provenance
-from tetractl.log.format.channels import HOST_RECORDS, RESULT, Entry
-from tetractl.log.format.digest import ContentDigest
+from tetractl.log.format.channels import DIGESTS, HOST_RECORDS, Entry
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import scan
 
 
 def _repeating(path):
-    names = {Entry: "topic", Metadata: "name", Attachment: "name"}
-    records = scan(path).records
-    return [item for item in records if getattr(item, names[type(item)]) not in HOST_RECORDS]
+    names = {Entry: "topic", Attachment: "name"}
+    differ, records = HOST_RECORDS | {DIGESTS}, scan(path).records
+    return [item for item in records if getattr(item, names[type(item)]) not in differ]
 
 
 @pytest.fixture

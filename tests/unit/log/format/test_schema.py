@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 from google.protobuf.descriptor_pb2 import FileDescriptorProto, FileDescriptorSet
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment
 from support.paths import ROOT
 from support.random_trials import trial, write
 
 import tetractl.log.format
 from tetractl.log.format import tetractl_pb2
-from tetractl.log.format.channels import CHANNELS
+from tetractl.log.format.channels import CHANNELS, HOST
 from tetractl.log.read.salvage import scan
 
 FOLDER = Path(tetractl.log.format.__file__).parent
@@ -47,8 +47,7 @@ def test_the_reference_names_every_channel_field_and_fact(tmp_path):
     for name, message in tetractl_pb2.DESCRIPTOR.message_types_by_name.items():
         assert {field.name for field in message.fields} <= words, name
     for record in scan(write(trial(steps=1), tmp_path / "trial.mcap")).records:
-        if isinstance(record, Metadata):
-            facts = {fact for fact in record.metadata if not fact.startswith("plant.")}
-            assert words >= {record.name, *facts}
-        elif isinstance(record, Attachment):
+        if isinstance(record, Attachment):
             assert record.name in words
+        elif record.topic == HOST:
+            assert words >= {fact.key for fact in tetractl_pb2.Host.FromString(record.data).facts}

@@ -84,15 +84,11 @@ def test_our_messages_decode_to_the_values_written(reader, made, log, tmp_path):
         "/scene/plan": steps,
         "/host/timing": steps,
         "/controller/estimate": sum(step.plan.estimate is not None for step in made.steps),
+        "/run": 2,
+        **dict.fromkeys(("/host/machine", "/host/end", "/result", "/digests"), 1),
     }
     assert found["attachments"]["spec.yaml"] == made.start.spec_text
-    assert found["metadata"].keys() == {
-        "tetractl.run",
-        "tetractl.host",
-        "tetractl.timing",
-        "tetractl.result",
-    }
-    assert found["metadata"]["tetractl.result"]["content_digest"] == content_digest(log)
+    assert found["channels"]["/digests"]["first"]["content"] == content_digest(log)
     data = bytearray(log.read_bytes())
     data[len(data) // 2] ^= 0xFF
     spoilt = tmp_path / "spoilt.mcap"

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from mcap.writer import Writer
 from support.fuzz import Original
+from support.mutate import rewrite, stating
 from support.random_trials import trial, write
 from support.sameness import same
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
-from tetractl.log.format.digest import CHECKSUM
-from tetractl.log.format.metadata import add_checksum
+from tetractl.log.format.channels import FRAMES, RESULT, RUN
+from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
 
@@ -127,10 +128,9 @@ def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
     made.samples[-1].observation.valid[:] = [False, True, True]
     for sample in made.samples:  # an untracked robot's pose is no measurement
         sample.observation.poses.x[~sample.observation.valid] = 1e9
-    data = write(made, tmp_path / "trial.mcap").read_bytes()
-    at = data.rindex(b"tetractl.result", 0, data.rindex(b"tetractl.result"))  # before the index's
-    spoilt = data[:at] + b"?" + data[at + 1 :]
-    summary = read_result(_damaged(tmp_path, spoilt))
+    contents = scan(write(made, tmp_path / "trial.mcap"))
+    spoilt = rewrite(contents, tmp_path / "no.mcap", stating(contents, RESULT, steps=-1))
+    summary = read_result(spoilt)
     assert summary.recovered
     assert max(summary.result.robot_errors) < 1e6
     last = [
@@ -142,11 +142,11 @@ def test_in_the_lab_the_last_tracked_pose_counts(tmp_path):
 
 
 def test_without_any_pose_there_is_no_result(tmp_path):
-    made = trial(steps=1)
-    data = write(made, tmp_path / "trial.mcap").read_bytes()
-    empty = data[: data.index(b"\x04\0\0\0zstd")]
+    contents = scan(write(trial(steps=1), tmp_path / "trial.mcap"))
+    none = {field.name: [] for field in CameraFrames.DESCRIPTOR.fields}
+    empty = stating(contents, FRAMES, **none) | stating(contents, RESULT, steps=-1)
     with pytest.raises(LogError, match="no poses to compute it from"):
-        read_result(_damaged(tmp_path, empty))
+        read_result(rewrite(contents, tmp_path / "empty.mcap", empty))
 
 
 @pytest.mark.parametrize(
@@ -187,21 +187,11 @@ def test_an_mcap_file_of_somebody_else_is_refused(tmp_path):
         read_trial(path)
 
 
-def _with_run(path, facts):
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start()
-        writer.add_metadata("tetractl.run", add_checksum(facts))
-        writer.add_attachment(0, 0, "spec.resolved.yaml", "application/yaml", b"robots: {")
-        writer.finish()
-    return path
-
-
-def test_a_log_of_a_newer_format_is_refused(tmp_path, log):
-    facts = {**(scan(log).metadata["tetractl.run"]), "format_version": "3"}
-    del facts[CHECKSUM]
-    with pytest.raises(LogError, match="has log format 3; this tetractl reads format 2") as caught:
-        read_trial(_with_run(tmp_path / "new.mcap", facts))
+def test_a_log_of_another_format_is_refused(tmp_path, log):
+    contents = scan(log)
+    other = rewrite(contents, tmp_path / "new.mcap", stating(contents, RUN, format_version=4))
+    with pytest.raises(LogError, match="another version of tetractl: format 4, not 3") as caught:
+        read_trial(other)
     assert caught.value.hint == "use the tetractl that wrote the log"
 
 

@@ -51,7 +51,7 @@ def test_a_disk_that_stands_still_does_not_hold_up_the_loop(tmp_path, monkeypatc
 
 def test_a_simulation_waits_for_the_disk_and_loses_nothing(tmp_path, monkeypatch):
     plain = write(trial(steps=30), tmp_path / "plain.mcap")
-    monkeypatch.setattr(module, "SIZE", 1)
+    monkeypatch.setattr(module, "QUEUE_MAX", 1)
     monkeypatch.setattr(sink, "CHUNK_S", 0.0)
     slow = write(trial(steps=30), tmp_path / "slow.mcap")
     assert content_digest(slow) == content_digest(plain)
@@ -60,9 +60,9 @@ def test_a_simulation_waits_for_the_disk_and_loses_nothing(tmp_path, monkeypatch
 
 def test_a_disk_that_stays_still_ends_the_trial(tmp_path, monkeypatch):
     disk = Disk(monkeypatch)
-    monkeypatch.setattr(module, "SIZE", 4)
+    monkeypatch.setattr(module, "QUEUE_MAX", 4)
     monkeypatch.setattr(module, "PATIENCE_S", 0.5)
-    provenance.host_metadata({})  # asks git, once
+    provenance.host_facts({})  # asks git, once
     made = trial(steps=40)
     writer = LogWriter(tmp_path / "trial.mcap")
     writer.on_start(made.start)

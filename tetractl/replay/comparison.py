@@ -1,0 +1,143 @@
+"""Compares the records of a repeated trial with those in its log, one by one."""
+
+import time
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+from google.protobuf.message import DecodeError
+
+from tetractl.core.errors import printable
+from tetractl.log.format import channels
+from tetractl.log.format.channels import CHANNELS, TEXT, Entry
+from tetractl.log.format.scene import decode_note
+from tetractl.log.format.tetractl_pb2 import ControllerStep
+from tetractl.log.read import limits
+from tetractl.log.read.raw_log import RawLog
+from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
+
+NOT_REPEATED = frozenset(
+    {channels.HOST, channels.HOST_END, channels.DIGESTS, channels.RECOVERED, *channels.FILM}
+)
+"""Topics whose messages a repeated trial does not have; `FilmCheck` checks the film."""
+DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN, channels.LAYOUT, channels.RESOLVED_SPEC})
+"""Records of which other versions may have written other contents."""
+
+
+class TooLongError(Exception):
+    """Comparing would take longer than the limits allow."""
+
+
+class Comparison:
+    """A sink of log records that compares each with the log's next of its channel or name.
+
+    With a `tolerance` other than `EXACT`, for a log that another machine or version wrote, numbers
+    must agree within it, and contents of records in DRAWN are not compared. Once two messages of a
+    channel differ, its later ones are not compared. Topics in `without` are not compared.
+    """
+
+    def __init__(
+        self, raw: RawLog, tolerance: Tolerance = EXACT, without: Iterable[str] = NOT_REPEATED
+    ) -> None:
+        self._raw, self._tolerance = raw, tolerance
+        self._left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - set(without)}
+        self._count = Counter[str]()
+        self._found: list[Difference] = []
+        self.notes = Counter[Entry]()  # the messages for /log
+        self._until = time.thread_time() + 2 * limits.seconds_limit()
+
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Compare messages; raises TooLongError."""
+        for made in entries:
+            if made.topic == channels.LOG:  # in a lab, its order does not follow from the records
+                self.notes[made] += 1
+            elif made.topic in self._left:  # else a difference was found already
+                self._compare(made, next(self._left[made.topic], None))
+        if time.thread_time() > self._until:
+            raise TooLongError
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Compare an attachment."""
+        logged = self._raw.attachments.get(name)
+        if logged is None:
+            self._found.append(Difference(None, name, "missing"))
+        elif logged.data != data and (self._tolerance is EXACT or name not in DRAWN):
+            self._found.append(Difference(None, name, "differs from the experiment's"))
+
+    def flush(self) -> None:
+        """Do nothing: how messages were divided into chunks is not compared."""
+
+    def differences(self) -> Iterator[Difference]:
+        """Yield the first difference of each channel and attachment, those of control steps first,
+        and what the log has beyond the records compared.
+        """
+        yield from sorted(self._found, key=lambda found: found.step is None)
+        for topic in self._left.keys() - {channels.LOG}:
+            if next(self._left[topic], None) is not None:
+                text = f"has more than the {self._count[topic]} messages of the trial"
+                yield Difference(None, topic, text)
+        logged = Counter(self._raw.by_topic[channels.LOG])
+        for entry in (self.notes - logged).elements():
+            yield Difference(None, channels.LOG, f"lacks {self._text(entry)}")
+            return
+        for entry in (logged - self.notes).elements():
+            yield Difference(None, channels.LOG, f"the trial does not say {self._text(entry)}")
+            return
+
+    def _text(self, entry: Entry) -> str:
+        start_ns = self._raw.run.start_unix_ns
+        note = decode_note(Log.FromString(entry.data), start_ns)
+        return f"{printable(note.text, TEXT)!r} at {entry.log_ns - start_ns} ns"
+
+    def _compare(self, made: Entry, entry: Entry | None) -> None:
+        number = self._count[made.topic]
+        self._count[made.topic] += 1
+        if entry != made and (found := self._difference(made, entry, number)) is not None:
+            self._found.append(found)
+            del self._left[made.topic]
+
+    def _difference(self, made: Entry, entry: Entry | None, number: int) -> Difference | None:
+        step, name = None, f"{made.topic}[{number}]"
+        if entry is None:
+            return Difference(None, name, "missing")
+        if entry[1:3] != made[1:3]:
+            return Difference(None, name, f"has the times {entry[1:3]}, not {made[1:3]}")
+        exact = self._tolerance is EXACT
+        if not exact and made.topic in DRAWN:
+            return None
+        try:
+            ours, logged = (CHANNELS[made.topic].FromString(one.data) for one in (made, entry))
+        except DecodeError:
+            return Difference(None, name, "not a valid message of its channel")
+        if isinstance(ours, ControllerStep):
+            step, name = ours.k, ""
+        if not exact:
+            self._pardon(made.topic, ours, logged)
+        found = first_difference(ours, logged, self._tolerance, name)
+        if found is None:
+            return Difference(step, name or made.topic, "has other bytes") if exact else None
+        return Difference(step, *found)
+
+    def _pardon(self, topic: str, ours: Any, logged: Any) -> None:
+        """Make equal what rounding may change: the plant's facts, which are text, and whether a
+        robot at an obstacle's edge entered it.
+        """
+        if topic == channels.RUN:
+            del ours.facts[:], logged.facts[:]
+        elif topic == channels.RESULT:
+            for i, clearance in enumerate(ours.clearance[: len(logged.entered)]):
+                if abs(clearance) <= self._tolerance.absolute:
+                    ours.entered[i] = logged.entered[i]
+
+
+def log_difference(again: RawLog, log: RawLog) -> Difference | None:
+    """Return the first difference between the logs of a trial and of its repetition, apart from the
+    host records; None if they agree.
+    """
+    left_out = {*channels.HOST_RECORDS, channels.DIGESTS, channels.RECOVERED}
+    sink = Comparison(log, without=left_out)
+    sink.messages(again.entries)
+    for name in again.attachments.keys() - left_out:
+        sink.attachment(name, "", 0, again.attachments[name].data)
+    return next(sink.differences(), None)

@@ -1,0 +1,211 @@
+"""Repeats the trial of a log, with the plans in the log, for a sink of records.
+
+A simulation is run again, with the plant rebuilt from the spec and the seed. Of a trial in the lab,
+the logged frames, commands and notes are given to the encoder again, from which everything else
+follows. The sink receives the same records in both cases as the log writer received.
+"""
+
+import copy
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from foxglove_schemas_protobuf.Log_pb2 import Log
+
+from tetractl.core.clock import SECOND, Clock
+from tetractl.core.commands import Command
+from tetractl.core.errors import AbortError
+from tetractl.core.plan import End, Plan
+from tetractl.core.poses import Observation
+from tetractl.core.protocols import LabSupervision, Plant
+from tetractl.core.trial import Result, Start, Step
+from tetractl.experiment.load import resolved_yaml
+from tetractl.log.format import channels
+from tetractl.log.format.codec import Frames
+from tetractl.log.format.scene import decode_note
+from tetractl.log.read import limits
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.writer import Encoder
+from tetractl.replay.comparison import Comparison
+from tetractl.replay.difference import first_difference
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.run_trial import Trial
+from tetractl.run.task import trial_seeds
+
+ENDED = "the log ends here"
+
+
+class Repetition(Encoder):
+    """An encoder of a repeated trial, which takes from the log the solve times and, since plans do
+    not determine them, the outcome and its reason. If the log ends between two control steps, the
+    repeated trial ends at the same point. `failure` is why it did not run to its end.
+    """
+
+    failure = ""
+
+    def __init__(self, log: TrialLog, result: Result, sink: Comparison) -> None:
+        super().__init__(sink, real_time=not log.start.plant.simulated)
+        self._log, self.result = log, result  # as logged
+        self._left = len(log.commands) - 1  # commands still to come, without the stop
+        self._period_ns = round(log.experiment.controller.period * SECOND)
+        self._standing, self._misses = True, 0
+        self.ending: _Ending | None = None
+
+    def on_step(self, step: Step) -> None:
+        """Add a control step."""
+        k = step.k
+        solve_ns = self._log.steps[k].solve_ns if k < len(self._log.steps) else 0
+        missed = not self._standing and solve_ns > self._period_ns
+        self._standing = step.plan.pauses
+        self._misses += missed
+        super().on_step(replace(step, solve_ns=solve_ns, deadline_missed=missed))
+        self._sent()
+
+    def on_command(self, command: Command) -> None:
+        """Add a command sent outside the control steps."""
+        super().on_command(command)
+        self._sent()
+
+    def _sent(self) -> None:
+        self._left -= 1
+        if self._left < 0:
+            raise AbortError(f"{len(self._log.commands)} commands are logged, but more were sent")
+        if self._left == 0 and self.ending and self.ending.delay_ns == 0:
+            raise AbortError(ENDED)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Add the stop and the result."""
+        logged = self.result
+        if result.reason not in ("", ENDED, logged.reason, result.verdict.stood):
+            self.failure = result.reason
+        super().on_stop(stop, replace(result, outcome=logged.outcome, reason=logged.reason))
+
+    @property
+    def timing(self) -> tuple[tuple[int, ...], int]:
+        """The solve times of all control steps, and the number of deadlines missed."""
+        return tuple(step.solve_ns for step in self._log.steps), self._misses
+
+
+@dataclass
+class _Ending:
+    """Computes when to stop a repeated trial so that the stop is sent at the logged time."""
+
+    plant: Plant
+    clock: Clock
+    sent_ns: int
+    plans: bool  # whether the plant simulates the time of planning
+
+    @property
+    def delay_ns(self) -> int:
+        """Time from now until the logged stop was decided [ns]."""
+        now = self.clock.now()
+        if self.plans:  # the delay of the stop is random: a copy of the plant draws it
+            now = copy.deepcopy(self.plant).stop().sent_ns
+        return self.sent_ns - now
+
+
+class _LoggedPlans:
+    """The controller of a repeated trial: the logged plans, then the end at the logged time."""
+
+    def __init__(self, log: TrialLog, result: Result, ending: _Ending) -> None:
+        self._steps, self._ending, self._k = log.steps, ending, 0
+        self._period_ns = round(log.start.setup.period_s * SECOND)
+        self._outcome = result.outcome
+
+    def plan(
+        self,
+        observation: Observation,
+        last_command: Command | None = None,
+        earlier: Sequence[Observation] = (),
+    ) -> Plan | End:
+        """Return the logged plan of the next step; AbortError for an impossible delay."""
+        if self._k == len(self._steps):
+            return End(self._outcome, max(0, self._ending.delay_ns))
+        step = self._steps[self._k]
+        self._k += 1
+        if not 0 <= step.plan.delay_ns <= self._period_ns:
+            raise AbortError(f"step {step.k}: a delay of {step.plan.delay_ns} ns is out of range")
+        return step.plan
+
+
+def _start(log: TrialLog) -> Start:
+    """Return the start that follows from the spec in a log."""
+    experiment = log.experiment
+    return replace(log.start, seed=experiment.trials.seed, resolved=resolved_yaml(experiment))
+
+
+def too_large(log: TrialLog) -> bool:
+    """Return whether a simulation evaluates more robot positions, times (1 + number of obstacles),
+    than the limits allow.
+    """
+    last = max(log.stop.sent_ns if log.stop else 0, *(one.sent_ns for one in log.commands), 0)
+    rate = max(log.experiment.plant.sampling_hz, log.start.plant.camera_rate_hz)
+    setup = log.start.setup
+    count = last / SECOND * rate * len(setup.names) * (1 + len(setup.obstacles))
+    return count > limits.simulation_limit()
+
+
+def simulate(log: TrialLog, stop: Command, encoder: Repetition) -> None:
+    """Run a simulation again; TetractlError, ValueError or OverflowError if that fails."""
+    section, setup = log.experiment.plant, log.start.setup
+    _, seed = trial_seeds(log.start.seed, log.start.trial)
+    clock = section.clock()
+    plant = section.build(setup, clock, seed, LabSupervision())
+    encoder.ending = ending = _Ending(plant, clock, stop.sent_ns, section.planning_max_s > 0)
+    Trial(
+        start=_start(log),
+        plant=plant,
+        controller=_LoggedPlans(log, encoder.result, ending),
+        first_plan=log.experiment.controller.first_plan,
+        clock=clock,
+        observers=[encoder],
+        interrupt=Interrupt(),
+    ).run()
+
+
+def give_again(
+    log: TrialLog, raw: RawLog, stop: Command, encoder: Repetition, sink: Comparison
+) -> None:
+    """Give the frames, commands and notes of a trial in the lab to the encoder again.
+
+    A control step has the frame that it names, from the camera frames, and the command sent at its
+    time, with the action of its plan. Camera frames are grouped into messages as in the log,
+    since nothing else states how the log writer grouped them.
+    """
+    encoder.on_start(_start(log))
+    frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
+    begin = 0
+    for message in raw.messages(channels.FRAMES):
+        if message.frame:
+            encoder.on_frames(frames.part(slice(begin, begin + len(message.frame))))
+        begin += len(message.frame)
+    rows, steps = {int(number): i for i, number in enumerate(log.frames)}, iter(log.steps)
+    step = next(steps, None)
+    for command in log.commands:
+        if step and not first_difference(command, step.command):
+            i = rows.get(step.observation.frame)
+            seen = step.observation if i is None else log.sample(i).observation
+            sent = replace(command, action=step.plan.action)
+            encoder.on_step(replace(step, observation=seen, command=sent))
+            step = next(steps, None)
+        elif command is not stop:
+            encoder.on_command(command)
+    start_ns = log.start.start_unix_ns
+    said = raw.by_topic[channels.LOG]
+    for entry in said:  # the last is on the end, and follows from the result
+        if entry not in sink.notes and entry != said[-1]:
+            encoder.on_note(decode_note(Log.FromString(entry.data), start_ns))
+    logged = encoder.result
+    encoder.on_stop(
+        stop,
+        Result.of(
+            log.start.setup,
+            logged.verdict,
+            outcome=logged.outcome,
+            reason=logged.reason,
+            duration_s=logged.duration_s,
+            solve_ns=logged.solve_ns,
+            deadline_misses=logged.deadline_misses,
+            tour=log.tour,
+        ),
+    )

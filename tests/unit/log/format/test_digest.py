@@ -6,6 +6,7 @@ from support.random_trials import trial, write
 
 from tetractl.log import provenance
 from tetractl.log.format.channels import DIGESTS, HOST_RECORDS, Entry
+from tetractl.log.format.digest import LogDigests
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import scan
 
@@ -59,18 +60,17 @@ def test_the_digest_tells_trials_apart(tmp_path, changed):
 
 def test_every_part_of_a_record_counts():
     entry = Entry("/step", 1, 2, b"x")
-    records = {"entry": entry, "facts": {"a": "1"}, "data": b"x"}
+    records = {"entry": entry, "data": b"x"}
     others = (
         *({"entry": entry._replace(**{name: new})} for name, new in
           (("topic", "/stop"), ("log_ns", 3), ("publish_ns", 3), ("data", b"y"))),
-        {"facts": {"a": "2"}}, {"facts": {"b": "1"}}, {"data": b"y"},
+        {"data": b"y"},
     )  # fmt: skip
 
-    def digest(entry, facts, data):
-        made = ContentDigest()
-        made.message(entry)
-        made.metadata(RESULT, facts)
-        made.attachment("spec.yaml", "application/yaml", data)
-        return made.hexdigest()
+    def digest(entry, data):
+        made = LogDigests()
+        made.messages([entry])
+        made.attachment("spec.yaml", "application/yaml", 0, data)
+        return made.stated().content
 
-    assert len({digest(**records | other) for other in ({}, *others)}) == 8
+    assert len({digest(**records | other) for other in ({}, *others)}) == 6

@@ -33,8 +33,8 @@ from tetractl.control.cost import predict
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
-from tetractl.experiment.abilities import Noisy
 from tetractl.experiment.plant import PlantSection
+from tetractl.experiment.section_abilities import Noisy
 
 NUDGE = 1e-4  # relative change of a and speed for a central difference
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from tetractl.control.work_clock import WorkClock
 from tetractl.core.cache import compiling
 from tetractl.core.protocols import Controller
-from tetractl.experiment.abilities import Modelled, Searches
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.section_abilities import Modelled, Searches
 
 AGAIN_S = 10.0  # time after which a message says that code is still being compiled [s]
 

@@ -14,7 +14,6 @@ from tetractl.core.poses import Poses
 from tetractl.core.registries import CONTROLLERS, PLANTS, SHAPES
 from tetractl.core.setup import METRES, Bounds, Setup
 from tetractl.core.tour import HoldTask, LossRule
-from tetractl.experiment.abilities import LimitsLab
 from tetractl.experiment.base import (
     Finite,
     Length,
@@ -30,6 +29,7 @@ from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
+from tetractl.experiment.section_abilities import LimitsLab
 from tetractl.experiment.shape_section import ShapeSection
 
 

@@ -17,7 +17,7 @@ from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
-from tetractl.lab.abilities import HearsDirections
+from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.guard import Guard, GuardState, Ruling
 from tetractl.lab.pose_filter import FrameBuffer
 

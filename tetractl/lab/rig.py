@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.protocols import Actuator, Camera
 from tetractl.core.setup import MM, Setup
 from tetractl.experiment.lab_section import LabLimits, LabSection
-from tetractl.lab.abilities import SettlesRobots, TracksCells
+from tetractl.lab.device_abilities import SettlesRobots, TracksCells
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
 

@@ -30,7 +30,7 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
-from tetractl.lab.abilities import FilmsCells, TracksCells
+from tetractl.lab.device_abilities import FilmsCells, TracksCells
 from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready

@@ -13,7 +13,10 @@ from pydantic import BaseModel
 
 from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
-from tetractl.experiment.abilities import (
+from tetractl.experiment.consistency import nearest
+from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.load import LoadedSpec, document_of
+from tetractl.experiment.section_abilities import (
     Delaying,
     Estimating,
     HoldsSignals,
@@ -22,9 +25,6 @@ from tetractl.experiment.abilities import (
     Modelled,
     PlansSignals,
 )
-from tetractl.experiment.consistency import nearest
-from tetractl.experiment.experiment import Experiment
-from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
 from tetractl.model import bounds
 from tetractl.model.bounds import reach

@@ -19,7 +19,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 
 from tetractl.core.errors import LogError
 from tetractl.core.version import __version__
-from tetractl.log.format.channels import CHANNELS, DIGESTS, Entry
+from tetractl.log.format.channels import CHANNELS, DIGESTS, FORMAT_VERSION, Entry
 from tetractl.log.format.digest import LogDigests
 
 CHUNK_S = 0.7
@@ -81,6 +81,8 @@ class Sink:
             _sync_folder(path.parent)
             self._mcap = Writer(self._file, use_summary_offsets=False, enable_data_crcs=True)
             self._mcap.start(library=f"tetractl {__version__}")
+            # for other readers: some report a file without metadata as damaged
+            self._mcap.add_metadata("tetractl", {"format": str(FORMAT_VERSION)})
         except OSError as error:
             self._fail(error)
         self._channels = {

@@ -5,10 +5,12 @@ import subprocess
 import sys
 
 import pytest
+from mcap.reader import make_reader
 from support.paths import ROOT
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError
+from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import read_trial
 from tetractl.log.write.writer import LogWriter
 
@@ -53,6 +55,16 @@ def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path):
         seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
         assert samples[-1].observation.received_ns - seen_ns <= 2_200_000_000
     writer.close()
+
+
+def test_other_readers_find_metadata_and_attachments(tmp_path):
+    """Some report a file that has none of either as damaged."""
+    with write(trial(), tmp_path / "trial.mcap").open("rb") as file:
+        reader = make_reader(file)
+        assert [(one.name, one.metadata) for one in reader.iter_metadata()] == [
+            ("tetractl", {"format": str(FORMAT_VERSION)})
+        ]
+        assert "spec.yaml" in {one.name for one in reader.iter_attachments()}
 
 
 @pytest.mark.parametrize("left", ["trial.mcap", "trial.mcap.part"])

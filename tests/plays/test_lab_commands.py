@@ -159,7 +159,7 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
 
 
 def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_path, monkeypatch):
-    monkeypatch.setattr("tetractl.cli.lab.require_confirmation", lambda yes: None)  # as at one
+    monkeypatch.setattr("tetractl.cli.ui.require_confirmation", lambda yes: None)  # as at one
     emulated = lab()
     words = ("lab", "calibrate", SPEC, *flags(emulated.settings))
     done = tetractl(tmp_path, *words, stdin="n\n")

@@ -28,8 +28,8 @@ RUNS = {
         ("lab.camera.transport=multicast", "trials.count=2", "lab.limits.placing=30"),
         0.5,
     ),
-    "version 3.0, z up, elsewhere": (
-        "emulation: {camera: {version: '3.0'}}",
+    "version 2.9, z up, elsewhere": (
+        "emulation: {camera: {version: '2.9'}}",
         (
             "lab.camera.up_axis=z",
             "lab.camera.origin=[300, -200]",

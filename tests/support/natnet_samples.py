@@ -13,10 +13,11 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     RigidBody,
     Version,
 )
-from tetractl.lab.cameras.optitrack.payloads import SIZED
+from tetractl.lab.cameras.optitrack.payloads import layout_of
 from tetractl.lab.cameras.optitrack.wire import datagram, packed, packed_name
 
-VERSIONS = [Version.of(text) for text in ["3.0", "3.1", "4.0", "4.1", "4.2", "4.3"]]
+NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
+VERSIONS = [Version.of(text) for text in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 
 
@@ -34,17 +35,18 @@ class Clutter:
 
     marker_sets: tuple[tuple[str, tuple[tuple[float, float, float], ...]], ...] = ()
     other_markers: tuple[tuple[float, float, float], ...] = ()
+    body_markers: int = 0  # of every rigid body, before 3.0
     skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
     assets: tuple[
         tuple[int, tuple[RigidBody, ...], tuple[tuple[float, float, float], ...]], ...
     ] = ()
     labelled_markers: tuple[tuple[int, tuple[float, float, float]], ...] = ()
-    force_plates: tuple[Channels, ...] = ()
-    devices: tuple[Channels, ...] = ()
+    channels: tuple[tuple[Channels, ...], ...] = ((), ())  # of force plates, of other devices
 
 
 def pack_full_frame(frame, version, rest):
-    """Pack a frame with all that a client skips; assets only from 4.1 on."""
+    """Pack a frame with all that a client skips; what the version does not have is left out."""
+    layout = layout_of(version)
 
     def listed(parts):
         return packed("i", len(parts)) + b"".join(parts)
@@ -52,26 +54,28 @@ def pack_full_frame(frame, version, rest):
     def vectors(found):
         return [packed("3f", *at) for at in found]
 
+    def bodies(found):
+        return [packed_body(body, version, rest.body_markers) for body in found]
+
     def channels(device):
         rows = [packed(f"i{len(row)}f", len(row), *row) for row in device.samples]
         return packed("i", device.id) + listed(rows)
 
     def labelled(marker, at):
-        return packed("i3ffHf", marker, *at, 0.01, 0, 0.0)
+        return packed("i3ffH", marker, *at, 0.01, 0) + (packed("f", 0.0) if layout.timed else b"")
 
     def asset(number, found, markers):
         spots = [packed("i3ffHf", 1, *at, 0.01, 0, 0.0) for at in markers]
-        return packed("i", number) + listed(list(map(packed_body, found))) + listed(spots)
+        return packed("i", number) + listed(bodies(found)) + listed(spots)
 
     sections = [
         [packed_name(name) + listed(vectors(at)) for name, at in rest.marker_sets],
         vectors(rest.other_markers),
-        [packed_body(body) for body in frame.bodies],
-        [packed("i", n) + listed(list(map(packed_body, found))) for n, found in rest.skeletons],
-        *([[asset(*each) for each in rest.assets]] if version >= SIZED else []),
+        bodies(frame.bodies),
+        [packed("i", n) + listed(bodies(found)) for n, found in rest.skeletons],
+        *([[asset(*each) for each in rest.assets]] if layout.sized else []),
         [labelled(*each) for each in rest.labelled_markers],
-        [channels(plate) for plate in rest.force_plates],
-        [channels(device) for device in rest.devices],
+        *[[channels(each) for each in of] for of in rest.channels[: layout.channels]],
     ]
     parts = [section(found, version) for found in sections]
     payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
@@ -85,24 +89,28 @@ def full_frame(version):
     clutter = Clutter(
         marker_sets=(("green", (at, at)), ("all", (at,) * 5)),
         other_markers=(at,),
+        body_markers=3,
         skeletons=((3, (body, body)), (4, ())),
         assets=((5, (body,), (at, at)),),
         labelled_markers=((1, at), (2, at)),
-        force_plates=(Channels(1, ((1.0, 2.0), ())),),
-        devices=(Channels(2, ((3.0,),)),),
+        channels=((Channels(1, ((1.0, 2.0), ())),), (Channels(2, ((3.0,),)),)),
     )
     return pack_full_frame(NatNetFrame(1234, (body, body)), version, clutter)
 
 
 def full_modeldef(version, awkward=True):
-    """Return two rigid bodies behind data sets of every type that is stepped over."""
+    """Return two rigid bodies behind data sets of every type whose layout is known."""
     text = b"some name\0"
     others = [
         (0, text + struct.pack("<i", 2) + text + text),
         (2, text + struct.pack("<ii", 1, 0)),
+        (5, text + bytes(28)),
     ]
+    if version >= (3, 0):
+        plate = struct.pack("<i", 1) + text + bytes(4 * (2 + 3 + 144 + 12 + 2))
+        others += [(3, plate + struct.pack("<i", 1) + text)] * awkward
+        others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
     if version >= (4, 1):
-        others.append((5, text + bytes(28)))
         others += [(6, b"an asset that is stepped over")] * awkward
     model = ModelDef((("green", 1), ("blü", 2)))
     return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))

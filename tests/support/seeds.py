@@ -20,7 +20,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     Version,
 )
 
-VERSIONS = [Version(3, 0), Version(4, 0), Version(4, 1), Version(4, 3)]
+VERSIONS = [Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
 MS = 1_000_000  # ns
 ECHOED_NS = 1990 * MS  # when the ECHO that is answered was sent
 HZ = 10_000_000  # of the server's clock

@@ -79,13 +79,13 @@ def opened(tmp_path):
         thing.close()
 
 
-@pytest.mark.parametrize("version", ["3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
+@pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
 def test_handshake_models_and_frames(opened, version):
     lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
     info = client.ask(Connect(), ServerInfo)
     assert str(info.version) == version
     assert "EMULATED" in info.name
-    assert info.data_port == lab.camera.motive.data_port
+    assert info.data_port == (lab.camera.motive.data_port if info.version >= (3, 0) else 0)
     models = client.ask(Bare(MessageKind.REQUEST_MODELDEF), ModelDef)
     assert models.ids() == {"Green": 1, "blue": 7}
     first, second = client.next(NatNetFrame, 2)

@@ -92,8 +92,8 @@ def test_a_wrong_calibration_is_refused_with_its_place(before, after, message):
             ["lab.actuator.robots.2.index=0"],
             "robots.2.index: 0: is also that of green; they must differ",
         ),
-        (["lab.camera.version=2"], "lab.camera.version: 2: must be major.minor, 3.0 or later"),
-        (["lab.camera.version=2.10"], "camera.version: 2.10: must be major.minor, 3.0 or later"),
+        (["lab.camera.version=2"], "lab.camera.version: 2: must be major.minor, such as 4.1"),
+        (["lab.camera.version=2.10"], "camera.version: 2.10: must be at least 2.5; if 2.10 is"),
         (["lab.camera.version='4.1'"], "camera.version: '4.1': can only be requested in unicast"),
         (["lab.camera.version=4.1"], "camera.version: 4.1: can only be requested in unicast"),
         (["lab.camera.server=256.1.1.1"], "lab.camera.server: must be IPv4, such as"),
@@ -114,7 +114,9 @@ def test_labs_that_cannot_be_are_refused(settings, line):
         assert part in text
 
 
-@pytest.mark.parametrize(("written", "read"), [("4.1", "4.1"), ("'4.1'", "4.1"), ("3.0", "3.0")])
+@pytest.mark.parametrize(
+    ("written", "read"), [("4.1", "4.1"), ("'4.1'", "4.1"), ("2.11", "2.11"), ("'2.10'", "2.10")]
+)
 def test_a_protocol_version_needs_no_quotes_where_it_is_a_number(written, read):
     settings = ["lab.camera.transport=unicast", f"lab.camera.version={written}"]
     camera = lab_of(load_spec(SPEC, settings).experiment, "spec").camera

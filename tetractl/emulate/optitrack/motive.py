@@ -59,8 +59,8 @@ class OptitrackSettings(Model):
     """Properties of the cameras that differ from the spec."""
 
     version: VersionText = "4.1"
-    """The camera server's protocol version, 3.0 or later; versions above 4.3 have the layout of 4.3
-    with longer descriptions of rigid bodies."""
+    """The camera server's protocol version, 2.5 or later; frames of 2.5 have the layout of 2.6.
+    Versions above 4.3 have the layout of 4.3 with longer descriptions of rigid bodies."""
     keeps_version: bool = False
     """Whether the server streams in its own version to clients that request another version."""
     frames_from: Ipv4 | None = None
@@ -81,6 +81,8 @@ class OptitrackSettings(Model):
     """Standard deviation of a body's position along each axis of the floor [mm]."""
     noise_rad: NonNegative = 0.0
     """Standard deviation of a body's heading [rad]."""
+    knows_up_axis: bool = True
+    """Whether the server answers `UpAxis`."""
     robots: tuple[TrueBody, ...] = ()
     """Robots whose rigid bodies have another name or heading offset than in the spec, or are not
     streamed."""
@@ -234,7 +236,7 @@ class Motive:
                 return EchoResponse(client, self.clock.ticks(now_ns))
             case NatNetRequest("UnitsToMillimeters"):
                 return Response(struct.pack("<f", self.settings.unit_mm))
-            case NatNetRequest("UpAxis"):
+            case NatNetRequest("UpAxis") if self.settings.knows_up_axis:
                 return Response(struct.pack("<i", self.up))
             case NatNetRequest():
                 return Bare(MessageKind.UNRECOGNIZED)

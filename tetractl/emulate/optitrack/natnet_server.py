@@ -22,7 +22,7 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
     ServerMessage,
     Version,
 )
-from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, SIZED
+from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, layout_of
 from tetractl.lab.cameras.optitrack.wire import (
     ECHO,
     SENDER,
@@ -59,9 +59,10 @@ def parse_request(received: bytes) -> ClientMessage:
 
 
 def pack_answer(message: ServerMessage, version: Version = NEWEST) -> bytes:
-    """Pack one datagram of the server; versions after 4.3 are packed as 4.3, with descriptions of
-    bodies that have grown.
+    """Pack one datagram of the server; versions before 2.6 are packed as 2.6, versions after 4.3 as
+    4.3, with descriptions of bodies that have grown.
     """
+    version = max(version, OLDEST)
     match message:
         case NatNetFrame():
             return datagram(MessageKind.FRAME, pack_frame(message, version))
@@ -69,7 +70,7 @@ def pack_answer(message: ServerMessage, version: Version = NEWEST) -> bytes:
             grown = GROWN if version > NEWEST else b""
             return datagram(MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown))
         case ServerInfo(name, own, clock_hz, port):
-            info = SERVER_INFO.pack(clock_hz, port) if own >= OLDEST else b""
+            info = SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
             return datagram(MessageKind.SERVER_INFO, sender(name, own) + info)
         case Response(payload):
             return datagram(MessageKind.RESPONSE, payload)
@@ -81,9 +82,9 @@ def pack_answer(message: ServerMessage, version: Version = NEWEST) -> bytes:
 
 def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
     """Pack a frame's payload: rigid bodies, and all other sections empty."""
-    bodies = [packed_body(body) for body in frame.bodies]
-    empty = section([], version)
-    after = 5 if version >= SIZED else 4  # skeletons, assets, labelled markers, plates, devices
+    layout, empty = layout_of(version), section([], version)
+    bodies = [packed_body(body, version) for body in frame.bodies]
+    after = 2 + layout.sized + layout.channels  # skeletons, assets, labelled markers, channels
     parts = packed("i", frame.number), empty * 2, section(bodies, version), empty * after
     return b"".join((*parts, suffix(frame, version)))
 
@@ -91,21 +92,25 @@ def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
 def section(parts: Sequence[bytes], version: Version) -> bytes:
     """Pack a section of a frame from its packed elements."""
     size = sum(map(len, parts))
-    head = packed("ii", len(parts), size) if version >= SIZED else packed("i", len(parts))
+    head = packed("ii", len(parts), size) if layout_of(version).sized else packed("i", len(parts))
     return head + b"".join(parts)
 
 
-def packed_body(body: RigidBody) -> bytes:
-    """Pack a rigid body."""
+def packed_body(body: RigidBody, version: Version, markers: int = 0) -> bytes:
+    """Pack a rigid body, in versions before 3.0 with `markers` markers."""
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
-    where = *body.position, *body.quaternion
-    return packed("i7ffH", body.id, *where, error, body.tracking_valid)
+    listed = b"" if layout_of(version).timed else packed("i", markers) + bytes(20 * markers)
+    pose = packed("i7f", body.id, *body.position, *body.quaternion)
+    return pose + listed + packed("fH", error, body.tracking_valid)
 
 
 def suffix(frame: NatNetFrame, version: Version) -> bytes:
     """Pack a frame's suffix: exposure and params, and zeros for all other times."""
-    sized = bytes(8) if version >= SIZED else b""
-    return packed("IId3Q", 0, 0, 0.0, frame.exposure, 0, 0) + sized + packed("Hi", frame.params, 0)
+    layout = layout_of(version)
+    times = [0] * (len(layout.suffix.format) - 3)
+    if layout.timed:
+        times[3] = frame.exposure or 0
+    return packed(layout.suffix.format[1:], *times, frame.params, 0)
 
 
 def pack_modeldef(
@@ -122,9 +127,9 @@ def pack_modeldef(
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
-    parts = [packed("i", len(sets))]
+    parts, sized = [packed("i", len(sets))], layout_of(version).sized
     for kind, data in sets:
-        parts.append(packed("ii", kind, len(data)) if version >= SIZED else packed("i", kind))
+        parts.append(packed("ii", kind, len(data)) if sized else packed("i", kind))
         parts.append(data)
     return b"".join(parts)
 
@@ -133,8 +138,9 @@ def _packed_body(name: str, number: int, version: Version, markers: int) -> byte
     parts = [packed_name(name), packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
         parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))
-    parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
-    parts.append(packed(f"{markers}i", *range(1, markers + 1)))
+    if version >= (3, 0):
+        parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
+        parts.append(packed(f"{markers}i", *range(1, markers + 1)))
     if version >= (4, 0):
         parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
     return b"".join(parts)

@@ -129,7 +129,7 @@ class OptitrackCamera:
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
         if stream.version is not None and stream.version < OLDEST:
-            raise diagnosis.too_old(stream.version)
+            raise diagnosis.no_tracking_flag(stream.version)
         if not self._wait(lambda: stream.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
         self._wait(lambda: stream.model is not None and stream.up is not None, timeout_s)

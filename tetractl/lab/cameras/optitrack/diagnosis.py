@@ -3,7 +3,7 @@
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
 from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
-from tetractl.lab.cameras.optitrack.payloads import SIZED
+from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.senders import Senders
 from tetractl.lab.cameras.optitrack.stream import Stream
@@ -84,7 +84,7 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     first.
     """
     own = [] if stream.info is None else [stream.info.version]
-    for version in (*own, SIZED, OLDEST):  # the two layouts of frames
+    for version in (*own, *reversed(LAYOUTS)):
         try:
             parse(frame, version)
         except WireError:
@@ -93,12 +93,12 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     return "no known protocol"
 
 
-def too_old(version: Version) -> AbortError:
-    """Return the error for a version whose frames do not state when they were exposed."""
+def no_tracking_flag(version: Version) -> AbortError:
+    """Return the error for a version whose frames do not state which bodies are tracked."""
     return AbortError(
-        f"the camera server uses protocol {version}, whose frames do not state when they were "
-        "exposed: a run could not check their age",
-        f"update Motive to a version with NatNet {OLDEST} or later (Motive 2.0)",
+        f"the camera server uses protocol {version}, whose frames do not state which bodies are "
+        "tracked: a lost robot would look like one that stands",
+        f"update Motive to a version with NatNet {OLDEST} or later (Motive 1.7)",
     )
 
 

@@ -8,7 +8,7 @@ Vec3 = tuple[float, float, float]
 
 
 class Version(NamedTuple):
-    """A protocol version."""
+    """A protocol version: 2.10 is newer than 2.9."""
 
     major: int
     minor: int
@@ -28,7 +28,7 @@ class Version(NamedTuple):
         return f"{self.major}.{self.minor}"
 
 
-OLDEST = Version(3, 0)  # frames of older versions do not say when they were exposed
+OLDEST = Version(2, 6)  # frames of older versions do not say which bodies are tracked
 NEWEST = Version(4, 3)
 
 
@@ -67,7 +67,8 @@ class RigidBody:
 
 @dataclass(frozen=True, slots=True)
 class NatNetFrame:
-    """One camera frame; `exposure` is the middle of its exposure, in ticks of the server's clock.
+    """One camera frame; `exposure` is the middle of its exposure, in ticks of the server's clock,
+    None before NatNet 3.0.
 
     `ServerInfo.clock_hz` is the number of ticks per second.
     """
@@ -75,7 +76,7 @@ class NatNetFrame:
     number: int
     bodies: tuple[RigidBody, ...]
     params: int = 0
-    exposure: int = 0
+    exposure: int | None = 0
 
     @property
     def models_changed(self) -> bool:
@@ -117,7 +118,8 @@ class Connect:
 @dataclass(frozen=True, slots=True)
 class ServerInfo:
     """The answer to CONNECT. `version` is the protocol version of the server's frames, unless
-    CONNECT pinned another; `data_port` is the port of its frames in unicast.
+    CONNECT pinned another; `data_port` is the port of its frames in unicast. Clock and port are 0
+    before NatNet 3.0: servers did not report them.
     """
 
     name: str

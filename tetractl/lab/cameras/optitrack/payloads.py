@@ -13,7 +13,7 @@ data set of unknown layout, and `ModelDef.complete` is then False.
 
 from collections.abc import Callable
 from struct import Struct
-from typing import Any
+from typing import Any, NamedTuple
 
 from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack.natnet_messages import (
@@ -25,11 +25,42 @@ from tetractl.lab.cameras.optitrack.natnet_messages import (
 )
 
 NAME_MAX = 255  # bytes, without the closing NUL
-SIZED = Version(4, 1)  # from this version on, sections state their size
 I32 = Struct("<i")
-BODY = Struct("<i7ffH")  # id, position, quaternion, mean error, params
-SUFFIX = Struct("<IIdQQQHi")  # timecode[2], time stamp, ticks[3], params, end
-SUFFIX_SIZED = Struct("<IIdQQQIIHi")
+POSE = Struct("<i7f")  # id, position, quaternion
+ERROR_AND_PARAMS = Struct("<fH")
+BODY = POSE.size + ERROR_AND_PARAMS.size  # bytes of a rigid body without markers
+
+
+class Layout(NamedTuple):
+    """What differs between the protocol versions: the suffix of a frame, which ends with params and
+    an i32; the number of its sections of channels (force plates, devices); and two changes.
+
+    From 3.0 on (`timed`) the suffix has the time of exposure as its fourth field, rigid bodies no
+    longer contain their markers, and labelled markers end with an error. From 4.1 on (`sized`)
+    frames have a section of assets, and sections and data sets state their size.
+    """
+
+    suffix: Struct
+    channels: int = 2
+    timed: bool = False
+    sized: bool = False
+
+
+LAYOUTS = {  # by the first version of each
+    OLDEST: Layout(Struct("<fIIfHi"), channels=0),
+    Version(2, 7): Layout(Struct("<fIIdHi"), channels=0),
+    Version(2, 9): Layout(Struct("<fIIdHi"), channels=1),
+    Version(2, 11): Layout(Struct("<fIIdHi")),
+    Version(3, 0): Layout(Struct("<IIdQQQHi"), timed=True),
+    Version(4, 1): Layout(Struct("<IIdQQQIIHi"), timed=True, sized=True),
+}
+
+
+def layout_of(version: Version) -> Layout:
+    """Return the layout of a version; WireError for versions that are too old."""
+    if version < OLDEST:
+        raise WireError(f"protocol {version} is older than {OLDEST}")
+    return LAYOUTS[max(since for since in LAYOUTS if since <= version)]
 
 
 class Cursor:
@@ -101,94 +132,107 @@ class Cursor:
 
 def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
     """Read a frame; versions above 4.3 are read as 4.3, WireError if the layout does not fit."""
-    _require_known(version)
-    sized = version >= SIZED
-    suffix = SUFFIX_SIZED if sized else SUFFIX
-    cursor = Cursor(payload, len(payload) - suffix.size)
+    layout = layout_of(version)
+    cursor = Cursor(payload, len(payload) - layout.suffix.size)
     number = cursor.i32()
-    _skip(cursor, sized, 5, _skip_marker_set)
-    _skip(cursor, sized, 12)  # other markers
-    count = cursor.count(BODY.size)
-    if sized and cursor.size(count, BODY.size) != count * BODY.size:
+    _skip(cursor, layout, 5, _skip_marker_set)
+    _skip(cursor, layout, 12)  # other markers
+    count = cursor.count(BODY)
+    if layout.sized and cursor.size(count, BODY) != count * BODY:
         raise WireError("the stated size of the rigid bodies is wrong")
-    bodies = tuple(_body(*cursor.take(BODY)) for _ in range(count))
-    _skip(cursor, sized, 8, _skip_skeleton)
-    if sized:
-        _skip(cursor, sized, 12)  # assets
-    _skip(cursor, sized, 26)  # labelled markers
-    _skip(cursor, sized, 8, _skip_channels)  # force plates
-    _skip(cursor, sized, 8, _skip_channels)  # devices
+    bodies = tuple(_body(cursor, layout) for _ in range(count))
+    _skip(cursor, layout, 8, _skip_skeleton)
+    if layout.sized:
+        _skip(cursor, layout, 12)  # assets
+    _skip(cursor, layout, 26 if layout.timed else 22)  # labelled markers
+    for _ in range(layout.channels):
+        _skip(cursor, layout, 8, _skip_channels)
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
-    fields = suffix.unpack_from(payload, cursor.end)
-    return NatNetFrame(number, bodies, params=fields[-2], exposure=fields[3])
+    fields = layout.suffix.unpack_from(payload, cursor.end)
+    return NatNetFrame(number, bodies, fields[-2], fields[3] if layout.timed else None)
 
 
-def _require_known(version: Version) -> None:
-    if version < OLDEST:
-        raise WireError(f"protocol {version} is older than {OLDEST}")
-
-
-def _body(number: int, *fields: Any) -> RigidBody:
-    return RigidBody(number, fields[:3], fields[3:7], bool(fields[8] & 1))
+def _body(cursor: Cursor, layout: Layout) -> RigidBody:
+    number, *pose = cursor.take(POSE)
+    if not layout.timed:
+        cursor.skip_elements(20)  # the positions, ids and sizes of its markers
+    _, params = cursor.take(ERROR_AND_PARAMS)
+    return RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
 
 
 def _skip(
-    cursor: Cursor, sized: bool, smallest: int, skip_one: Callable[[Cursor], None] | None = None
+    cursor: Cursor,
+    layout: Layout,
+    smallest: int,
+    skip_one: Callable[[Cursor, Layout], None] | None = None,
 ) -> None:
     """Skip a section of elements of at least `smallest` bytes, or of just those."""
     count = cursor.count(smallest)
-    if sized:
+    if layout.sized:
         cursor.skip(cursor.size(count, smallest))
     elif skip_one is None:
         cursor.skip(count * smallest)
     else:
         for _ in range(count):
-            skip_one(cursor)
+            skip_one(cursor, layout)
 
 
-def _skip_marker_set(cursor: Cursor) -> None:
+def _skip_marker_set(cursor: Cursor, layout: Layout) -> None:
     cursor.name()
     cursor.skip_elements(12)
 
 
-def _skip_skeleton(cursor: Cursor) -> None:
+def _skip_skeleton(cursor: Cursor, layout: Layout) -> None:
     cursor.skip(4)
-    cursor.skip_elements(BODY.size)
+    for _ in range(cursor.count(BODY)):
+        _body(cursor, layout)
 
 
-def _skip_channels(cursor: Cursor) -> None:
+def _skip_channels(cursor: Cursor, layout: Layout) -> None:
     cursor.skip(4)
     for _ in range(cursor.count(4)):
         cursor.skip_elements(4)
 
 
-MARKER_SET, RIGID_BODY, SKELETON = range(3)
+MARKER_SET, RIGID_BODY, SKELETON, FORCE_PLATE, DEVICE, CAMERA = range(6)
+# data sets to skip before 4.1: bytes, names, bytes, and whether a list of names follows
+SKIPPED = {
+    MARKER_SET: (0, 1, 0, True),
+    FORCE_PLATE: (4, 1, 652, True),  # after its name: size, origin, matrix, corners, types
+    DEVICE: (4, 2, 8, True),
+    CAMERA: (0, 1, 28, False),
+}
 
 
 def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
     """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
-    _require_known(version)
+    layout = layout_of(version)
+    known = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}  # of which the layout is known
     cursor = Cursor(payload)
     bodies: list[tuple[str, int]] = []
     for _ in range(cursor.count(5)):
         kind = cursor.i32()
-        if version >= SIZED:
+        if layout.sized:
             stop = cursor.size(0, 0) + cursor.at
             if kind == RIGID_BODY:
                 bodies.append(_named(Cursor(payload, stop, cursor.at)))
             cursor.at = stop
         elif kind == RIGID_BODY:
             bodies.append(_described(cursor, version))
-        elif kind == MARKER_SET:
-            cursor.name()
-            for _ in range(cursor.count(1)):
-                cursor.name()
         elif kind == SKELETON:
             cursor.name()
             cursor.skip(4)
             for _ in range(cursor.count(21)):
                 _described(cursor, version)
+        elif kind in known:
+            before, names, after, listed = SKIPPED[kind]
+            cursor.skip(before)
+            for _ in range(names):
+                cursor.name()
+            cursor.skip(after)
+            for _ in range(cursor.count(1) if listed else 0):
+                cursor.name()
         else:
             return ModelDef(tuple(bodies), complete=False)
     return ModelDef(tuple(bodies))
@@ -205,7 +249,7 @@ def _described(cursor: Cursor, version: Version) -> tuple[str, int]:
     """Read a body's complete description, in a version that does not state its size."""
     named = _named(cursor)
     cursor.skip(12)
-    count = cursor.count(16)
+    count = cursor.count(16) if version >= (3, 0) else 0
     cursor.skip(count * 16)
     for _ in range(count if version >= (4, 0) else 0):
         cursor.name()

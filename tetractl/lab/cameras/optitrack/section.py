@@ -1,7 +1,7 @@
 """The section of the spec for OptiTrack cameras: `camera: {type: optitrack, ...}`."""
 
 from collections.abc import Iterator
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import BeforeValidator, Field
 
@@ -16,15 +16,20 @@ Ipv4 = Annotated[
 Port = Annotated[int, Field(ge=1, le=65_535)]
 
 
+def _version_as_text(value: Any) -> Any:
+    """Return a protocol version that YAML reads as a number, such as 4.1, as text."""
+    if value in (2.1, 2.2):
+        text = f"must be at least 2.5; if {value}0 is meant, put it in quotes: YAML reads {value}"
+        raise ValueError(text)
+    return str(float(value)) if isinstance(value, int | float) else value
+
+
 VersionText = Annotated[
     str,
-    Field(pattern=r"^[34]\.\d$"),
-    BeforeValidator(
-        lambda v: str(float(v)) if isinstance(v, int | float) else v,
-        json_schema_input_type=str | float,
-    ),
+    Field(pattern=r"^(2\.([5-9]|1\d)|[34]\.\d{1,2})$"),
+    BeforeValidator(_version_as_text, json_schema_input_type=str | float),
 ]
-"""A protocol version as text or, since YAML reads 4.1 as that, as a number."""
+"""A protocol version as text, or as a number if its minor version has one digit."""
 
 
 class TrackedRobot(RobotPart):
@@ -55,8 +60,8 @@ class OptitrackSection(CameraSection):
     group: Ipv4 = "239.255.42.99"
     """Address of the multicast stream: IPv4."""
     version: VersionText | None = None
-    """Protocol version to request: major.minor, 3.0 or later. By default, and always in multicast,
-    it is the server's own."""
+    """Protocol version to request: major.minor, such as 4.1, or in quotes if it ends in 0, as
+    '2.10'; by default, and always in multicast, the server's own."""
     up_axis: Literal["auto", "y", "z"] = "auto"
     """The axis that points up; `auto` asks the server."""
     origin: Point = (0.0, 0.0)

@@ -1,7 +1,7 @@
 """Decides which datagrams come from the camera server, by its address and two of its ports.
 
 Answers come from the port that commands are sent to. Frames come from one other port: in unicast
-the port that SERVERINFO reports, in multicast the port of the first readable frame.
+the port that SERVERINFO reports (from 3.0 on), otherwise the port of the first readable frame.
 NatNet does not authenticate senders: packets from the server's address and port are accepted.
 """
 
@@ -52,7 +52,8 @@ class Senders:
         return False
 
     def pin(self, port: int) -> None:
-        """Admit frames only from this port from now on; once a port is known, calls do nothing."""
+        """Admit frames only from this port from now on, unless it is 0; once a port is known, calls
+        do nothing."""
         self.frames_port = self.frames_port or port
 
     def most(self, frames: bool) -> tuple[Sender, int] | None:

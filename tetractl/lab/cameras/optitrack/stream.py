@@ -316,7 +316,7 @@ class Stream:
         self._on_frame(self.newest)
 
     def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
-        if self.sync is None or not self.sync.synced:
+        if frame.exposure is None or self.sync is None or not self.sync.synced:
             return received_ns
         sampled_ns = self.sync.to_host(frame.exposure)
         age_ns = received_ns - sampled_ns

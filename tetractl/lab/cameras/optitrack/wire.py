@@ -41,7 +41,7 @@ def parse(datagram: bytes, version: Version | None = None) -> ServerMessage:
             return read(payload, version)
         case MessageKind.SERVER_INFO:
             name, version = read_sender(payload)
-            if version < (3, 0):  # servers of older versions do not report a clock
+            if version < (3, 0):
                 return ServerInfo(name, version, 0, 0)
             rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
             return ServerInfo(name, version, *unpacked(SERVER_INFO, rest))

@@ -23,17 +23,18 @@ def test_frames_are_read_alike(version):
         (body.id_num, body.pos, body.rot, body.tracking_valid) for body in theirs.rigid_bodies
     ] == [(body.id, body.position, body.quaternion, body.tracking_valid) for body in ours.bodies]
     assert len(theirs.labeled_markers) == 2
-    assert theirs.devices[0].channel_arrays == ((3.0,),)
+    if version >= (2, 11):
+        assert theirs.devices[0].channel_arrays == ((3.0,),)
     if version >= (4, 1):
         assert len(theirs.assets[0].markers) == 2
-    if version < (4, 1):  # it does not know the suffix after
+    if (3, 0) <= version < (4, 1):  # it does not know the suffixes before and after
         assert theirs.suffix.stamp_camera_mid_exposure == ours.exposure
         assert theirs.suffix.param == ours.params
 
 
 @every_version
 def test_names_are_read_alike(version):
-    # natnet 0.3.0 would read our asset
+    # natnet 0.3.0 takes a force plate's four corners for three, and would read our asset
     model, packed = full_modeldef(version, awkward=False)
     theirs = DataDescriptions.read_from_buffer(
         PacketBuffer(packed[HEADER:]), TheirVersion(*version)

@@ -147,6 +147,8 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
             r"the names 'Green' are not known.* when asked for its rigid bodies \(0.3 s\)",
             "frames contain the ids 1, 7",
         ),
+        ("knows_up_axis: false", "does not report its up axis", "set lab.camera.up_axis to y or z"),
+        ("version: 2.5", r"^the camera server uses protocol 2\.5, whose", "NatNet 2.6 or later"),
     ],
 )
 def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, script, said, hint):
@@ -179,12 +181,14 @@ def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     assert caught.value.hint.startswith("set lab.camera.server to 127.0.0.3")
 
 
-def test_a_server_of_an_old_version_is_refused(tmp_path):
-    with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.motive.own_version = Version(2, 9)
-        with pytest.raises(AbortError, match=r"^the camera server uses protocol 2\.9, whose") as e:
-            camera.__enter__()
-    assert "NatNet 3.0 or later" in e.value.hint
+@pytest.mark.parametrize(
+    ("script", "sets"), [("version: 2.9", ()), ("", ("lab.camera.version=2.9",))]
+)
+def test_frames_of_version_2_are_dated_by_their_arrival(tmp_path, script, sets):
+    with motive(tmp_path, script, *sets) as (_, camera, clock), camera:
+        assert clock.wait(lambda: all(camera.stream.newest.poses))
+        assert camera.stream.newest.sampled_ns == camera.stream.newest.received_ns
+        assert camera.check().facts["natnet"] == "2.9"
 
 
 def test_bodies_given_by_their_ids_need_no_names(tmp_path):

@@ -47,7 +47,9 @@ def tuples(items, most=3):
 bodies = tuples(st.builds(RigidBody, i32, vec3, st.tuples(f32, f32, f32, f32), st.booleans()))
 
 
-frames = st.builds(NatNetFrame, number=i32, bodies=bodies, params=u16, exposure=u64)
+def frames(version):
+    exposure = u64 if version >= (3, 0) else st.none()
+    return st.builds(NatNetFrame, number=i32, bodies=bodies, params=u16, exposure=exposure)
 
 
 def clutters():
@@ -56,18 +58,19 @@ def clutters():
         Clutter,
         marker_sets=tuples(st.tuples(names, tuples(vec3))),
         other_markers=tuples(vec3),
+        body_markers=st.integers(0, 3),
         skeletons=tuples(st.tuples(i32, bodies)),
         assets=tuples(st.tuples(i32, bodies, tuples(vec3))),
         labelled_markers=tuples(st.tuples(i32, vec3)),
-        force_plates=channels,
-        devices=channels,
+        channels=st.tuples(channels, channels),
     )
 
 
-@given(version=st.sampled_from(VERSIONS), frame=frames, clutter=clutters())
-def test_frames_round_trip(version, frame, clutter):
+@given(version=st.sampled_from(VERSIONS), data=st.data())
+def test_frames_round_trip(version, data):
+    frame = data.draw(frames(version))
     assert parse(pack_answer(frame, version), version) == frame
-    assert parse(pack_full_frame(frame, version, clutter), version) == frame
+    assert parse(pack_full_frame(frame, version, data.draw(clutters())), version) == frame
 
 
 @given(
@@ -88,9 +91,10 @@ def test_models_are_found_behind_other_data_sets(version):
     assert model.ids() == {"green": 1, "blü": 2}
 
 
-def test_an_unknown_data_set_ends_the_reading_and_says_so():
-    packed = pack_modeldef(ModelDef((("green", 1),)), Version(4, 0), [(9, b"?")])
-    found = parse(datagram(MessageKind.MODELDEF, packed), Version(4, 0))
+@pytest.mark.parametrize(("version", "kind"), [(Version(2, 9), 3), (Version(4, 0), 9)], ids=str)
+def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
+    packed = pack_modeldef(ModelDef((("green", 1),)), version, [(kind, b"?")])
+    found = parse(datagram(MessageKind.MODELDEF, packed), version)
     assert found == ModelDef((), complete=False)
 
 
@@ -101,13 +105,22 @@ def test_a_skeletons_bones_are_not_robots():
     assert parse(datagram(MessageKind.MODELDEF, payload), Version(3, 1)).ids() == {"green": 4}
 
 
+def test_frame_2_9_as_written_by_hand():
+    body = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
+    body += struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01) + struct.pack("<fH", 0.5, 1)
+    payload = struct.pack("<iiii", 42, 0, 0, 1) + body + struct.pack("<iii", 0, 0, 0)
+    payload += struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 4, 0)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(2, 9))
+    assert frame == NatNetFrame(42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, None)
+    assert (frame.edit_mode, frame.models_changed) == (True, False)
+
+
 def test_frame_3_0_as_written_by_hand():
     body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 1)
     payload = struct.pack("<iiii", 42, 0, 0, 1) + body + bytes(4 * 4)
     payload += struct.pack("<IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0)
     frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(3, 0))
     assert frame == NatNetFrame(42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, 10)
-    assert (frame.edit_mode, frame.models_changed) == (True, False)
 
 
 def test_frame_4_2_as_written_by_hand():
@@ -131,7 +144,7 @@ def test_frame_4_2_as_written_by_hand():
         (pack, parse_request, Bare(MessageKind.DISCONNECT), 5),
         (pack, parse_request, EchoRequest(2**64 - 1), 12),
         (pack, parse_request, NatNetRequest("UpAxis"), 11),
-        (pack_answer, parse, ServerInfo("Motive", Version(2, 9), 0, 0), 268),
+        (pack_answer, parse, ServerInfo("Motive", Version(2, 10), 0, 0), 268),
         (pack_answer, parse, ServerInfo("Motive", Version(4, 1), 10**7, 1511), 283),
         (pack_answer, parse, Bare(MessageKind.UNRECOGNIZED), 4),
         (pack_answer, parse, EchoResponse(1, 2**64 - 1), 20),
@@ -150,6 +163,7 @@ def test_details_of_the_handshake():
     packed = bytearray(pack_answer(info))
     packed[4 + 7 : 4 + 256] = b"\xff" * 249  # garbage after the name's NUL
     assert parse(bytes(packed)) == info
+    assert Version(2, 9) < Version.of("2.10")
     assert number_in(Response(struct.pack("<f", 120.0)), "f") == 120.0
     assert number_in(Response(struct.pack("<i", 1)), "i") == 1
     with pytest.raises(WireError):
@@ -164,7 +178,7 @@ def test_details_of_the_handshake():
         (struct.pack("<HH", 7, 5) + bytes(4), Version(3, 0)),  # the header lies
         (struct.pack("<HH", 11, 0), None),  # no such message
         (pack_answer(NatNetFrame(1, ()), Version(3, 0)), None),  # a frame before SERVERINFO
-        (pack_answer(NatNetFrame(1, ()), Version(3, 0)), Version(2, 9)),
+        (pack_answer(NatNetFrame(1, ()), Version(2, 6)), Version(2, 5)),
         (pack_answer(NatNetFrame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
         (pack_answer(NatNetFrame(1, ()), Version(4, 1)), Version(3, 0)),
         (datagram(MessageKind.SERVER_INFO, bytes(263)), None),

@@ -20,6 +20,7 @@ NAMED = {
     "LAB": LAB,
     "ON": ON,
     "NEAR": "controller.collision.radius=20",
+    "PSO": "controller={type: pso-mpc, period: 0.2, steps_max: 100, horizon_max: 20}",
     "FIXED": "controller.collision.adaptive=false",
     "WALL": f"obstacles=[{BLOCK(0, 3000)}]",
     "GAP": f"obstacles=[{BLOCK(0, 1380)}, {BLOCK(1410, 2000)}]",
@@ -53,6 +54,8 @@ robots <- robots.blue.a=6
 robots.0.target <- controller.steps_max=20; controller.horizon_max=20
   854.4 mm away; in the 4.2 s of a trial the robot drives 756 mm, 98.4 too few | steps_max
 controller.horizon_max <- controller.horizon_max=20
+  red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
+controller.horizon_max <- PSO
   red is 894.4 mm from .* in 20 signals, 4 s, it drives 600 mm, 294.4 too few | more than 30
 controller.horizon_max <- controller.horizon_max=102; controller.steps_max=100
   plans of 20.4 s outlast the trial, .* 20.2 s | horizon_max to 101

@@ -226,6 +226,17 @@ def test_heat_ends_a_run():
 
 
 @needs_compiler
+@pytest.mark.parametrize(("celsius", "problems"), [(59.9, 0), (60, 1)])
+def test_a_run_does_not_start_with_hot_coils(celsius, problems):
+    stage = Bench()
+    stage.driver.temperature_dc = round(10 * celsius)
+    with stage.opened(SETUP) as actuator:
+        stage.clock.sleep_until(stage.clock.now() + SECOND // 100)  # it has measured
+        found = actuator.check().problems
+    assert found == ("the coils are at 60 °C: let them cool down",) * problems
+
+
+@needs_compiler
 def test_a_driver_that_falls_silent_is_noticed():
     stage = Bench()
     with stage.opened(SETUP) as actuator:

@@ -255,10 +255,9 @@ class Guard:
         if failure:
             self.abort(failure)
         self._count_damaged(now_ns, damaged)
-        tracked = self._tracked(now_ns)
-        accepted = tuple(
-            track.pose if ok else None for track, ok in zip(self._filters, tracked, strict=True)
-        )
+        tracked = self._tracked()
+        pairs = zip(self._filters, tracked, strict=True)
+        accepted = tuple(track.pose if ok else None for track, ok in pairs)
         warnings: tuple[str, ...] = ()
         if self._active:
             if asleep_ns >= limits.stream_lost * SECOND:
@@ -271,7 +270,7 @@ class Guard:
                 self.abort(self.no_frame(unseen_ns))
             if mistaken := self._swaps.fault():
                 self.abort(mistaken)
-            self._check_tracking(now_ns)
+            self._check_tracking()
             self._check_places(accepted)
             warnings, self._warnings = tuple(self._warnings), []
         still = (False,) * len(self._filters)
@@ -325,7 +324,7 @@ class Guard:
             self._warned.add(text)
             self._warnings.append(text)
 
-    def _tracked(self, now_ns: int) -> tuple[bool, ...]:
+    def _tracked(self) -> tuple[bool, ...]:
         limit, newest = UNTRACKED_STOP_S * SECOND, self._last_frame_ns or 0
         # a stopped stream is reported as stopped, not as untracked robots
         return tuple(
@@ -333,7 +332,7 @@ class Guard:
             for left, track in zip(self._left, self._filters, strict=True)
         )
 
-    def _check_tracking(self, now_ns: int) -> None:
+    def _check_tracking(self) -> None:
         limits, newest = self.rules.limits, self._last_frame_ns or 0
         for i, (name, track) in enumerate(zip(self.rules.names, self._filters, strict=True)):
             lost_ns = newest - track.seen_ns

@@ -13,7 +13,7 @@ from typing import Annotated, Any, ClassVar
 
 from pydantic import Field
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.errors import UsageError, WireError
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
@@ -27,7 +27,6 @@ from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
 from tetractl.model.swimmers import walls_of
 
-STEP_NS = 1_000_000  # the core is stepped at 1 kHz, as on the driver
 LAG_S = 0.004  # 20 mH over 5 ohm
 
 
@@ -54,7 +53,7 @@ class CurrentDriver(SerialDevice):
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
         self._limits, self._tell, self._splitter = limits, tell, Splitter()
-        self._keep = math.exp(-STEP_NS / SECOND / lag_s)
+        self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
         self._now_ns = timeline.now_ns
         self._core = DriverCore(limits, self._now_ms)
 
@@ -82,8 +81,8 @@ class CurrentDriver(SerialDevice):
 
     def advance(self, until_ns: int) -> None:
         """Advance in steps of 1 ms, as long as a step does not go beyond `until_ns`."""
-        while self._now_ns + STEP_NS <= until_ns:
-            self._now_ns += STEP_NS
+        while self._now_ns + MILLISECOND <= until_ns:
+            self._now_ns += MILLISECOND
             self._step()
 
     def switch(self, on: bool) -> None:
@@ -115,7 +114,7 @@ class CurrentDriver(SerialDevice):
 
     @property
     def _now_ms(self) -> int:
-        return self._now_ns // 1_000_000 & 0xFFFFFFFF
+        return self._now_ns // MILLISECOND & 0xFFFFFFFF
 
 
 class FieldSettings(Model):

@@ -118,10 +118,14 @@ class _Core:
 
     name: ClassVar[str]
     reply_size: ClassVar[int]
+    number: ClassVar[type[Any]]  # type of the two numbers that `_pair` returns
 
     def __init__(self, library: Library | None) -> None:
         self._library = library or load(self.name)
         self._core = ctypes.create_string_buffer(self._library["size"]())
+        self._reply = ctypes.create_string_buffer(self.reply_size)
+        self._one, self._two = self.number(), self.number()
+        self._both = ctypes.byref(self._one), ctypes.byref(self._two)
 
     def push(self, data: bytes, now_ms: int) -> list[CoreEvent]:
         """Read bytes from the radio or the serial line; return an event for each completed
@@ -133,24 +137,22 @@ class _Core:
 
     def take_reply(self, now_ms: int) -> bytes:
         """Return the reply that is due now, b"" if none is; each reply is returned once."""
-        reply = ctypes.create_string_buffer(self.reply_size)
-        size = self._call("take_reply", now_ms, reply)
-        return reply.raw[:size]
+        size = self._call("take_reply", now_ms, self._reply)
+        return self._reply.raw[:size] if size else b""
 
     def _call(self, function: str, *arguments: Any) -> Any:
         return self._library[function](self._core, *arguments)
 
-    def _pair(self, function: str, kind: type[Any], now_ms: int) -> tuple[int, int]:
+    def _pair(self, function: str, now_ms: int) -> tuple[int, int]:
         """Return the two numbers that a function of the core writes."""
-        one, two = kind(), kind()
-        self._call(function, now_ms, ctypes.byref(one), ctypes.byref(two))
-        return one.value, two.value
+        self._library[function](self._core, now_ms, *self._both)
+        return self._one.value, self._two.value
 
 
 class RobotCore(_Core):
     """The firmware core of robot `index`."""
 
-    name, reply_size = "m3pi", 14
+    name, reply_size, number = "m3pi", 14, ctypes.c_int8
 
     def __init__(self, index: int, library: Library | None = None) -> None:
         super().__init__(library)
@@ -158,7 +160,7 @@ class RobotCore(_Core):
 
     def wheels(self, now_ms: int) -> Counts:
         """Return the present counts of both wheels, which the watchdog may have set to 0."""
-        return self._pair("wheels", ctypes.c_int8, now_ms)
+        return self._pair("wheels", now_ms)
 
     def status(self, now_ms: int) -> Status:
         """Return the status flags that a reply would have now."""
@@ -193,7 +195,7 @@ class _DriverLimits(ctypes.Structure):
 class DriverCore(_Core):
     """The firmware core of a current driver, switched on at `now_ms`."""
 
-    name, reply_size = "field", 28
+    name, reply_size, number = "field", 28, ctypes.c_int32
 
     def __init__(
         self, limits: DriverLimits, now_ms: int = 0, library: Library | None = None
@@ -203,7 +205,7 @@ class DriverCore(_Core):
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
         """Return the present set points of both currents [uA], as watchdog and slew limit allow."""
-        return self._pair("currents", ctypes.c_int32, now_ms)
+        return self._pair("currents", now_ms)
 
     def measured(
         self, x_ma: int, y_ma: int, supply_mv: int = 0, temperature_dc: int = UNKNOWN_TEMPERATURE

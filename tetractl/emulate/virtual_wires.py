@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.clock import MILLISECOND, VirtualClock
 from tetractl.core.errors import AbortError
 from tetractl.core.setup import Setup
 from tetractl.emulate.emulated_lab import EmulatedLab
@@ -21,15 +21,13 @@ from tetractl.emulate.wires import Wires
 from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.serial_port import PortHeldError, SerialPort, missing_port
 
-STEP_NS = SECOND // 1000
-
 
 class LabClock(VirtualClock):
-    """Virtual time in steps of `step_ns`, 1 ms by default: in each step the `timeline` runs first,
-    then each function of `steps`.
+    """Virtual time in steps of `step_ns`: in each step the `timeline` runs first, then each
+    function of `steps`.
     """
 
-    def __init__(self, step_ns: int | None = None) -> None:
+    def __init__(self, step_ns: int = MILLISECOND) -> None:
         super().__init__()
         self._step_ns = step_ns
         self.timeline: Timeline | None = None
@@ -38,7 +36,7 @@ class LabClock(VirtualClock):
     def sleep_until(self, when: int) -> None:
         """Let time pass until `when` [ns]."""
         while self._now < when:
-            self._now = min(when, self._now + (self._step_ns or STEP_NS))
+            self._now = min(when, self._now + self._step_ns)
             if self.timeline is not None:
                 self.timeline.run_to(self._now)
             for step in tuple(self.steps):

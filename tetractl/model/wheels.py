@@ -212,6 +212,11 @@ class WheeledRobots:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
         self._turn_of, self._way_of = turning / (2 * self._radius), speed / 2
 
+    def wheels_in(self, seconds: float) -> Floats:
+        """Return the wheel speeds (2, N) after a time [s] from now."""
+        behind = self.wheels - self.targets
+        return self.targets + (behind * np.exp(-seconds / self._lag) if self._lags else 0.0)
+
     def drive(
         self, seconds: Floats, swerves: Floats | None = None
     ) -> tuple[Floats, Floats, Floats]:

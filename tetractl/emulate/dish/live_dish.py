@@ -5,13 +5,12 @@ from typing import Protocol
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.setup import Bounds, Setup
 from tetractl.lab.actuators.field.section import CoilsSection, Pair
 from tetractl.model.swimmers import Swimmers
 
-FIELD_NS = 1_000_000  # interval at which the driver's currents are read
-SWIM_NS = 2_000_000  # time step of the cells' motion
+SWIM_NS = 2 * MILLISECOND  # time step of the cells' motion
 UM_MM = 1000.0
 DROP = 0.25  # largest distance of a drop's cells from the dish's middle, in widths of the dish
 
@@ -88,8 +87,8 @@ class Dish:
         """Advance driver and cells in whole steps, as long as a step does not go beyond
         `until_ns`.
         """
-        while self._now_ns + FIELD_NS <= until_ns:
-            self._now_ns += FIELD_NS
+        while self._now_ns + MILLISECOND <= until_ns:
+            self._now_ns += MILLISECOND
             self.driver.advance(self._now_ns)
             steered = self.driver.running
             if steered and not self.steered:

@@ -9,14 +9,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.poses import Floats, Poses
 from tetractl.emulate.firmware import RobotCore
 from tetractl.model.wheels import Counts, Drivetrains, WheeledRobots
 
-STEP_NS = 1_000_000  # the longest step of the integration: 1 kHz
 STANDING_MM_S = 1.0
 AT_REST_MM_S = 1e-9
+STEPS_MAX = 1000  # number of steps that may be integrated together
 FULL_LOAD_MM_S = 2000.0  # both wheels together
 
 
@@ -83,7 +83,7 @@ class EmulatedRobot:
     @property
     def standing(self) -> bool:
         """Whether both wheels are at rest, or turn more slowly than a camera could detect."""
-        return max(map(abs, self.wheels)) < STANDING_MM_S
+        return self.robots.standing[self.row]
 
     @property
     def battery_mv(self) -> int:
@@ -115,16 +115,16 @@ class EmulatedRobot:
 
     def place(self, x: float, y: float, heading: float) -> None:
         """Put the robot, at rest, at a pose [mm, rad]."""
-        now = self.robots.poses
-        now.x[self.row], now.y[self.row], now.heading[self.row] = x, y, heading
-        self.robots.wheels[:, self.row] = 0.0
+        self.robots.place(self.row, x, y, heading)
 
 
-class EmulatedRobots(WheeledRobots):
+class EmulatedRobots:
     """The true state of N robots [mm, rad], in the spec's axes, at rest at `start_ns`.
 
-    `drivetrains` gives the true wheel speeds for counts, `radius` (N,) [mm] the distance from a
-    wheel to the centre, `lag_s` (N,) [s] the wheels' time constants.
+    The motors' counts are read once a millisecond, as by the firmware; the motion since the counts
+    last changed is computed when it is asked for. `drivetrains` gives the true wheel speeds for
+    counts, `radius` (N,) [mm] the distance from a wheel to the centre, `lag_s` (N,) [s] the wheels'
+    time constants.
     """
 
     def __init__(
@@ -135,8 +135,12 @@ class EmulatedRobots(WheeledRobots):
         lag_s: Floats,
         start_ns: int = 0,
     ) -> None:
-        super().__init__(Poses(*np.zeros((3, len(robots)))), radius, lag_s, AT_REST_MM_S)
-        self.robots, self._drivetrains, self._now_ns = robots, drivetrains, start_ns
+        at_zero = Poses(*np.zeros((3, len(robots))))
+        self._wheeled = WheeledRobots(at_zero, radius, lag_s, AT_REST_MM_S)
+        self.robots, self._drivetrains = robots, drivetrains
+        self._now_ns = self._settled_ns = start_ns
+        self._passed_ns: list[int] = []  # ends of the steps since `_settled_ns`
+        self._stood: tuple[int, list[bool]] = -1, []  # `standing`, and when it was computed [ns]
         self._held: list[tuple[Counts, tuple[bool, bool]]] = []
         for row, robot in enumerate(robots):
             robot.robots, robot.row = self, row
@@ -144,21 +148,59 @@ class EmulatedRobots(WheeledRobots):
     @property
     def now_ms(self) -> int:
         """The time of the robots' firmware [ms]."""
-        return self._now_ns // 1_000_000
+        return self._now_ns // MILLISECOND
+
+    @property
+    def poses(self) -> Poses:
+        """The present poses [mm, rad]."""
+        return self._settled().poses
+
+    @property
+    def wheels(self) -> Floats:
+        """The present speeds of the wheels (2, N) [mm/s]."""
+        return self._settled().wheels
+
+    @property
+    def standing(self) -> list[bool]:
+        """Whether each robot is at rest, or moves more slowly than a camera could detect."""
+        if self._stood[0] != self._now_ns:
+            ahead_s = (self._now_ns - self._settled_ns) / SECOND
+            fastest = np.abs(self._wheeled.wheels_in(ahead_s)).max(axis=0)
+            self._stood = self._now_ns, (fastest < STANDING_MM_S).tolist()
+        return self._stood[1]
 
     def advance(self, until_ns: int) -> None:
         """Advance to `until_ns`, in steps of at most a millisecond, as watchdogs end."""
         while self._now_ns < until_ns:
-            step_ns = min(STEP_NS, until_ns - self._now_ns)
             held = [(robot.counts(), robot.stuck) for robot in self.robots]
+            if len(self._passed_ns) == STEPS_MAX:
+                self._settled()
             if held != self._held:
-                self._held = held
+                wheeled, self._held = self._settled(), held
                 counts, stuck = (np.array(each).T for each in zip(*held, strict=True))
-                self.targets = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
-                self.wheels = np.where(stuck, 0.0, self.wheels)
-            if self.targets.any() or self.wheels.any():
-                self.drive(np.array([step_ns / SECOND]))
-            loads = np.minimum(np.abs(self.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
-            for robot, load in zip(self.robots, loads, strict=True):
-                robot.battery.draw(load, step_ns / SECOND)
-            self._now_ns += step_ns
+                wheeled.targets = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
+                wheeled.wheels = np.where(stuck, 0.0, wheeled.wheels)
+            self._now_ns = min(self._now_ns + MILLISECOND, until_ns)
+            self._passed_ns.append(self._now_ns)
+
+    def place(self, row: int, x: float, y: float, heading: float) -> None:
+        """Put a robot, at rest, at a pose [mm, rad]."""
+        wheeled = self._settled()
+        now = wheeled.poses
+        now.x[row], now.y[row], now.heading[row] = x, y, heading
+        wheeled.wheels[:, row] = 0.0
+        self._stood = -1, []
+
+    def _settled(self) -> WheeledRobots:
+        """Return the robots as they are now."""
+        wheeled = self._wheeled
+        if not self._passed_ns:
+            return wheeled
+        seconds = (np.array(self._passed_ns) - self._settled_ns) / SECOND
+        self._settled_ns, self._passed_ns = self._now_ns, []
+        if wheeled.targets.any() or wheeled.wheels.any():
+            wheeled.drive(seconds)
+        loads = np.minimum(np.abs(wheeled.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
+        for robot, load in zip(self.robots, loads, strict=True):
+            robot.battery.draw(load, float(seconds[-1]))
+        return wheeled

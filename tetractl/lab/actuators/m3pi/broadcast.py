@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import astuple, dataclass
 from enum import IntFlag
 
-from tetractl.core.clock import SECOND, Clock, MonotonicClock
+from tetractl.core.clock import MILLISECOND, SECOND, Clock, MonotonicClock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
@@ -144,7 +144,7 @@ class Broadcaster:
         """
         found: dict[int, Reply] = {}
         wanted = set(self._indices)
-        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * 1_000_000
+        slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
         deadline = self._clock.now() + round(timeout_s * SECOND)
         for _ in range(POLLS):
             splitter = Splitter()

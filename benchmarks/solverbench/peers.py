@@ -5,6 +5,7 @@ restarting where it gets stuck, until the meter says that J <= GOOD or that time
 """
 
 import importlib.util
+import itertools
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -15,7 +16,7 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.control.kernels.rollout import costs, lay_out
 from tetractl.control.optimizers.multistart import Multistart
-from tetractl.control.optimizers.pso import Pso, pso
+from tetractl.control.optimizers.pso import Pso, Swarm
 from tetractl.control.rng import mix
 from tetractl.control.stop import TargetStop
 from tetractl.core.plan import Limits, Problem
@@ -95,19 +96,23 @@ def _ours(optimizer: OptimizerSection, restarts: int = 10**9) -> Peer:
     return run
 
 
-class _Readable(Pso):
-    """The particle swarm by its NumPy reference."""
-
-    def search(self, problem, length, warm, key, limits):
-        return pso(self, problem, length, warm, key, limits)
-
-
 _TARGET = TargetStop(type="target", cost=GOOD)
 _MULTISTART = Multistart(tolerance=GOOD, rounds=8)
 ours = _ours(_MULTISTART)
 ours_once = _ours(_MULTISTART, restarts=0)
-our_pso = _ours(Pso(particles=PARTICLES, iterations=400, stop=_TARGET))
-reference = _ours(_Readable(particles=PARTICLES, iterations=400, stop=_TARGET))
+_SWARM = Pso(particles=PARTICLES, iterations=400, stop=_TARGET)
+our_pso = _ours(_SWARM)
+
+
+def reference(meter: Meter, seed: int) -> NoReturn:
+    """Our particle swarm, with J by the NumPy reference."""
+    for again in itertools.count():
+        swarm = Swarm.scatter(_SWARM, meter.length, mix(seed, again))
+        swarm.u_gb, swarm.best_cost = swarm.best[:, 0], np.full(PARTICLES, np.inf)
+        while swarm.z < _SWARM.iterations:
+            swarm.tell(evaluate(meter.problem, swarm.ask().T).total)
+            meter.note(swarm.cost)
+    raise Over
 
 
 def pyswarms(meter: Meter, seed: int) -> NoReturn:

@@ -10,10 +10,10 @@ import struct
 from base64 import b64encode
 from dataclasses import dataclass
 
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap_protobuf.schema import build_file_descriptor_set
+from mcap.well_known import MessageEncoding
 
 from tetractl.log.format.channels import CHANNELS, Entry
+from tetractl.log.write.sink import protobuf_schema
 from tetractl.replay.player import Playback
 
 PROTOCOL = "foxglove.sdk.v1"
@@ -64,13 +64,12 @@ def greeting(name: str, span_ns: tuple[int, int] | None) -> list[str]:
             "id": number,
             "topic": topic,
             "encoding": MessageEncoding.Protobuf,
-            "schemaName": CHANNELS[topic].DESCRIPTOR.full_name,
-            "schemaEncoding": SchemaEncoding.Protobuf,
-            "schema": b64encode(
-                build_file_descriptor_set(CHANNELS[topic]).SerializeToString()
-            ).decode(),
+            "schemaName": name,
+            "schemaEncoding": encoding,
+            "schema": b64encode(schema).decode(),
         }
         for number, topic in TOPICS.items()
+        for name, encoding, schema in [protobuf_schema(CHANNELS[topic])]
     ]
     return [json.dumps(info), json.dumps({"op": "advertise", "channels": channels})]
 

@@ -25,7 +25,7 @@ def path(key, margin=30.0, draws=3000):
     setup = experiment().setup
     region = Obstacles.of(setup.obstacles, margin, setup.arena)
     rows = uniform(key, 0, SHARES * draws).reshape(-1, SHARES)
-    return region, grow(region, setup.arena, START, TARGET, 120.0, 0.1, rows)
+    return region, grow(region, setup.arena, START, TARGET, 120.0, rows)
 
 
 @given(st.integers(0, 2**64 - 1))
@@ -43,7 +43,7 @@ def test_there_may_be_no_path():
     wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
     region = Obstacles.of([wall])
     rows = uniform(1, 0, SHARES * 500).reshape(-1, SHARES)
-    assert grow(region, setup.arena, START, TARGET, 120.0, 0.1, rows) is None
+    assert grow(region, setup.arena, START, TARGET, 120.0, rows) is None
 
 
 def drive(key, fields=None, **plant):

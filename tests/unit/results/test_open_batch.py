@@ -68,7 +68,7 @@ def test_a_log_that_lost_its_end_is_damaged_and_its_row_counts(tmp_path):
     arm = arm_of(tmp_path, ALL)
     log = arm / "trial-001.mcap"
     whole = log.read_bytes()
-    log.write_bytes(whole[: whole.index(b"robot_errors")])  # in the record of the result
+    log.write_bytes(whole[: len(whole) // 2])
     (arm / "trial-002.mcap").write_bytes(b"")
     found, count, damaged = read(arm)
     assert (found, count) == ({0: True, 1: False, 2: False}, 3)

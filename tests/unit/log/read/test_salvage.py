@@ -73,7 +73,7 @@ def test_a_bad_record_length_costs_nothing(tmp_path, log, whole, chunks, field):
 
 def test_without_first_chunk_and_index_the_rest_is_read(tmp_path, log, whole, chunks):
     data = bytearray(log.read_bytes()[: chunks[-1][1]])
-    for begin, end, _ in chunks[:2]:  # the scene's chunk with all channel records, and the next
+    for begin, end, _ in chunks[:3]:  # the run's with all channel records, the scene's, the next
         data[(begin + end) // 2] ^= 0xFF
     found = read_trial(_damaged(tmp_path, bytes(data)))
     assert 0 < len(found.steps) < len(whole.steps)

@@ -16,8 +16,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "tests"))
 
 from support.lab_processes import play  # noqa: E402
-
-from tetractl.emulate.script import load_script  # noqa: E402
+from support.scripts import load_script  # noqa: E402
 
 
 def measure(path: Path) -> tuple[float | None, float, float]:

@@ -7,8 +7,7 @@ record, not from the runner's log.
 import pytest
 from support.fault_checks import IN_PROCESS, SCRIPTS, check
 from support.lab_processes import camera_of, play
-
-from tetractl.emulate.script import load_script
+from support.scripts import load_script
 
 LATE_S = 0.05  # half of the shortest tolerance: an emulator as late as that spoils the play
 AGAIN = ("no_server", "radio_unplugged", "stream_stops")  # in both, over sockets and ports

@@ -2,8 +2,7 @@
 
 from support.good_runs import RUNS, check, script_of
 from support.lab_processes import play
-
-from tetractl.emulate.script import load_script
+from support.scripts import load_script
 
 
 def test_two_trials_over_multicast(tmp_path):

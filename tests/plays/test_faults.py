@@ -2,9 +2,8 @@
 
 import pytest
 from support.fault_checks import IN_PROCESS, check
+from support.scripts import load_script
 from support.virtual_lab import play
-
-from tetractl.emulate.script import load_script
 
 PLAN_S = {"late_steps": 0.08}
 

@@ -2,9 +2,8 @@
 
 import pytest
 from support.good_runs import RUNS, check, script_of
+from support.scripts import load_script
 from support.virtual_lab import play
-
-from tetractl.emulate.script import load_script
 
 
 @pytest.mark.parametrize("name", RUNS)

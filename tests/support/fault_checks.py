@@ -7,8 +7,8 @@ from pathlib import Path
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from support.lab_processes import camera_of
 from support.paths import ROOT
+from support.scripts import load_script
 
-from tetractl.emulate.script import load_script
 from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial

@@ -60,10 +60,8 @@ class Ghost:
             shown = self._show(true)
             bodies = self.lab.emulation.camera.tracked
             for body, pose, now in zip(bodies, true, shown, strict=True):
-                body.shift, body.turned = (
-                    (now.x - pose.x, now.y - pose.y),
-                    now.heading - pose.heading,
-                )
+                body.shift = complex(now.x - pose.x, now.y - pose.y)
+                body.turned = now.heading - pose.heading
             for i in self._shown if self.kind == "frozen" else ():
                 bodies[i].repeats = True
             return expose()

@@ -47,6 +47,29 @@ def test_motion_is_that_of_two_lagging_wheels(left, right, millis):
     assert one.y == pytest.approx(200 + chord * math.sin(0.3 + half), abs=0.2)
 
 
+@given(st.lists(st.integers(1, 400 * MS), min_size=1, max_size=6), st.integers(-127, 127))
+def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, left):
+    watched, alone, now = robot(), robot(), 0
+    for k, gap in enumerate(gaps):  # 250 ms after a command, the watchdog stops the robots
+        for one in (watched, alone):
+            one.hear(frame(k + 1, (left, 60)))
+            one.stuck = (k == 2, False)
+        for step in range(now + MS, now + gap, MS):
+            watched.robots.advance(step)
+            assert watched.standing == (max(map(abs, watched.wheels)) < 1)
+        now += gap
+        for one in (watched, alone):
+            one.robots.advance(now)
+        assert watched.standing == alone.standing
+    for ours, theirs in (
+        (watched.x, alone.x),
+        (watched.y, alone.y),
+        (watched.heading, alone.heading),
+    ):
+        assert ours == pytest.approx(theirs, abs=1e-9)
+    assert watched.wheels == pytest.approx(alone.wheels, abs=1e-9)
+
+
 def test_a_robot_stops_by_its_watchdog():
     one = robot()
     one.hear(frame(1, (40, 40)))

@@ -8,6 +8,7 @@ import ctypes
 import os
 import platform
 import shutil
+import struct
 import subprocess
 import tempfile
 from collections.abc import Callable, Mapping
@@ -183,15 +184,6 @@ class DriverLimits:
     temperature_max_dc: int = 800
 
 
-class _DriverLimits(ctypes.Structure):
-    _fields_ = (
-        ("current_max_ma", ctypes.c_uint16),
-        ("slew_ma_s", ctypes.c_uint32),
-        ("watchdog_ms", ctypes.c_uint16),
-        ("temperature_max_dc", ctypes.c_int16),
-    )
-
-
 class DriverCore(_Core):
     """The firmware core of a current driver, switched on at `now_ms`."""
 
@@ -201,7 +193,7 @@ class DriverCore(_Core):
         self, limits: DriverLimits, now_ms: int = 0, library: Library | None = None
     ) -> None:
         super().__init__(library)
-        self._call("init", ctypes.byref(_DriverLimits(*astuple(limits))), now_ms)
+        self._call("init", struct.pack("@HIHh", *astuple(limits)), now_ms)  # field_limits
 
     def currents_ua(self, now_ms: int) -> tuple[int, int]:
         """Return the present set points of both currents [uA], as watchdog and slew limit allow."""

@@ -22,7 +22,7 @@ from tetractl.core.commands import (
     Verdict,
 )
 from tetractl.core.errors import AbortError
-from tetractl.core.poses import Bools, Floats, Observation, Pose, Poses
+from tetractl.core.poses import Floats, Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.registries import DISTURBANCES, MOTIONS
 from tetractl.core.setup import Setup
@@ -367,10 +367,6 @@ class SimPlant:
         `dead_time` is the only delay."""
         return max(now, answered.sampled_ns + round(self.spec.dead_time * SECOND))
 
-    def _heard(self) -> Bools:
-        """Draw at random which robots receive a command, (N,)."""
-        return self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
-
     def _transmit(self, now: int, seen: Observation | None) -> Command:
         """Send the held action, or the wheel speeds for it in answer to the newest frame."""
         held, host, setup = self._held, self._drive.host, self.setup
@@ -384,7 +380,8 @@ class SimPlant:
             towards = aim(held, headings)
             speed = setup.speed * (not isinstance(held, Turn))
             left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
-        due, heard = self._due_ns(seen, now), self._heard()
+        heard = self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
+        due = self._due_ns(seen, now)
         command = DelayedCommand(now, due, held, heard, None, headings, made)
         reached = tuple(self._motion.dispatch(command).reached.tolist())
         return Command(held, now, reached, left, right)

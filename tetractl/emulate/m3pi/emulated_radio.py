@@ -7,7 +7,6 @@ times, until it is acknowledged. The module answers AT commands that request a p
 
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from tetractl.core.errors import WireError
 from tetractl.emulate.loop import Timeline
@@ -33,18 +32,10 @@ TRIES = 4
 ROBOT_BAUD = 57600
 
 
-@dataclass(frozen=True, slots=True)
-class ModuleSettings:
-    """Settings of the module: its baud rate, hardware (HV) and firmware version (VR)."""
-
-    baud: int = 57600
-    hardware: int = 0x1744  # Series 1
-    firmware: int = 0x10EC  # 802.15.4
-
-
 class EmulatedRadio(SerialDevice):
     """The PC's module on its port, and one module per robot.
 
+    `versions` are the hardware version (HV) and firmware version (VR) of the PC's module.
     `loss` is the probability that a robot does not receive a transmission. `note(event, **facts)`
     records each command when it is read from the port, with `sequence`, `flags` and the `wheels` of
     all robots, and what each robot hears.
@@ -54,21 +45,22 @@ class EmulatedRadio(SerialDevice):
         self,
         timeline: Timeline,
         port: PseudoPort,
-        settings: ModuleSettings,
+        baud: int,
+        versions: tuple[int, int],
         robots: Sequence[EmulatedRobot],
         loss: float,
         seed: int,
         note: Callable[..., None],
     ) -> None:
-        super().__init__(timeline, port, settings.baud)
+        super().__init__(timeline, port, baud)
         self.loss, self.robots, self.note = loss, robots, note
         self._random = random.Random(seed)
         self._decoder, self._witnessed, self._splitter = Decoder(), Decoder(), Splitter()
         self._air_ns = 0  # when the air is free again
         self._parameters = {
-            b"HV": settings.hardware.to_bytes(2, "big"),
-            b"VR": settings.firmware.to_bytes(2, "big"),
-            b"BD": BAUDS.index(settings.baud).to_bytes(4, "big"),
+            b"HV": versions[0].to_bytes(2, "big"),
+            b"VR": versions[1].to_bytes(2, "big"),
+            b"BD": BAUDS.index(baud).to_bytes(4, "big"),
             b"AP": bytes((ESCAPED_FRAMES,)),
         }
 

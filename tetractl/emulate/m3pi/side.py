@@ -10,7 +10,7 @@ from pydantic import Field
 
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Share, fault, settings, switching
 from tetractl.emulate.firmware import RobotCore
-from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio, ModuleSettings
+from tetractl.emulate.m3pi.emulated_radio import EmulatedRadio
 from tetractl.emulate.m3pi.robot import EmulatedBattery, EmulatedRobot, EmulatedRobots
 from tetractl.emulate.port import PluggedDevice
 from tetractl.emulate.sides import Stage
@@ -130,10 +130,12 @@ class EmulatedM3pi(PluggedDevice):
         ]
         self._wheels = _wheels(stage, section, trues, self.robots)
         self.port = stage.wires.port(stage.options.link or Path(section.port))
+        hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
         self.radio = self.wired = EmulatedRadio(
             stage.timeline,
             self.port,
-            _module(section, settings),
+            settings.baud or section.baud,
+            (hardware if settings.hardware is None else settings.hardware, firmware),
             self.robots,
             settings.loss,
             stage.options.seed,
@@ -193,9 +195,3 @@ def _wheels(
     radii = np.array([radius_mm(part, stage.setup) for part in parts])
     lags = np.array([true.lag for true in trues])
     return EmulatedRobots(robots, drivetrains(parts), radii, lags, stage.timeline.now_ns)
-
-
-def _module(section: M3piSection, settings: M3piSettings) -> ModuleSettings:
-    hardware, firmware = SERIES_2 if settings.firmware == "zigbee" else SERIES_1
-    hardware = hardware if settings.hardware is None else settings.hardware
-    return ModuleSettings(settings.baud or section.baud, hardware, firmware)

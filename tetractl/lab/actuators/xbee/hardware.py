@@ -7,7 +7,6 @@ Zigbee are called Zigbee. Only 802.15.4 firmware broadcasts at the rate of wheel
 allows about one broadcast per second, and DigiMesh repeats every broadcast.
 """
 
-from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 from pydantic import Field
@@ -30,51 +29,35 @@ class XbeeSection(Model):
     """Bits per second on the port."""
 
 
-@dataclass(frozen=True, slots=True)
-class Hardware:
-    """A family of modules: `codes` are the HV codes of its hardware, and `protocols` gives the
-    protocol by the first digit of VR; `otherwise` is the protocol for all other digits.
-    """
-
-    name: str
-    codes: tuple[int, ...]
-    otherwise: str
-    protocols: dict[str, str] = field(default_factory=dict)
-
-
-SERIES_1 = Hardware("Series 1", (0x17, 0x18), RIGHT, {"8": "DigiMesh"})
-FAMILIES = (
-    SERIES_1,
-    Hardware("Series 2", (0x19, 0x1A, 0x1E), "Zigbee"),
-    Hardware("S2C", (0x21, 0x22, 0x2D, 0x2E, 0x30), "Zigbee", {"2": RIGHT, "9": "DigiMesh"}),
-    Hardware("S2C P5", (0x53,), "Zigbee", {"C": RIGHT, "B": "DigiMesh"}),
-    Hardware("S2D", (0x32, 0x33, 0x34, 0x35), "Zigbee"),
-    Hardware("XBee 3", (0x41, 0x42, 0x43), "Zigbee", {"2": RIGHT, "3": "DigiMesh"}),
-    Hardware("XBee RR", (0x52, 0x57), "Zigbee", {"2": RIGHT, "3": "DigiMesh"}),
-    Hardware("XBee 3 BLU", (0x5C, 0x5D), "Bluetooth"),
-    Hardware("Wi-Fi", (0x1F, 0x27, 0x28), "Wi-Fi"),
-    Hardware(
-        "cellular",
+SERIES_1 = (0x17, 0x18)
+FAMILIES = (  # HV codes of a family, and its protocol by the first digit of VR; "": by all others
+    (SERIES_1, {"": RIGHT, "8": "DigiMesh"}),
+    ((0x19, 0x1A, 0x1E), {"": "Zigbee"}),  # Series 2
+    ((0x21, 0x22, 0x2D, 0x2E, 0x30), {"": "Zigbee", "2": RIGHT, "9": "DigiMesh"}),  # S2C
+    ((0x53,), {"": "Zigbee", "C": RIGHT, "B": "DigiMesh"}),  # S2C P5
+    ((0x32, 0x33, 0x34, 0x35), {"": "Zigbee"}),  # S2D
+    ((0x41, 0x42, 0x43), {"": "Zigbee", "2": RIGHT, "3": "DigiMesh"}),  # XBee 3
+    ((0x52, 0x57), {"": "Zigbee", "2": RIGHT, "3": "DigiMesh"}),  # XBee RR
+    ((0x5C, 0x5D), {"": "Bluetooth"}),  # XBee 3 BLU
+    ((0x1F, 0x27, 0x28), {"": "Wi-Fi"}),
+    (
         (0x2A, 0x40, 0x44, *range(0x46, 0x4C), 0x4D, 0x4E, 0x54, 0x55, 0x56, 0x58, 0x59),
-        "cellular",
+        {"": "cellular"},
     ),
-    Hardware("900 MHz", (0x1B, 0x1C, 0x23, 0x26, 0x2C, 0x50, 0x5A), "900 MHz"),
-    Hardware("868 MHz", (0x1D, 0x24, 0x45, 0x51, 0x5B), "868 MHz"),
-    Hardware("475 MHz", (0x29,), "475 MHz"),
-    Hardware("XTend, SX and XLR", (0x13, 0x14, 0x2B, 0x2F, 0x31, 0x3E, 0x3F), "long-range"),
-    Hardware("M-Bus", (0x20,), "M-Bus"),
-    Hardware("XStream", (*range(0x01, 0x13), 0x15, 0x16), "XStream"),
+    ((0x1B, 0x1C, 0x23, 0x26, 0x2C, 0x50, 0x5A), {"": "900 MHz"}),
+    ((0x1D, 0x24, 0x45, 0x51, 0x5B), {"": "868 MHz"}),
+    ((0x29,), {"": "475 MHz"}),
+    ((0x13, 0x14, 0x2B, 0x2F, 0x31, 0x3E, 0x3F), {"": "long-range"}),  # XTend, SX and XLR
+    ((0x20,), {"": "M-Bus"}),
+    ((*range(0x01, 0x13), 0x15, 0x16), {"": "XStream"}),
 )
 
 
-def family(hardware: bytes) -> Hardware | None:
-    """Return the hardware family of a module by its HV value, None if it is unknown."""
-    return next((f for f in FAMILIES if hardware and hardware[0] in f.codes), None)
-
-
-def capable(found: Hardware | None) -> bool:
-    """Return whether 802.15.4 firmware exists for a family."""
-    return found is not None and RIGHT in (found.otherwise, *found.protocols.values())
+def protocols(hardware: bytes) -> dict[str, str]:
+    """Return the protocols of a module's family by the first digit of VR, with the key "" for all
+    other digits; nothing if its HV value is unknown.
+    """
+    return next((named for codes, named in FAMILIES if hardware and hardware[0] in codes), {})
 
 
 def protocol(hardware: bytes, version: bytes) -> str | None:
@@ -82,10 +65,10 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
 
     If VR is empty, the protocol is known only for families with a single protocol.
     """
-    found = family(hardware)
-    if found is None or (found.protocols and not version):
+    found = protocols(hardware)
+    if len(found) > 1 and not version:
         return None
-    return found.protocols.get(version.hex().upper()[:1], found.otherwise)
+    return found.get(version.hex().upper()[:1], found.get(""))
 
 
 class AskedModule(Protocol):
@@ -122,7 +105,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
             "this firmware could not broadcast wheel commands fast enough; "
             + (
                 f"load {RIGHT} firmware with XCTU"
-                if capable(family(hardware))
+                if RIGHT in protocols(hardware).values()
                 else f"use a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
             ),
         )
@@ -136,7 +119,7 @@ def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
         raise AbortError(
             f"{radio.port}: the module is not in API mode with escapes", "set its AP to 2 with XCTU"
         )
-    if radio.baud == 115_200 and family(hardware) is SERIES_1:
+    if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
         raise AbortError(
             f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
             "set the module (BD=6) and lab.actuator.baud to 57600",

@@ -1,14 +1,14 @@
 """The recommended controller: model predictive control in which one value decides.
 
-Each control step makes a list of candidates and chooses the one of least value
-(`tetractl.control.value`):
+Each control step compares candidates and chooses the one of least value (`tetractl.control.value`),
+a stop and a rest before plans are searched, with the least value that a plan can have:
 
     stop     within the coming control period, and end the trial there
     rest     stop so, and search a new plan while the robots stand
     plan     the plan under way without its first signal, and plans one signal shorter and longer
     longer   longer plans, while they can be worth more and time allows
     leave    at rest: a way out of a corner, then rest
-    turn     at rest: turn on the spot, then rest
+    turn     at rest: turn on the spot, then search again
 
 What the robots do then is the plan's `State`. docs/reference/controllers/mpc.md draws the states.
 As in Algorithm 2 of the paper, plans of several lengths are searched, each from what is left of the
@@ -76,7 +76,7 @@ class Mpc:
     """The controller of one trial; `key` seeds all its random numbers.
 
     Its state between two steps: the number `k` of the step, the `last` plan, the step `began` in
-    which that plan's first signal was first sent, and the `leg`. `timer()`, the time [ns], is read
+    which robots began to follow plans, and the `leg`. `timer()`, the time [ns], is read
     only while the robots move: a plan for standing robots has no deadline.
     """
 
@@ -115,8 +115,8 @@ class Mpc:
         known = self.estimator.seen(observation, last_command, earlier)
         if (self.estimator.left != self.left).any():
             self._begin(replace(self.leg, moving=self._moving))
-        first_period = (self.section.signal_periods - self._phase) * self.section.period
         while True:
+            first_period = (self.section.signal_periods - self._phase) * self.section.period
             problem = replace(known, targets=self._targets, first_period=first_period)
             problem = self._with_margins(problem, self.estimator.known)
             decision = self._decide(problem, observation)

@@ -9,8 +9,7 @@ The value of a candidate is an error [length unit], the less the better:
              away from the plan under way: `accept` at first. It doubles every PATIENCE_S, because a
              trial that lasts long is disturbed much. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand at the end
-    caution  if the path touches a margin, or if robots that receive nothing might touch something;
-             infinite if a body would touch something before a stop acts
+    caution  if the path touches a margin, or if robots that receive nothing might touch something
 
 `accept` is the spec's `accept_error`, the scale of all of them.
 """

@@ -1,6 +1,7 @@
 """The recommended controller: which candidate is chosen, and the states it leads to."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -236,3 +237,17 @@ def test_spread_lengths_end_with_the_horizon():
     asked = [length for length, *_ in search.asked]
     assert asked[:3] == [30, 39, 40]
     assert max(asked) == 40  # also of those that are searched thoroughly then
+
+
+def test_a_leg_that_begins_within_a_signal_holds_its_first_signal_for_all_its_periods():
+    """Regression: the first signal was planned for what was left of the signal before."""
+    search = Scripted()
+    controller = mpc(spec(signal_periods=2, arrival_tolerance=5), 99, search)
+    legs = np.stack([STARTS[:, :2], TARGETS[:, :2]])
+    controller.setup = replace(controller.setup, way_points=legs[:1])
+    away = STARTS + [[-50.0, 0, 0]]
+    assert step(controller, away).leg == 0
+    plan = step(controller)
+    assert plan.leg == 1
+    way = np.hypot(*(plan.path[1, :, :2] - plan.path[0, :, :2]).T)
+    assert way == pytest.approx(controller.setup.speed * 0.4, rel=0.05)

@@ -1,4 +1,6 @@
-"""The constants of an experiment as arrays."""
+"""The resolved constants of an experiment (`Setup`, which only `Experiment.setup` makes), the
+bounds of its arena, and the length units.
+"""
 
 import math
 from collections.abc import Sequence

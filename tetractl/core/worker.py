@@ -1,22 +1,11 @@
-"""A background thread that makes calls in order, so that a slow disk does not delay callers."""
+"""A background thread that makes calls in order, for the log's writer and slow observers."""
 
 import queue
 import threading
-from collections import deque
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any
 
 from tetractl.core.errors import TetractlError
-
-T = TypeVar("T")
-
-
-def drained(waiting: deque[T]) -> list[T]:
-    """Remove and return a queue's items, oldest first; another thread may add items meanwhile."""
-    found: list[T] = []
-    while waiting:
-        found.append(waiting.popleft())
-    return found
 
 
 def _nothing() -> float | None:

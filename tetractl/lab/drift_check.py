@@ -28,9 +28,9 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
+from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.command_history import CommandHistory
 from tetractl.lab.motion_check import ANOTHER, KINDS, WATCHDOG_NS
-from tetractl.lab.pose_filter import AcceptedFrame
 
 BLOCK_NS = SECOND // 20
 TAPS_NS = (SECOND // 20, 0, 3 * SECOND // 25, SECOND // 4)  # delays, the nominal one first

@@ -19,9 +19,10 @@ from functools import partial
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
+from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.motion_check import REPEATS, MotionCheck
-from tetractl.lab.pose_filter import AcceptedFrame, MotionLimits, PoseFilter
+from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
 JUMP_HEADING = 0.7  # allowed heading error beyond the turning rate [rad]

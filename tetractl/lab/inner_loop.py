@@ -12,14 +12,14 @@ from contextlib import contextmanager, suppress
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
+from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
-from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.guard import Guard, GuardState, Ruling
-from tetractl.lab.pose_filter import FrameBuffer
 
 IDLE_S = 0.01
 STEER_S = 0.25  # a step that takes longer than this counts as hanging

@@ -1,17 +1,16 @@
-"""Accepts a camera's pose of a robot if the body is upright on the floor and the robot can have
-moved there since its last pose; buffers the frames with the accepted poses.
+"""Why a camera's pose cannot be a robot's: the body is not upright on the floor or, while robots
+may drive, could not come there from its poses of the last second; and how long a robot was unseen.
+The guard decides which poses it accepts.
 
 Lengths are in the spec's length unit, times ns on the run's clock.
 """
 
 import math
-import threading
 from collections import deque
 from dataclasses import dataclass, field
-from itertools import islice
 
 from tetractl.core.clock import SECOND
-from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.poses import Pose
 
 FASTER = 2.0  # multiple of a robot's speed and turning limits above which its pose jumped
 WINDOW_NS = SECOND  # largest age of accepted poses with which a pose is compared
@@ -119,60 +118,3 @@ class PoseFilter:
         if pose.tilt is not None and not pose.tilt <= limits.tilt:
             return f"its body is tilted by {pose.tilt:.2f} rad"
         return ""
-
-
-FRAMES_KEPT = (
-    20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
-)
-
-
-@dataclass(frozen=True, slots=True)
-class AcceptedFrame:
-    """A camera frame, exposed after all earlier frames, and the N robots' poses that the guard has
-    accepted.
-
-    `poses` (N,) are the last accepted poses, None before a robot's first. `fresh` (N,) is whether a
-    pose is from this frame; if not, the robot was not tracked or its pose was refused.
-    """
-
-    frame: CameraFrame
-    poses: tuple[Pose | None, ...]
-    fresh: tuple[bool, ...]
-
-    def pose(self, i: int) -> Pose | None:
-        """Return the pose of robot i accepted from this frame, None if there is none."""
-        return self.poses[i] if self.fresh[i] else None
-
-
-class FrameBuffer:
-    """The last accepted frames, oldest first; the inner loop appends, any thread reads."""
-
-    def __init__(self) -> None:
-        self.newest: AcceptedFrame | None = None
-        self.count = 0  # number of frames appended so far
-        self._frames: deque[AcceptedFrame] = deque(maxlen=FRAMES_KEPT)
-        self._lock = threading.Lock()
-
-    def append(self, frame: AcceptedFrame) -> None:
-        """Append the next frame, and drop the oldest one if the buffer is full."""
-        with self._lock:
-            self._frames.append(frame)
-            self.newest = frame
-            self.count += 1
-
-    def since(self, count: int) -> tuple[list[AcceptedFrame], int]:
-        """Return the frames after the first `count`, oldest first, and the number of all frames so
-        far: the `count` for the next call. Frames dropped from the buffer are left out.
-        """
-        with self._lock:
-            return list(islice(reversed(self._frames), self.count - count))[::-1], self.count
-
-    def last(self, span_ns: int) -> list[AcceptedFrame]:
-        """Return the frames exposed at most `span_ns` before the newest, oldest first."""
-        with self._lock:
-            found: list[AcceptedFrame] = []
-            for frame in reversed(self._frames):
-                if self._frames[-1].frame.sampled_ns - frame.frame.sampled_ns > span_ns:
-                    break
-                found.append(frame)
-        return found[::-1]

@@ -9,8 +9,8 @@ from tetractl.core.commands import EMULATED, RobotStatus
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.protocols import LabSupervision
+from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.cameras.pictures.looks import rate_hz
-from tetractl.lab.pose_filter import AcceptedFrame
 from tetractl.lab.rest_check import moving_robots
 from tetractl.lab.rig import Rig
 

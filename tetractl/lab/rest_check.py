@@ -5,7 +5,7 @@ import math
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Pose
 from tetractl.experiment.lab_section import STANDSTILL_MM_S, UNTRACKED_STOP_S
-from tetractl.lab.pose_filter import AcceptedFrame
+from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.rig import Rig
 
 STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots stand still [s]

@@ -33,10 +33,10 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.lab.device_abilities import FilmsCells, TracksCells
 from tetractl.lab.find_cells import free_cells, turn_field
 from tetractl.lab.guard import GuardState
+from tetractl.lab.identity_watch import IdentityWatch
 from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
-from tetractl.lab.swap_detection import IdentityWatch
 from tetractl.model.path_check import PathCheck
 
 KEPT = 100_000

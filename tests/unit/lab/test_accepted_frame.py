@@ -4,7 +4,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.pose_filter import FRAMES_KEPT, AcceptedFrame, FrameBuffer
+from tetractl.lab.accepted_frame import FRAMES_KEPT, AcceptedFrame, FrameBuffer
 
 
 def frame(number):

@@ -12,7 +12,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note, Steer
 from tetractl.core.errors import AbortError
 from tetractl.experiment.lab_section import LabLimits
-from tetractl.lab.swap_detection import IdentityWatch
+from tetractl.lab.identity_watch import IdentityWatch
 
 
 def seen(seconds, *sure):

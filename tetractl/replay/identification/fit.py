@@ -16,7 +16,8 @@ bias, dead time, ln of the measurement noise, and the random walks.
 
 The residuals of a model that fits are white. Where they are not, by the test of Ljung and Box ("On
 a measure of lack of fit in time series models", Biometrika 65, 1978), intervals of a, speed and
-bias are widened by the ratio of the residuals' long-run deviation to their own.
+bias are widened by the ratio of the residuals' long-run deviation to their own, and that of the
+dead time by the greatest such ratio.
 """
 
 from dataclasses import dataclass

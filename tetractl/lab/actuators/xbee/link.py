@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.core.worker import drained
+from tetractl.core.drained import drained
 from tetractl.lab.actuators.xbee import frames, hardware
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.serial_port import Ports, SerialPort

@@ -15,10 +15,10 @@ from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import EMULATED_NAME, Health
+from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis
 from tetractl.lab.cameras.optitrack.natnet_messages import (

@@ -12,9 +12,9 @@ import cv2
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
+from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
-from tetractl.core.worker import drained
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_section import PictureSection

@@ -1,0 +1,46 @@
+"""Notes when it becomes unknown which cell is which of the robots, and which of them must therefore
+count as lost. The lab's plant counts them so, and its rule of lost robots decides what follows.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from tetractl.core.cell_film import CellFilm
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Note
+
+SURE = 0.9
+"""Least probability of a robot's identity; below it the robot counts as unknown."""
+
+
+class IdentityWatch:
+    """Watches whether it is known which cell is which of the robots `names`.
+
+    If the identity of a robot has been unknown for `patience_s` [s], `unknown` maps the robot's
+    index to the reason why it counts as lost.
+    """
+
+    def __init__(self, names: Sequence[str], patience_s: float) -> None:
+        self._names, self._patience_ns = names, round(patience_s * SECOND)
+        self._since_ns: dict[int, int] = {}  # time when each unknown robot became unknown
+        self.unknown: dict[int, str] = {}
+
+    def see(self, film: CellFilm) -> Iterator[Note]:
+        """Take the probabilities of a picture; yield a note for each robot whose identity becomes
+        known or unknown.
+        """
+        now = film.sampled_ns
+        for i, (name, probability) in enumerate(zip(self._names, film.sure.tolist(), strict=True)):
+            if probability < SURE and i not in self._since_ns:
+                self._since_ns[i] = now
+                text = f"{name} has met another cell: the probability of its identity is"
+                yield Note(now, "warning", f"{text} {probability:.2f}")
+            elif probability >= SURE and self._since_ns.pop(i, None) is not None:
+                yield Note(now, "info", f"{name} is known again, probability {probability:.2f}")
+            elif i not in self.unknown and now - self._since_ns.get(i, now) > self._patience_ns:
+                seconds = self._patience_ns / SECOND
+                self.unknown[i] = f"for {seconds:g} s it has not been known which cell is {name}"
+
+    def forget(self, i: int) -> None:
+        """Forget the identity of robot i, which is another cell from now on."""
+        self._since_ns.pop(i, None)
+        self.unknown.pop(i, None)

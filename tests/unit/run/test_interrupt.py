@@ -57,7 +57,7 @@ def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():
     cleaned = False
     with pytest.raises(KeyboardInterrupt), interrupted_once():
         try:
-            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(signal.SIGTERM)  # SIGHUP may be ignored, as by nohup
         finally:
             signal.raise_signal(signal.SIGINT)
             cleaned = True

@@ -18,6 +18,7 @@ OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions 
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
 TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
 TURN_S = 1.5  # time of turning after which robots must have a way out [s]
+PARTS = 4  # number of moments of a signal at which the clearance is computed
 FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
 
 
@@ -67,8 +68,10 @@ def _roomiest(
     for an unsafe path; and that clearance plus FINAL_ROOM times the clearance at the path's end."""
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
     signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))
-    path = predict(problem, signals)
-    room = margins.room(path[..., 0], path[..., 1], apart)  # (OUT_SIGNALS + 1, B)
+    part = problem.period / PARTS  # a robot that turns comes nearest within a signal
+    finer = replace(problem, period=part, first_period=part)
+    path = predict(finer, np.repeat(signals, PARTS, axis=1))
+    room = margins.room(path[..., 0], path[..., 1], apart)  # (PARTS OUT_SIGNALS + 1, B)
     least = room.min(axis=0)
     total = least + FINAL_ROOM * room[-1]
     best = int(np.argmax(total))

@@ -44,6 +44,18 @@ def test_there_is_none_where_every_arc_leads_out():
     assert way_out(problem, margins, 95.0) is None
 
 
+@pytest.mark.parametrize("heading", np.linspace(-0.6, 0.6, 7))
+def test_a_robot_that_touches_a_wall_goes_no_deeper_within_a_signal(heading):
+    """Regression: from 0.1 mm within the lower edge, 1.8 mm at 0.07 s of a signal of 0.2 s."""
+    y = SETUP.arena.bottom - 0.1
+    problem, margins = standing([[900.0, y, heading], [1200, 1400, 0], [1600, 1900, 0]])
+    out, _ = away(problem, margins, 95.0)
+    if out is not None:
+        fine = replace(problem, period=problem.period / 20, first_period=problem.period / 20)
+        path = predict(fine, np.repeat(out, 20))
+        assert margins.room(path[..., 0], path[..., 1], 95.0).min() > -0.3
+
+
 def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
     problem, margins = standing(facing_the_wall(0.1 * CIRCLE))
     facing = turn_away(problem, margins, 95.0)

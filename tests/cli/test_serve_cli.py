@@ -16,6 +16,7 @@ from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
 
 from tetractl.log.format.channels import CHANNELS, FRAMES, SCENE, TRANSFORMS
+from tetractl.log.read.reader import read_result
 from tetractl.log.read.salvage import scan
 
 WITHOUT = "import sys; sys.modules['websockets'] = None; from tetractl.cli import main; main()"
@@ -149,8 +150,8 @@ def test_a_run_is_served_while_it_runs_and_its_log_stays_the_same(tmp_path):
         assert served.process.wait(PATIENCE_S) == 0
     subprocess.run([TETRACTL, *run, "alone"], cwd=tmp_path, capture_output=True, check=True)
     for name in ("trial-000.mcap", "trial-001.mcap"):
-        logs = [scan(tmp_path / folder / name) for folder in ("served", "alone")]
-        assert logs[0].digest == logs[1].digest
+        served, alone = (read_result(tmp_path / one / name) for one in ("served", "alone"))
+        assert served.digest == alone.digest
 
 
 @pytest.mark.parametrize(

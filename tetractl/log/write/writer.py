@@ -162,7 +162,7 @@ class LogWriter:
     @property
     def warnings(self) -> int:
         """The number of operator warnings and errors so far."""
-        return self._encoder.warnings
+        return self._encoder.warnings if self._worker else 0
 
     @property
     def failure(self) -> Exception | None:
@@ -185,32 +185,32 @@ class LogWriter:
             idle=self._sink.flush_if_due,
             batch_s=0.0 if self._real_time else BATCH_S,
         )
-        self._put(self._encoder.on_start, start)
-        self._put(self._sink.sync)
+        self._put(Encoder.on_start, start)
+        self._worker.put(self._sink.sync)
         self._worker.drain()  # no robot moves before the start of the log is on the disk
 
     def on_samples(self, samples: list[Sample]) -> None:
         """Queue camera frames."""
-        self._put(self._encoder.on_samples, samples)
+        self._put(Encoder.on_samples, samples)
 
     def on_command(self, command: Command) -> None:
         """Queue a command sent outside the control steps."""
-        self._put(self._encoder.on_command, command)
+        self._put(Encoder.on_command, command)
 
     def on_note(self, note: Note) -> None:
         """Queue an operator message."""
-        self._put(self._encoder.on_note, note)
+        self._put(Encoder.on_note, note)
 
     def on_step(self, step: Step) -> None:
         """Queue a control step."""
-        self._put(self._encoder.on_step, step)
+        self._put(Encoder.on_step, step)
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, wait until the disk has them, and rename the log."""
-        self._put(self._encoder.on_stop, stop, result)
-        self._put(self._sink.seal, self._start_ns + stop.sent_ns)
-        self._close(complete=True)
         if self._worker:
+            self._put(Encoder.on_stop, stop, result)
+            self._worker.put(self._sink.seal, self._start_ns + stop.sent_ns)
+            self._close(complete=True)
             self._worker.check()
 
     def close(self) -> None:
@@ -229,8 +229,9 @@ class LogWriter:
         self.close()
 
     def _put(self, call: Callable[..., None], *records: object) -> None:
+        """Queue a call of the encoder's, unless the file could not be created."""
         if self._worker:
-            self._worker.put(call, *records)
+            self._worker.put(call, self._encoder, *records)
 
     def _close(self, complete: bool) -> None:
         """Process the calls in the queue, finish the file and end the thread."""

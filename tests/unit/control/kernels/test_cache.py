@@ -38,6 +38,7 @@ import numpy as np
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.kernels.filter import follow, place
 from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
 from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 

@@ -82,10 +82,15 @@ def test_a_log_is_never_overwritten(tmp_path, left):
 )
 def test_a_folder_that_cannot_be_written_to_is_one_line(tmp_path, folder, why):
     (tmp_path / "a-file").write_text("")
+    made, writer = trial(), LogWriter(tmp_path / folder / "trial.mcap")
     with pytest.raises(LogError, match=why) as caught:
-        LogWriter(tmp_path / folder / "trial.mcap").on_start(trial().start)
+        writer.on_start(made.start)
     assert "\n" not in str(caught.value)
     assert caught.value.hint is None
+    made.give_rounds(writer)  # what comes while the trial is ended is dropped
+    writer.on_stop(made.stop, made.result)
+    writer.close()
+    assert writer.warnings == 0
 
 
 def test_a_folder_removed_during_the_trial_is_one_line(tmp_path):

@@ -17,6 +17,7 @@ STATED_ONCE = {
 ONLY_THE_LAB_KNOWS = {
     (channels.RUN, None),  # the facts of its devices
     (channels.COMMANDS, None),  # those between two control steps
+    (channels.LOG, "message"),  # of a note while the trial runs
     (channels.RESULT, "clearance"),  # to a millionth: from other frames than are logged
     (channels.RESULT, "edge"),
     (channels.RESULT, "apart"),

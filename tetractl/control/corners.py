@@ -71,7 +71,8 @@ def _roomiest(
     part = problem.period / PARTS  # a robot that turns comes nearest within a signal
     finer = replace(problem, period=part, first_period=part)
     path = predict(finer, np.repeat(signals, PARTS, axis=1))
-    room = margins.room(path[..., 0], path[..., 1], apart)  # (PARTS OUT_SIGNALS + 1, B)
+    # moment by moment, whose arrays stay in the processor's cache: (PARTS OUT_SIGNALS + 1, B)
+    room = np.array([margins.room(at[..., 0], at[..., 1], apart) for at in path])
     least = room.min(axis=0)
     total = least + FINAL_ROOM * room[-1]
     best = int(np.argmax(total))

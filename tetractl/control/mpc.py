@@ -226,8 +226,7 @@ class Mpc:
             if self.stands and worth > rest:
                 break
             plan = self._planned(searcher, search)
-            touches = self.stands and plan.obstacle_cost > 0
-            if not (touches and self._enters(problem, observation, plan.signals)):
+            if not (self.stands and self._enters(problem, observation, plan.signals)):
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
 
@@ -298,7 +297,7 @@ class Mpc:
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
         plan = self._planned(searcher, self._search_afresh(searcher, value))
         touches = self.stands and plan.obstacle_cost > 0
-        enters = touches and self._enters(problem, observation, plan.signals)
+        enters = self.stands and self._enters(problem, observation, plan.signals)
         if enters or (touches and self._cornered(problem)):
             out, facing = away(problem, self.margins, self.section.collision.separation)
             if out is not None:

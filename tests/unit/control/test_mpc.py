@@ -205,6 +205,15 @@ def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     assert step(controller, poses).state is State.RESTING
 
 
+def test_robots_stop_before_the_arc_of_a_signal_touches_a_wall_its_ends_do_not():
+    """Regression: a body went 0.6 mm over the edge by a plan whose obstacle cost was 0."""
+    collision = {"radius": 47, "margin": 0, "adaptive": False, "silence": 0}
+    controller, _ = driving({5: 0.0}, collision={"stop_before_collision": True} | collision)
+    poses = STARTS.copy()
+    poses[0] = [800, controller.setup.arena.bottom + 47.1, -0.06]
+    assert step(controller, poses).state is State.RESTING
+
+
 def test_robots_that_cannot_stand_drive_on():
     controller, poses = beside_a_wall(30, stop=False)
     assert step(controller, poses).state is State.DRIVING

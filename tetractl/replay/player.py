@@ -120,75 +120,6 @@ SEEK_NS = SECOND
 RATE_MIN, RATE_MAX = 1 / 16, 64.0
 
 
-class PlayerClock:
-    """A clock of a trial's time [ns], `rate` times as fast as the wall clock; it can be paused and
-    set.
-
-    now = anchor + rate * (wall - wall at the anchor). A change of rate, a pause and a jump each set
-    a new anchor, so that the time is continuous except for jumps.
-    """
-
-    def __init__(
-        self, wall: Clock, *, at_ns: int = 0, rate: float = 1.0, paused: bool = False
-    ) -> None:
-        self._wall = wall
-        self._rate = _positive(rate)
-        self._paused = paused
-        self._anchor = at_ns
-        self._anchor_wall = wall.now()
-
-    @property
-    def rate(self) -> float:
-        """Seconds of the trial per second of wall time."""
-        return self._rate
-
-    @property
-    def paused(self) -> bool:
-        """Whether the clock is paused."""
-        return self._paused
-
-    def now(self) -> int:
-        """Time of the trial [ns]."""
-        if self._paused:
-            return self._anchor
-        return self._anchor + round(self._rate * (self._wall.now() - self._anchor_wall))
-
-    def sleep_until(self, time_ns: int) -> bool:
-        """Wait until a time of the trial [ns]; a paused clock does not wait. Return whether the
-        time is reached.
-        """
-        if not self._paused:
-            wall_ns = math.ceil((time_ns - self._anchor) / self._rate)
-            self._wall.sleep_until(self._anchor_wall + wall_ns)
-        return self.now() >= time_ns
-
-    def set_rate(self, rate: float) -> None:
-        """Change the rate; it must be above 0."""
-        rate = _positive(rate)
-        self.jump(self.now())
-        self._rate = rate
-
-    def pause(self) -> None:
-        """Stop the clock."""
-        self.jump(self.now())
-        self._paused = True
-
-    def resume(self) -> None:
-        """Start a paused clock."""
-        self.jump(self.now())
-        self._paused = False
-
-    def jump(self, time_ns: int) -> None:
-        """Set the time; a paused clock stays paused."""
-        self._anchor, self._anchor_wall = time_ns, self._wall.now()
-
-
-def _positive(rate: float) -> float:
-    if not 0 < rate < float("inf"):
-        raise ValueError(f"rate must be positive and finite, not {rate}")
-    return rate
-
-
 class Playback(StrEnum):
     """The state of a player."""
 
@@ -199,7 +130,8 @@ class Playback(StrEnum):
 
 
 class Player:
-    """Plays a span [ns] of a recording, on a `PlayerClock`; keys change its state.
+    """Plays a span [ns] of a recording, `rate` times as fast as the wall clock; keys change its
+    state.
 
     Call `update` before reading `now`, and `press` with the name of each key: "space" pauses and
     resumes, and at the end plays again from the start; "left" and "right" seek 1 s back and
@@ -224,35 +156,33 @@ class Player:
         self._loop = loop
         self._quit = False
         self.jumps = 0  # number of jumps in time so far
-        self._clock = PlayerClock(wall, at_ns=self.start_ns, rate=rate, paused=paused)
+        self.rate = rate  # seconds of the trial per second
+        self._wall, self._paused = wall, paused
+        # the trial's time at a time of the wall, at the last change of rate, pause or jump
+        self._anchor, self._anchor_wall = self.start_ns, wall.now()
 
     @property
     def now(self) -> int:
         """Time of the trial [ns], within the span played."""
-        return min(self._clock.now(), self.until_ns)
-
-    @property
-    def rate(self) -> float:
-        """Seconds of the trial per second."""
-        return self._clock.rate
+        passed = 0 if self._paused else round(self.rate * (self._wall.now() - self._anchor_wall))
+        return min(self._anchor + passed, self.until_ns)
 
     @property
     def state(self) -> Playback:
         """The state of the player."""
         if self._quit:
             return Playback.QUIT
-        if not self._clock.paused:
+        if not self._paused:
             return Playback.PLAYING
-        return Playback.ENDED if self._clock.now() >= self.until_ns else Playback.PAUSED
+        return Playback.ENDED if self.now == self.until_ns else Playback.PAUSED
 
     def update(self) -> None:
         """If the end of the span is reached, pause or, with `loop`, begin again."""
-        if self._clock.now() >= self.until_ns and not self._clock.paused:
+        if self.now == self.until_ns and not self._paused:
             if self._loop:
                 self._seek(self.start_ns)
             else:
-                self._clock.jump(self.until_ns)
-                self._clock.pause()
+                self._pause()
 
     def command(self, *, playing: bool, rate: float, at_ns: int | None) -> None:
         """Play, or pause if not `playing`, from the trial's time `at_ns` [ns], None for the present
@@ -262,8 +192,8 @@ class Player:
         if at_ns is not None:
             self._seek(at_ns)
         if not math.isnan(rate):
-            self._clock.set_rate(min(max(rate, RATE_MIN), RATE_MAX))
-        if playing is self._clock.paused:
+            self._set_rate(min(max(rate, RATE_MIN), RATE_MAX))
+        if playing is self._paused:
             self._toggle()
 
     def press(self, key: str) -> None:
@@ -288,27 +218,35 @@ class Player:
             case "E":
                 self._pause_at(self._before(self._events, self.now))
             case "+":
-                self._clock.set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
+                self._set_rate(min(2 * self.rate, max(RATE_MAX, self.rate)))
             case "-":
-                self._clock.set_rate(max(self.rate / 2, min(RATE_MIN, self.rate)))
+                self._set_rate(max(self.rate / 2, min(RATE_MIN, self.rate)))
             case "q":
                 self._quit = True
 
     def _toggle(self) -> None:
         if self.state is Playback.ENDED:
             self._seek(self.start_ns)
-        if self._clock.paused:
-            self._clock.resume()
-        else:
-            self._clock.pause()
+        self._pause(not self._paused)
+
+    def _pause(self, paused: bool = True) -> None:
+        self._anchor_at(self.now)
+        self._paused = paused
+
+    def _set_rate(self, rate: float) -> None:
+        self._anchor_at(self.now)
+        self.rate = rate
 
     def _seek(self, time_ns: int) -> None:
         self.jumps += 1
-        self._clock.jump(min(max(time_ns, self.start_ns), self.until_ns))
+        self._anchor_at(min(max(time_ns, self.start_ns), self.until_ns))
 
     def _pause_at(self, time_ns: int) -> None:
-        self._clock.pause()
+        self._pause()
         self._seek(time_ns)
+
+    def _anchor_at(self, time_ns: int) -> None:
+        self._anchor, self._anchor_wall = time_ns, self._wall.now()
 
     def _after(self, times: Integers, otherwise: int) -> int:
         """Return the first of the increasing `times` [ns] that lies after now, or `otherwise`."""

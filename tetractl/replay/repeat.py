@@ -25,7 +25,7 @@ from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.log.write.writer import Encoder
+from tetractl.log.write.encoder import Encoder
 from tetractl.replay.comparison import Comparison
 from tetractl.replay.difference import first_difference
 from tetractl.run.interrupt import Interrupt

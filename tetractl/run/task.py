@@ -27,7 +27,8 @@ from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.provenance import host, processor, trial_code
-from tetractl.log.write.writer import Encoder, LogWriter
+from tetractl.log.write.encoder import Encoder
+from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 

@@ -13,7 +13,7 @@ import socket
 import threading
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from time import monotonic
@@ -28,11 +28,11 @@ from websockets.sync.connection import Connection
 from websockets.typing import Subprotocol
 
 from tetractl.core.clock import SECOND, Clock
-from tetractl.core.commands import Command, Note, Sample
-from tetractl.core.trial import Result, Start, Step
+from tetractl.core.commands import Sample
+from tetractl.core.trial import Start
 from tetractl.log.format.channels import CHANNELS, LOG, Entry
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.write.messages import Messages
+from tetractl.log.write.encoder import Encoder
 from tetractl.replay.player import Playback, Player
 from tetractl.serve import foxglove_protocol
 from tetractl.serve.foxglove_protocol import PlaybackState, Request
@@ -76,11 +76,17 @@ class Viewers:
         with self._lock:
             return any(client.subscriptions for client in self._clients)
 
-    def publish(self, entries: Iterable[Entry]) -> None:
+    def messages(self, entries: Iterable[Entry]) -> None:
         """Send messages, each preceded by its log time; never waits."""
         with self._lock:
             for entry in entries:
                 self._publish(entry)
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Do nothing: viewers have the spec's facts from the scene."""
+
+    def flush(self) -> None:
+        """Do nothing: messages are sent at once."""
 
     def jump(self, time_ns: int, entries: Iterable[Entry]) -> None:
         """Jump to another time [Unix ns]; `entries` are the newest message of each topic at that
@@ -277,7 +283,7 @@ class ServedReplay:
             newest = {entry.topic: entry for entry in self._entries[:passed]}
             self.viewers.jump(now_ns, newest.values())
         else:
-            self.viewers.publish(self._entries[self._sent : passed])
+            self.viewers.messages(self._entries[self._sent : passed])
         self._sent = passed
         state = player.state, player.rate
         if (jumped or state != self._announced) and player.state is not Playback.QUIT:
@@ -297,7 +303,7 @@ class ServedReplay:
         return PlaybackState(playback, time_ns, request.rate, request.seek_ns is not None)
 
 
-class ServedRun:
+class ServedRun(Encoder):
     """Sends the messages that a log would contain, for one trial after another: an `Observer` of
     each trial.
 
@@ -305,34 +311,19 @@ class ServedRun:
     """
 
     def __init__(self, viewers: Viewers, wall: Clock) -> None:
+        super().__init__(viewers, real_time=True)
         self._viewers, self._wall = viewers, wall
 
     def on_start(self, start: Start) -> None:
         """Send the scene of a new trial, and set the viewers' time to its start."""
-        self._messages = Messages(start)
         self._paced = start.plant.virtual
         self._began_ns = self._wall.now()
-        self._viewers.jump(start.start_unix_ns, self._messages.start())
+        self._viewers.jump(start.start_unix_ns, ())
+        super().on_start(start)
 
-    def on_samples(self, samples: list[Sample]) -> None:
+    def on_samples(self, samples: Sequence[Sample]) -> None:
         """Send camera frames; without a viewer, keep only the newest for later viewers."""
         for sample in samples if self._viewers.watched else samples[-1:]:
             if self._paced:
                 self._wall.sleep_until(self._began_ns + sample.observation.received_ns)
-            self._viewers.publish(self._messages.samples([sample]))
-
-    def on_step(self, step: Step) -> None:
-        """Send a control step."""
-        self._viewers.publish(self._messages.step(step))
-
-    def on_command(self, command: Command) -> None:
-        """Send a command."""
-        self._viewers.publish([self._messages.command(command)])
-
-    def on_note(self, note: Note) -> None:
-        """Send an operator message."""
-        self._viewers.publish([self._messages.note(note)])
-
-    def on_stop(self, stop: Command, result: Result) -> None:
-        """Send the message about how the trial ended."""
-        self._viewers.publish(self._messages.stop(stop, result))
+            super().on_samples([sample])

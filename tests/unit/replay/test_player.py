@@ -8,7 +8,7 @@ from support.trials import cut_short, three_robots
 
 from tetractl.core.commands import Note
 from tetractl.core.errors import UsageError
-from tetractl.replay.player import Playback, Player, PlayerClock, Recording, span
+from tetractl.replay.player import Playback, Player, Recording, span
 
 SECOND = 1_000_000_000
 PERIOD = SECOND // 5
@@ -50,29 +50,12 @@ def after(p, wall, seconds):
     return p.now / SECOND
 
 
-def test_clock_runs_at_its_rate_and_a_change_of_rate_never_leaps(wall):
-    clock = PlayerClock(wall, at_ns=SECOND, rate=2)
-    wall.pass_by(3)
-    assert clock.now() == 7 * SECOND
-    clock.set_rate(0.5)
-    assert clock.now() == 7 * SECOND
-    wall.pass_by(1)
-    assert clock.now() == 7.5 * SECOND
-
-
-@given(st.floats(0.01, 100), st.integers(0, 10**12))
-def test_sleep_until_comes_exactly_when_due(rate, due):
-    wall = FakeWall()
-    clock = PlayerClock(wall, rate=rate)
-    assert clock.sleep_until(due)
-    assert due <= clock.now() <= due + rate + 1
-
-
-def test_a_paused_clock_does_not_wait_for_what_never_comes(wall):
-    clock = PlayerClock(wall, paused=True)
-    before = wall.now()
-    assert not clock.sleep_until(SECOND)
-    assert wall.now() == before
+def test_a_change_of_rate_never_leaps(recording, wall):
+    p = player(recording, wall, start=1, rate=2)
+    assert after(p, wall, 1) == 3
+    p.press("-")
+    assert p.now == 3 * SECOND
+    assert after(p, wall, 1) == 4
 
 
 def test_dot_goes_through_the_control_steps_one_by_one_and_pauses(recording, wall):

@@ -11,12 +11,12 @@ from support.viewer import PATIENCE_S, PROTOCOL, Viewer, deaf
 from websockets.exceptions import ConnectionClosedError, InvalidStatus
 from websockets.sync.client import connect
 
+from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import UsageError
 from tetractl.log.format.channels import CHANNELS, FRAMES, LOG, SCENE, TRANSFORMS, Entry
 from tetractl.log.read.salvage import scan
-from tetractl.log.write.messages import Messages
 from tetractl.replay.player import Playback
-from tetractl.serve.live import BACKLOG, PlaybackState, Request, Viewers
+from tetractl.serve.live import BACKLOG, PlaybackState, Request, ServedRun, Viewers
 from tetractl.serve.server import LoopbackServer
 
 START_NS = 1_600_000_000_000_000_000
@@ -58,10 +58,9 @@ def test_topics_and_schemas_are_those_of_a_log(server, tmp_path):
 
 def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
     trial = made.trial(1, steps=2)
-    messages = Messages(trial.start)
-    server.viewers.jump(trial.start.start_unix_ns, messages.start())
-    for sample in trial.samples:
-        server.viewers.publish(messages.samples([sample]))
+    observer = ServedRun(server.viewers, MonotonicClock())
+    observer.on_start(trial.start)
+    observer.on_samples(trial.samples)
     with Viewer(server.live_url) as viewer:
         viewer.subscribe(SCENE, TRANSFORMS)
         _, scene = viewer.message(SCENE)
@@ -75,7 +74,7 @@ def test_who_comes_late_gets_the_scene_the_poses_and_the_time(server):
 
 
 def test_lines_of_text_are_not_sent_twice(server):
-    server.viewers.publish([Entry(LOG, START_NS, START_NS, b""), frame(1)])
+    server.viewers.messages([Entry(LOG, START_NS, START_NS, b""), frame(1)])
     with Viewer(server.live_url) as viewer:
         viewer.subscribe(LOG, FRAMES)
         viewer.until(lambda got: got[0] == FRAMES)
@@ -85,11 +84,11 @@ def test_lines_of_text_are_not_sent_twice(server):
 def test_the_time_never_runs_back_but_by_a_jump(server):
     with Viewer(server.live_url) as viewer:
         assert not server.viewers.watched
-        server.viewers.publish([frame(1)])
+        server.viewers.messages([frame(1)])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         assert server.viewers.watched
         viewer.all.clear()
-        server.viewers.publish([frame(3), frame(2), frame(4)])
+        server.viewers.messages([frame(3), frame(2), frame(4)])
         server.viewers.jump(
             START_NS, [frame(0)]
         )  # not to 1, whose time may have been still to come
@@ -107,11 +106,11 @@ def test_a_client_that_does_not_read_delays_nobody_not_even_the_end():
     server = Live()
     with deaf(server.live_url, len(CHANNELS)) as stuck:
         with Viewer(server.live_url) as viewer:
-            server.viewers.publish([frame(0)])
+            server.viewers.messages([frame(0)])
             viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
             viewer.all.clear()
             for first in range(0, 3 * BACKLOG, 512):  # far more than its queue and sockets hold
-                server.viewers.publish([frame(first + i, 8000) for i in range(512)])
+                server.viewers.messages([frame(first + i, 8000) for i in range(512)])
                 viewer.until(lambda got, last=first + 511: got[:2] == (FRAMES, START_NS + last))
             got = [one[1] - START_NS for one in viewer.all if one[0] == FRAMES]
             assert got == list(range(3 * BACKLOG))
@@ -204,7 +203,7 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
         with Viewer(server.live_url) as viewer, pytest.raises(ConnectionClosedError):
             viewer.socket.send(said)
             viewer.until(lambda got: False)
-        server.viewers.publish([frame(1)])
+        server.viewers.messages([frame(1)])
         other.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
     assert capfd.readouterr().err == ""
 
@@ -212,21 +211,21 @@ def test_what_a_client_says_wrong_ends_its_connection_and_no_other(said, capfd):
 def test_what_was_published_last_is_sent_before_the_end():
     server = Live()
     with Viewer(server.live_url) as viewer:
-        server.viewers.publish([frame(0)])
+        server.viewers.messages([frame(0)])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
-        server.viewers.publish([frame(number) for number in range(1, 500)])
+        server.viewers.messages([frame(number) for number in range(1, 500)])
         server.close()
         viewer.until(lambda got: got[:2] == (FRAMES, START_NS + 499))
 
 
 def test_no_more_is_sent_of_what_a_viewer_gave_up(server):
     with Viewer(server.live_url) as viewer:
-        server.viewers.publish([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
+        server.viewers.messages([frame(1), Entry(TRANSFORMS, START_NS + 1, START_NS, b"")])
         viewer.subscribe(FRAMES).until(lambda got: got[0] == FRAMES)
         ended = [100 + viewer.channels[FRAMES]["id"]]
         viewer.socket.send(json.dumps({"op": "unsubscribe", "subscriptionIds": ended}))
         viewer.subscribe(TRANSFORMS).until(lambda got: got[0] == TRANSFORMS)
-        server.viewers.publish([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
+        server.viewers.messages([frame(2), Entry(TRANSFORMS, START_NS + 3, START_NS, b"")])
         viewer.until(lambda got: got[:2] == (TRANSFORMS, START_NS + 3))
         assert [got[1] - START_NS for got in viewer.all if got[0] == FRAMES] == [1]
 

@@ -13,7 +13,7 @@ from tetractl.core.clock import Clock
 from tetractl.core.colors import robot_colors
 from tetractl.core.plan import State
 from tetractl.log.read.trial_log import Event
-from tetractl.replay.player import Playback, Player, PlayerClock, Recording
+from tetractl.replay.player import Playback, Player, Recording
 from tetractl.view.terminal.dashboard import Dashboard, Footer, fitted, printed
 from tetractl.view.terminal.glyphs import Glyphs, glyphs_for
 from tetractl.view.terminal.keys import Keyboard
@@ -137,17 +137,16 @@ def print_lines(
     """
     start_ns, until_ns = span
     pace = rate or (1.0 if loop else None)
-    clock = PlayerClock(wall, at_ns=start_ns, rate=pace or 1.0)
     lines = _lines(recording, start_ns, until_ns)
     while True:
+        began = wall.now()
         for time_ns, line in lines:
             if pace is not None:
-                clock.sleep_until(time_ns)
+                wall.sleep_until(began + math.ceil((time_ns - start_ns) / pace))
             print(line, flush=pace is not None)
         if not loop or not lines:
             return
-        clock.sleep_until(until_ns)
-        clock.jump(start_ns)
+        wall.sleep_until(began + math.ceil((until_ns - start_ns) / (pace or 1.0)))
 
 
 def _lines(recording: Recording, start_ns: int, until_ns: int) -> list[tuple[int, str]]:

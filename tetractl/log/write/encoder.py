@@ -1,0 +1,216 @@
+"""An observer that encodes the records of one trial as messages with topics and times."""
+
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+import numpy as np
+from google.protobuf.message import Message
+
+from tetractl.core.clock import SECOND
+from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.plan import Outcome
+from tetractl.core.trial import Result, Start, Step
+from tetractl.log import provenance
+from tetractl.log.format import channels, codec, layout
+from tetractl.log.format.channels import Entry
+from tetractl.log.format.codec import Frames
+from tetractl.log.format.crop_images import encode_film
+from tetractl.log.format.run_records import encode_facts, encode_result, encode_run
+from tetractl.log.format.scene import Scene, encode_note
+from tetractl.log.format.tetractl_pb2 import Host, HostEnd
+
+CHUNK_NS = 2 * SECOND
+"""Length of a simulation's chunks [ns of trial time], so that a repeated simulation has the same
+chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
+"""
+LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
+POSES_MAX = 20_000
+"""Largest number of poses in a message, which bounds its size."""
+SHOWN_HZ = 30
+"""Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms.
+"""
+
+
+class RecordSink(Protocol):
+    """Takes the records of a log, in their order."""
+
+    def messages(self, entries: Iterable[Entry]) -> None:
+        """Add messages."""
+        ...
+
+    def attachment(self, name: str, media_type: str, unix_ns: int, data: bytes) -> None:
+        """Add an attachment."""
+        ...
+
+    def flush(self) -> None:
+        """End the chunk of the messages so far."""
+        ...
+
+
+class Encoder:
+    """An observer that adds the records of one trial to a sink; without the host records, which
+    differ from run to run, if not `hosted`.
+
+    A message has two times [Unix ns]: log_time, when the host received or sent it, and
+    publish_time, when its content was sampled. `warnings` counts the operator messages that are
+    warnings or errors, except the message on the end of the trial, which repeats the outcome.
+    """
+
+    def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
+        self._sink, self._real_time, self._hosted = sink, real_time, hosted
+        self._waiting: list[Frames] = []  # frames of a simulation's open chunk
+        self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
+        self._flushed_ns = 0
+        self.warnings = 0
+
+    def on_start(self, start: Start) -> None:
+        """Add what identifies the trial, specs, static scene and the message on the start."""
+        setup, plant = start.setup, start.plant
+        self._start, self._start_ns = start, start.start_unix_ns
+        self._names, self._scene = setup.names, Scene(setup)
+        # which robots were tracked in the last frame
+        self._tracked = np.ones(len(self._names), dtype=np.bool_)
+        self._every, self._most = 1, 1  # frames per transform shown, and per message
+        if plant.simulated:
+            self._every = max(1, round(plant.camera_rate_hz / SHOWN_HZ))
+            self._most = max(1, POSES_MAX // len(self._names))
+        self._add(channels.RUN, encode_run(start), 0)
+        if self._hosted:
+            facts = provenance.host_facts(start.packages)
+            self._add(channels.HOST, Host(facts=encode_facts(facts)), 0)
+            self._attach(channels.ENVIRONMENT, "application/json", provenance.environment())
+        for name, text in (
+            (channels.SPEC, start.spec_text),
+            (channels.RESOLVED_SPEC, start.resolved),
+            *start.attached,
+        ):
+            self._attach(name, "application/yaml", text)
+        self._attach(channels.LAYOUT, layout.MEDIA_TYPE, layout.layout(setup))
+        self._add(channels.SCENE, self._scene.static(self._start_ns), 0)
+        self._say(0, "info", f"trial {start.trial} of {setup.name} starts")
+
+    def on_samples(self, samples: Sequence[Sample]) -> None:
+        """Add camera frames; those of a simulation are collected until their chunk ends."""
+        if samples:
+            frames = Frames.of(samples, len(self._names))
+            self.on_frames(frames)
+            for sample in samples:
+                if sample.film is not None:
+                    seen = sample.observation
+                    made = encode_film(sample.film, seen, self._start_ns)
+                    for topic, message in made.items():
+                        self._add(topic, message, seen.received_ns, seen.sampled_ns)
+            self._end_chunk(int(frames.received_ns[-1]))
+
+    def on_frames(self, frames: Frames) -> None:
+        """Add camera frames without their film."""
+        self._tell_tracking(frames)
+        self._waiting.append(frames)
+        if self._real_time:
+            self.flush_frames()
+
+    def flush_frames(self) -> None:
+        """Add the collected camera frames to the sink: few messages for a simulation, two per frame
+        for a lab.
+
+        A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
+        transforms with the same times, so that a change of one copy can be detected.
+        """
+        if self._waiting:
+            frames, self._waiting = Frames.joined(self._waiting), []
+            for begin in range(0, len(frames.numbers), self._most):
+                self._add_frames(frames.part(slice(begin, begin + self._most)))
+
+    def _add_frames(self, frames: Frames) -> None:
+        """Add the message of one or more camera frames, and their transforms for viewers.
+
+        The transforms have the time of their first frame, so that a viewer that jumps to a time has
+        the transforms before and after it.
+        """
+        shown = frames.part(slice((len(frames.numbers) - 1) % self._every, None, self._every))
+        last, first = (
+            (int(one.received_ns[i]), int(one.sampled_ns[i]))
+            for one, i in ((frames, -1), (shown, 0))
+        )
+        self._add(channels.FRAMES, codec.encode_frames(frames), *last)
+        self._add(channels.TRANSFORMS, self._scene.transforms(shown, self._start_ns), *first)
+
+    def on_command(self, command: Command) -> None:
+        """Add a command sent outside the control steps."""
+        self._add_command(command)
+
+    def _add_command(self, command: Command) -> None:
+        self._add(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
+
+    def on_note(self, note: Note) -> None:
+        """Add an operator message."""
+        self._say(note.t_ns, note.level, note.text)
+
+    def on_step(self, step: Step) -> None:
+        """Add a control step: decision, command, planned path, solve time and estimate."""
+        sampled_ns, sent_ns = step.observation.sampled_ns, step.command.sent_ns
+        plan = self._scene.plan(step.plan.path, self._start_ns + sent_ns)
+        self._add(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
+        self._add_command(step.command)
+        self._add(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
+        self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
+        if step.plan.estimate is not None:
+            estimate = codec.encode_estimate(step.k, step.plan.estimate)
+            self._add(channels.ESTIMATE, estimate, sent_ns, sampled_ns)
+        for name, delivered in zip(self._names, step.command.delivered, strict=True):
+            if not delivered:
+                self._say(sent_ns, "warning", f"{name} did not get the command of step {step.k}")
+        self._end_chunk(sent_ns)
+
+    def on_stop(self, stop: Command, result: Result) -> None:
+        """Add the stop and the end; then, in a chunk of its own, the run again, without which a log
+        whose first chunk is lost could not be read, and the result.
+        """
+        t_ns, warnings = stop.sent_ns, self.warnings
+        self.flush_frames()
+        self._add_command(stop)
+        level = "error" if result.outcome is Outcome.ABORTED else "info"
+        self._say(t_ns, level, result.summary)
+        self._sink.flush()
+        if self._hosted:
+            end = HostEnd(
+                solve_ns=result.solve_ns,
+                deadline_misses=result.deadline_misses,
+                ended=provenance.now(),
+            )
+            self._add(channels.HOST_END, end, t_ns)
+        self._add(channels.RUN, encode_run(self._start), t_ns)
+        stated = encode_result(result, self._start.setup.unit, warnings)
+        self._add(channels.RESULT, stated, t_ns)
+
+    def _tell_tracking(self, frames: Frames) -> None:
+        """Add a message for each robot that was lost or found again in camera frames."""
+        valid = frames.valid
+        if valid.all() and self._tracked.all():
+            return
+        for i in np.flatnonzero((valid != np.vstack([self._tracked, valid])[:-1]).any(axis=1)):
+            for name, was, now in zip(self._names, self._tracked, valid[i], strict=True):
+                if was != now:
+                    level, word = ("info", "tracked again") if now else ("warning", "lost")
+                    self._say(int(frames.received_ns[i]), level, f"{name} is {word}")
+            self._tracked = valid[i]
+
+    def _end_chunk(self, trial_ns: int) -> None:
+        """End the chunk if it has its full length at `trial_ns`, the time of the trial."""
+        if trial_ns - self._flushed_ns >= self._chunk_ns:
+            self.flush_frames()
+            self._sink.flush()
+            self._flushed_ns = trial_ns
+
+    def _say(self, t_ns: int, level: str, text: str) -> None:
+        self.warnings += level in ("warning", "error")
+        self._add(channels.LOG, encode_note(Note(t_ns, level, text), self._start_ns), t_ns)
+
+    def _attach(self, name: str, media_type: str, text: str) -> None:
+        self._sink.attachment(name, media_type, self._start_ns, text.encode())
+
+    def _add(
+        self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
+    ) -> None:
+        sampled = None if publish_ns is None else self._start_ns + publish_ns
+        self._sink.messages([Entry.of(topic, message, self._start_ns + log_ns, sampled)])

@@ -1,7 +1,6 @@
 """The file that `tetractl identify` writes, and the spec's values that the file replaces."""
 
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field
 
@@ -9,7 +8,7 @@ from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import validated
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc
+from tetractl.experiment.yaml.problems import InvalidSpecError
 
 
 class IdentifiedValue(Model):
@@ -105,20 +104,11 @@ def merge(document: Document, found: Identified, origin: str) -> None:
     for name in found.robots.keys() - set(names):
         document.problems.append(place.problem(("robots", name), "is not a robot of the spec"))
     for i, robot in enumerate(listed):
-        values = found.robots.get(str(robot.get("name")))
-        if values is not None:
-            _put(document, robot, ("robots", i), place, a=values.a.value, speed=values.speed.value)
+        if values := found.robots.get(str(robot.get("name"))):
+            document.put(robot, ("robots", i, "a"), values.a.value, place)
+            document.put(robot, ("robots", i, "speed"), values.speed.value, place)
     controller = data.setdefault("controller", {})
     if isinstance(controller, dict):
         estimates = controller.get("estimate") is True
         dead_time = found.dead_time.value + (0.0 if estimates else found.frame_age)
-        _put(document, controller, ("controller",), place, dead_time=dead_time)
-
-
-def _put(
-    document: Document, holder: dict[str, Any], loc: Loc, place: Place, **values: float
-) -> None:
-    for key, value in values.items():
-        holder[key] = value
-        document.refused.pop((*loc, key), None)
-        document.values[(*loc, key)] = document.keys[(*loc, key)] = place
+        document.put(controller, ("controller", "dead_time"), dead_time, place)

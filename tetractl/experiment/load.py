@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from tetractl.experiment.yaml.document import (
     read_text,
 )
 from tetractl.experiment.yaml.explain import explain
-from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, SpecProblem, dotted
+from tetractl.experiment.yaml.problems import InvalidSpecError, SpecProblem
 
 
 def override(document: Document, setting: str) -> None:
@@ -42,61 +42,22 @@ def override(document: Document, setting: str) -> None:
     A step of the path is a key, an index, or the `name` of an entry: `robots.0.a`,
     `robots.green.a`. Mappings that the spec omits are created.
     """
-    origin = f"--set {printable(setting, 200)}"
+    place = Place(f"--set {printable(setting, 200)}")
     path, equals, text = setting.partition("=")
+    steps = path.strip().split(".")
     try:
         if not equals or not path.strip():
-            raise _wrong(
-                origin, "must be PATH=VALUE, for instance controller.optimizer.particles=200"
-            )
-        steps = path.strip().split(".")
+            message = "must be PATH=VALUE, for instance controller.optimizer.particles=200"
+            raise InvalidSpecError([place.problem((), message)])
         if len(steps) > MAX_DEPTH:
-            raise _wrong(origin, f"the path has more than {MAX_DEPTH} steps")
-        loc, holder = _descend(document, steps, origin)
-        value = parse_value(text, origin, loc)
+            message = f"the path has more than {MAX_DEPTH} steps"
+            raise InvalidSpecError([place.problem((), message)])
+        holder, loc = document.holder(steps, place)
+        value = parse_value(text, place.origin, loc)
     except InvalidSpecError as error:
         document.problems.extend(error.problems)
         return
-    holder[loc[-1]] = value
-    for notes in document.notes:
-        for stale in [key for key in notes if key[: len(loc)] == loc]:
-            del notes[stale]
-    document.values[loc] = document.keys[loc] = Place(origin, text=printable(text, 60) or None)
-
-
-def _descend(document: Document, steps: list[str], origin: str) -> tuple[Loc, Any]:
-    """Return the full location of a path, and the mapping or list to which its last step
-    belongs."""
-    data: Any = document.data
-    loc: Loc = ()
-    for step in steps[:-1]:
-        loc = (*loc, _step(data, loc, step, origin))
-        if isinstance(data, dict) and data.get(step) is None:
-            data[step] = {}
-            document.values[loc] = document.keys[loc] = Place(origin)
-            document.refused.pop(loc, None)
-        data = data[loc[-1]]
-    return (*loc, _step(data, loc, steps[-1], origin)), data
-
-
-def _step(data: Any, loc: Loc, step: str, origin: str) -> str | int:
-    if isinstance(data, dict):
-        if not step:
-            raise _wrong(origin, "a step of the path is empty", loc)
-        return step
-    if not isinstance(data, list):
-        raise _wrong(origin, f"has no '{printable(step, 60)}'; it is a single value", loc)
-    for i, entry in enumerate(data):
-        if step == str(i) or (isinstance(entry, dict) and entry.get("name") == step):
-            return i
-    names = [str(e["name"]) for e in data if isinstance(e, dict) and "name" in e]
-    known = f" or {', '.join(names)}" if names else ""
-    indices = f"0 to {len(data) - 1}{known}" if data else "none: it is empty"
-    raise _wrong(origin, f"has no entry '{printable(step, 60)}'; its entries are {indices}", loc)
-
-
-def _wrong(origin: str, message: str, loc: Loc = ()) -> InvalidSpecError:
-    return InvalidSpecError([SpecProblem(origin, message, field=dotted(loc))])
+    document.put(holder, loc, value, replace(place, text=printable(text, 60) or None))
 
 
 Attached = tuple[tuple[str, str], ...]

@@ -1,6 +1,6 @@
 """Selects the plant of an experiment, and applies a calibration file to its lab."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -17,7 +17,7 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
 from tetractl.experiment.registry_fields import STRICT, KindSection
 from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, Place, frozen, parse_document, read_text
+from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
 from tetractl.experiment.yaml.explain import explain, validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 
@@ -89,16 +89,16 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     `text` is the calibration file, `origin` its name; its problems are reported as in a spec.
     """
     document = _calibration(text, origin)
-    calibration = validated(Calibration, document)
-    data = experiment.model_dump()
-    places: dict[Loc, Place] = {}
-    for device, values in (("camera", calibration.camera), ("actuator", calibration.actuator)):
-        own, loc = data["plant"][device], ("plant", device)
-        data["plant"][device] = _merged(own, values, loc, document, (device,), places)
+    validated(Calibration, document)
+    merged = Document(document.origin, experiment.model_dump(mode="json"))
+    for device in ("camera", "actuator"):
+        for steps, at, value in _values(document.data.get(device, {}), (device,), (device,)):
+            holder, loc = merged.holder(("plant", *steps), document.place(at))
+            if value != {} or loc[-1] not in holder:
+                merged.put(holder, loc, value, document.place(at))
     try:
-        updated = Experiment.model_validate(frozen(data), strict=True, context=STRICT)
+        updated = Experiment.model_validate(frozen(merged.data), strict=True, context=STRICT)
     except ValidationError as error:
-        merged = Document(document.origin, data, values=places)
         raise InvalidSpecError(explain(error, merged)) from None
     for loc, message in section_contradictions(updated):
         raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
@@ -119,37 +119,17 @@ def _calibration(text: str, origin: str) -> Document:
     return document
 
 
-def _merged(
-    base: Any, over: Any, loc: Loc, document: Document, at: Loc, places: dict[Loc, Place]
-) -> Any:
-    """Return `base`, the value at `loc` in the spec, updated by the values of `over`.
-
-    `at` is the location of `over` in the calibration file. For each value, `places` gets its line
-    and column in that file.
-    """
-    places[loc] = document.place(at)
-    if isinstance(base, Mapping) and isinstance(over, Mapping):
-        values = {
-            key: _merged(base.get(key), value, (*loc, key), document, (*at, key), places)
-            for key, value in over.items()
-        }
-        return {**base, **values}
-    if _named(base) and _named(over):
-        entries = list(base)
-        for j, entry in enumerate(over):
-            i = next((i for i, b in enumerate(base) if b["name"] == entry["name"]), None)
-            if i is None:
-                name = printable(str(entry["name"]), 60)
-                raise SpecError(
-                    f"{document.origin}: {name} is not a robot of the lab", "calibrate this lab"
-                )
-            entries[i] = _merged(entries[i], entry, (*loc, i), document, (*at, j), places)
-        return entries
-    return over
-
-
-def _named(value: Any) -> bool:
-    """Return whether a value is a list of mappings that each have a `name`."""
-    if not isinstance(value, list | tuple):
-        return False
-    return all(isinstance(entry, Mapping) and "name" in entry for entry in value)
+def _values(
+    value: Any, steps: tuple[str, ...], at: Loc
+) -> Iterator[tuple[tuple[str, ...], Loc, Any]]:
+    """Yield the path, by names of entries, and the location of each value in a `value` at `at`."""
+    inner: Iterable[tuple[str, str | int, Any]] = ()
+    if isinstance(value, dict):
+        inner = ((key, key, one) for key, one in value.items())
+    elif isinstance(value, list) and all(isinstance(e, dict) and "name" in e for e in value):
+        inner = ((str(one["name"]), i, one) for i, one in enumerate(value))
+    if inner and value:
+        for step, key, one in inner:
+            yield from _values(one, (*steps, step), (*at, key))
+    else:
+        yield steps, at, value

@@ -61,7 +61,7 @@ def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     [
         ("41.5", "-1", r"m:6:\d+: plant.actuator.robots.1.radius_mm: -1: must be greater than 0"),
         ("swap", "swop", r"m:7:\d+: plant.actuator.robots.1.swop: .*did you mean 'swap'"),
-        ("name: blue", "name: pink", "m: pink is not a robot of the lab"),
+        ("name: blue", "name: pink", r"m:3:\d+: plant.camera.robots: has no entry 'pink'; .* blue"),
         ("dead_zone: 9", "dead_zone: 60}, limit: 50, x: {", "unknown key"),
         ("measured: 2026", "meshured: 2026", "m: is not a calibration file"),
         (

@@ -1,7 +1,7 @@
 """A spec's text as plain data, with the location of each value in the text."""
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,11 +52,6 @@ class Document:
         """The document's problems so far, including refused values."""
         return [*self.problems, *self.refused.values()]
 
-    @property
-    def notes(self) -> tuple[dict[Loc, Any], ...]:
-        """The locations of values, the locations of keys, and the errors of refused values."""
-        return self.values, self.keys, self.refused
-
     def key(self, loc: Loc) -> Place:
         """Return the location of a key or, if unknown, of its value or the enclosing node."""
         return self.keys.get(loc) or self.place(loc)
@@ -66,6 +61,50 @@ class Document:
         while loc and loc not in self.values:
             loc = loc[:-1]
         return self.values.get(loc) or Place(self.origin)
+
+    def holder(self, steps: Sequence[str], place: Place) -> tuple[Any, Loc]:
+        """Return the mapping or list to which the last step of a path belongs, and the path's
+        location.
+
+        A step is a key, the `name` of a list's entry, or an index. Mappings that do not exist are
+        created. InvalidSpecError, at the `place` where the path is given, if there is none.
+        """
+        data: Any = self.data
+        loc: Loc = ()
+        for step in steps[:-1]:
+            loc = (*loc, _key(data, loc, step, place))
+            if isinstance(data, dict) and data.get(step) is None:
+                self.put(data, loc, {}, replace(place, text=None))
+            data = data[loc[-1]]
+        return data, (*loc, _key(data, loc, steps[-1], place))
+
+    def put(self, holder: Any, loc: Loc, value: Any, place: Place) -> None:
+        """Replace the value at a location, in its `holder`, by one that is given at `place`."""
+        holder[loc[-1]] = value
+        for notes in (self.values, self.keys, self.refused):
+            for stale in [key for key in notes if key[: len(loc)] == loc]:
+                del notes[stale]
+        self.values[loc] = self.keys[loc] = place
+
+
+def _key(data: Any, loc: Loc, step: str, place: Place) -> str | int:
+    """Return the key or index that a step of a path means in `data`, the value at `loc`."""
+    if isinstance(data, dict) and step:
+        return step
+    message = "a step of the path is empty"
+    if isinstance(data, list):
+        names = {
+            i: str(e["name"]) for i, e in enumerate(data) if isinstance(e, dict) and "name" in e
+        }
+        for i in range(len(data)):
+            if step in (str(i), names.get(i)):
+                return i
+        known = f" or {', '.join(names.values())}" if names else ""
+        indices = f"0 to {len(data) - 1}{known}" if data else "none: it is empty"
+        message = f"has no entry '{printable(step, 60)}'; its entries are {indices}"
+    elif not isinstance(data, dict):
+        message = f"has no '{printable(step, 60)}'; it is a single value"
+    raise InvalidSpecError([place.problem(loc, message)])
 
 
 def frozen(value: Any) -> Any:

@@ -6,7 +6,6 @@ SECTION = "tetractl.experiment.base:Model"
 
 OPTIMIZERS = Registry(
     "tetractl.optimizers",
-    "optimizer",
     {
         "pso": "tetractl.control.optimizers.pso:Pso",
         "multistart": "tetractl.control.optimizers.multistart:Multistart",
@@ -17,7 +16,6 @@ OPTIMIZERS = Registry(
 )
 CONTROLLERS = Registry(
     "tetractl.controllers",
-    "controller",
     {
         "mpc": "tetractl.control.mpc_section:RecommendedMpc",
         "pso-mpc": "tetractl.control.algorithm2:PsoMpc",
@@ -29,7 +27,6 @@ CONTROLLERS = Registry(
 )
 MOTIONS = Registry(
     "tetractl.motions",
-    "motion",
     {
         "euler": "tetractl.model.motion.euler:EULER",
         "arc": "tetractl.model.motion.arc:ARC",
@@ -38,7 +35,6 @@ MOTIONS = Registry(
 )
 SHAPES = Registry(
     "tetractl.shapes",
-    "shape",
     {
         "rectangle": "tetractl.model.shapes.rectangle:Rectangle",
         "circle": "tetractl.model.shapes.circle:Circle",
@@ -48,7 +44,6 @@ SHAPES = Registry(
 )
 PLANTS = Registry(
     "tetractl.plants",
-    "plant",
     {
         "sim": "tetractl.plant.simulation:SimSection",
         "lab": "tetractl.plant.lab_plant:LabPlantSection",
@@ -58,7 +53,6 @@ PLANTS = Registry(
 )
 CAMERAS = Registry(
     "tetractl.cameras",
-    "camera",
     {
         "optitrack": "tetractl.lab.cameras.optitrack.section:OptitrackSection",
         "apriltag": "tetractl.lab.cameras.apriltag.section:AprilTagSection",
@@ -68,7 +62,6 @@ CAMERAS = Registry(
 )
 ACTUATORS = Registry(
     "tetractl.actuators",
-    "actuator",
     {
         "m3pi-xbee": "tetractl.lab.actuators.m3pi.section:M3piSection",
         "field": "tetractl.lab.actuators.field.section:FieldSection",
@@ -77,7 +70,6 @@ ACTUATORS = Registry(
 )
 DISTURBANCES = Registry(
     "tetractl.disturbances",
-    "disturbance",
     {
         "battery": "tetractl.plant.disturbances.robots:BatterySection",
         "camera-latency": "tetractl.plant.disturbances.camera:CameraLatencySection",
@@ -112,7 +104,6 @@ SPEC_REGISTRIES = (
 
 SWEEPS = Registry(
     "tetractl.sweeps",
-    "sweep",
     {
         "grid": "tetractl.study.sweep:Grid",
         "list": "tetractl.study.sweep:Points",
@@ -123,7 +114,6 @@ SWEEPS = Registry(
 )
 STATISTICS = Registry(  # in the order in which tables show them
     "tetractl.statistics",
-    "statistic",
     {
         "outcomes": "tetractl.results.outcomes:OUTCOMES",
         "arrived": "tetractl.results.outcomes:ARRIVED",
@@ -145,7 +135,6 @@ STATISTICS = Registry(  # in the order in which tables show them
 )
 FIGURES = Registry(
     "tetractl.figures",
-    "figure",
     {
         "trajectory": "tetractl.view.figures.trajectory:trajectory_figure",
         "convergence": "tetractl.view.figures.convergence:convergence_figure",
@@ -161,7 +150,6 @@ FIGURES = Registry(
 )
 EMULATED_CAMERAS = Registry(
     "tetractl.emulated_cameras",
-    "emulated camera",
     {
         "optitrack": "tetractl.emulate.optitrack.side:EmulatedOptitrack",
         "apriltag": "tetractl.emulate.apriltag.side:EmulatedAprilTag",
@@ -170,7 +158,6 @@ EMULATED_CAMERAS = Registry(
 )
 EMULATED_ACTUATORS = Registry(
     "tetractl.emulated_actuators",
-    "emulated actuator",
     {
         "m3pi-xbee": "tetractl.emulate.m3pi.side:EmulatedM3pi",
         "field": "tetractl.emulate.field:EmulatedField",

@@ -39,12 +39,14 @@ class Registry:
 
     `builtin` maps a name to "module:attribute"; `base` is the "module:attribute" of the class from
     which every kind is derived, "" if kinds are not classes. Other packages add kinds as entry
-    points of `group`; built-in names take precedence, and if two packages offer the same name, the
+    points of `group`, "tetractl." and the kinds' name in the plural, which is `what` in the
+    singular; built-in names take precedence, and if two packages offer the same name, the
     first package in alphabetical order is used. A module is imported when its kind is loaded.
     """
 
-    def __init__(self, group: str, what: str, builtin: Mapping[str, str], base: str = "") -> None:
-        self.group, self.what, self.builtin, self.base = group, what, dict(builtin), base
+    def __init__(self, group: str, builtin: Mapping[str, str], base: str = "") -> None:
+        self.group, self.builtin, self.base = group, dict(builtin), base
+        self.what = group.removeprefix("tetractl.").removesuffix("s").replace("_", " ")
 
     def names(self) -> tuple[str, ...]:
         """Return the names of all kinds, the built-in ones first."""

@@ -16,7 +16,7 @@ def site(tmp_path, monkeypatch):
 
 
 def numbers(base=""):
-    return Registry(GROUP, "number", BUILTIN, base)
+    return Registry(GROUP, BUILTIN, base)
 
 
 def points(*lines):

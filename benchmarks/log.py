@@ -38,7 +38,7 @@ import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
 from support.durable import ENDLESS, RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
-from support.tampering import print_table  # noqa: E402
+from support.tampering import lab_log, score, sim_log  # noqa: E402
 
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
 from tetractl.core.clock import MonotonicClock  # noqa: E402
@@ -188,7 +188,23 @@ def cost(folder: Path, scale: float) -> None:
 
 
 def tampering(folder: Path, scale: float) -> None:
-    print_table(folder, max(1, round(6 * scale)))
+    """Print how many changes of each field are noticed, by channel."""
+    count = max(1, round(6 * scale))
+    for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
+        place = folder / name
+        place.mkdir()
+        seen, tried = score(made(place), count)
+        print(f"\n| {name} | noticed | missed, by field |\n|---|---|---|")
+        for channel in dict.fromkeys(channel for channel, _ in tried):
+            kinds = [kind for kind in tried if kind[0] == channel]
+            missed = [
+                f"{kind[1]} {tried[kind] - seen[kind]} of {tried[kind]}"
+                for kind in kinds
+                if seen[kind] < tried[kind]
+            ]
+            total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
+            print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
+        print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)
 
 
 def verify_time(folder: Path, scale: float) -> None:

@@ -6,53 +6,16 @@ time. A further type joins by an entry in `CAMERAS` or `ACTUATORS`.
 
 import threading
 from contextlib import contextmanager
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.lab_processes import emulated
 from support.lab_specs import APRILTAG_SPEC, FIELD_SPEC, SPEC
-from support.labs import STEP_NS, FakeActuator, FakeCamera, World
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import MonotonicClock
-from tetractl.emulate.virtual_wires import LabClock
 from tetractl.experiment.load import parse_spec
 from tetractl.testing import MovedRobots, SeenRobots
-
-
-def fake_world():
-    setup = parse_spec(SPEC, "fake").experiment.setup
-    return setup, World(setup, LabClock(STEP_NS))
-
-
-@contextmanager
-def fake_camera(folder):
-    setup, world = fake_world()
-    cameras = []
-
-    def build(setup, clock, wake):
-        cameras.append(FakeCamera(world, wake))
-        return cameras[-1]
-
-    scene = SeenRobots(world.clock, lambda: world.poses, lambda name: cameras[0].hidden.add(name))
-    yield SimpleNamespace(build=build), setup, scene
-
-
-@contextmanager
-def fake_actuator(folder):
-    setup, world = fake_world()
-    actuators = []
-
-    def build(setup, clock):
-        actuators.append(FakeActuator(world))
-        return actuators[-1]
-
-    def unplug():
-        actuators[0].failure = "gone"
-
-    section = SimpleNamespace(build=build, contradictions=lambda setup: ())
-    yield section, setup, MovedRobots(world.clock, lambda: list(world.moving), unplug)
 
 
 @contextmanager
@@ -101,9 +64,8 @@ def poses(lab):
     return lambda: np.array([(b.x, b.y, b.heading) for b in lab.actuator.bodies])
 
 
-CAMERAS = {"fake": fake_camera, "optitrack": optitrack, "apriltag": apriltag}
+CAMERAS = {"optitrack": optitrack, "apriltag": apriltag}
 ACTUATORS = {
-    "fake": fake_actuator,
     "m3pi-xbee": lambda folder: actuator(folder, SPEC),
     "field": lambda folder: actuator(folder, FIELD_SPEC),
 }

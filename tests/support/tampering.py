@@ -137,22 +137,3 @@ def score(path: Path, count: int) -> tuple[Counter[tuple[str, str]], Counter[tup
             tried[kind] += 1
             seen[kind] += noticed(log, one, Path(folder) / f"{number}.mcap")
     return seen, tried
-
-
-def print_table(folder: Path, count: int) -> None:
-    """Print, as Markdown, how many of `count` changes of each field are noticed, by channel."""
-    for name, made in (("simulation", sim_log), ("emulated lab", lab_log)):
-        place = folder / name
-        place.mkdir()
-        seen, tried = score(made(place), count)
-        print(f"\n| {name} | noticed | missed, by field |\n|---|---|---|")
-        for channel in dict.fromkeys(channel for channel, _ in tried):
-            kinds = [kind for kind in tried if kind[0] == channel]
-            missed = [
-                f"{kind[1]} {tried[kind] - seen[kind]} of {tried[kind]}"
-                for kind in kinds
-                if seen[kind] < tried[kind]
-            ]
-            total = (sum(seen[k] for k in kinds), sum(tried[k] for k in kinds))
-            print(f"| {channel} | {total[0]} of {total[1]} | {', '.join(missed)} |")
-        print(f"| all | {seen.total()} of {tried.total()} | |", flush=True)

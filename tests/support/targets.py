@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from support import seeds
-from support.mutate import rewrite
 from support.seeds import MS, ROOT, VERSIONS
 
 from tetractl.core.errors import LogError, SpecError, UsageError, WireError
@@ -39,7 +38,6 @@ from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import parse
 from tetractl.log.read.overview import overview
-from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.read.recover import recover
 from tetractl.log.read.salvage import scan
@@ -221,41 +219,11 @@ def log(data: bytes) -> None:
         Path(str(out.path)).unlink(missing_ok=True)
 
 
-def inside(data: bytes) -> None:
-    """A whole log with right checksums, in which one message, by two bytes, holds anything."""
-    path = _spoilt(data)
-    for read in (read_trial, read_result, overview):
-        with only(LogError):
-            read(path)
-
-
-def _spoilt(data: bytes) -> Path:
-    which, stuff = int.from_bytes(data[:2], "little"), data[2:]
-    contents, entries = _whole()
-    path = scratch() / "inside.mcap"
-    path.unlink(missing_ok=True)
-    entry = entries[which % len(entries)]
-    return rewrite(contents, path, {entry: entry._replace(data=stuff)})
-
-
-@cache
-def _whole() -> tuple[RawLog, list]:
-    contents = scan(ROOT / "tests" / "golden" / "format-3-sim.mcap")
-    first = {entry.topic: entry for entry in reversed(contents.entries)}
-    return contents, list(first.values())
-
-
-def insides() -> list[bytes]:
-    _, entries = _whole()
-    return [i.to_bytes(2, "little") + entry.data for i, entry in enumerate(entries)]
-
-
 TARGETS = {
     "spec": Target(spec, seeds.files("*.yaml")),
     "script": Target(script, seeds.files("faults/*.yaml")),
     "calibration": Target(calibration, seeds.calibrations),
     "log": Target(log, seeds.logs),
-    "inside": Target(inside, insides),
     "natnet": Target(natnet, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
 }

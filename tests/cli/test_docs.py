@@ -6,8 +6,10 @@ import shutil
 import subprocess
 import warnings
 
+import console
+import make_cli
 import pytest
-from support.pages import ROOT, console, make_cli
+from support.paths import ROOT
 from support.running import TETRACTL
 
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]

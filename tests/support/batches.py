@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from support import trials
+from support.trials import THREE_M3PI
 
 from tetractl.core.commands import PlantInfo, Verdict
 from tetractl.core.plan import Outcome
@@ -20,23 +22,9 @@ SCALE = {"name": "T. pyriformis", "unit": "um", "speed": 300, "body_length": 50}
 
 
 def experiment(robots: int = 3, **fields: Any) -> Experiment:
-    names, speeds = ("green", "blue", "red"), (180, 200, 150)
-    found = {
-        "name": "three-m3pi",
-        "arena": {"left": 0, "bottom": 0, "width": 2000, "height": 2000},
-        "robots": [
-            {
-                "name": names[i],
-                "start": (900, 800 + 400 * i),
-                "target": (1700, 500 + 1000 * i),
-                "a": 6,
-                "speed": speeds[i],
-            }
-            for i in range(robots)
-        ],
-    }
-    fields["controller"] = {"type": "pso-mpc"} | fields.get("controller", {})
-    return Experiment.model_validate(found | fields)
+    controller = {"type": "pso-mpc"} | fields.pop("controller", {})
+    some = {"robots": THREE_M3PI["robots"][:robots], "obstacles": [], "controller": controller}
+    return trials.experiment(**some | fields)
 
 
 def result(errors: Sequence[float], **fields: Any) -> Result:

@@ -1,19 +1,9 @@
 """The mathematics of benchmarks/postmortem.py, on functions whose shares are known."""
 
-import importlib.util
-import sys
-
 import numpy as np
+import postmortem
 import pytest
-from support.paths import ROOT
 
-BENCHMARK = ROOT / "benchmarks" / "postmortem.py"
-NAMED = importlib.util.spec_from_file_location("postmortem", BENCHMARK)
-assert NAMED is not None
-assert NAMED.loader is not None
-postmortem = importlib.util.module_from_spec(NAMED)
-sys.modules["postmortem"] = postmortem
-NAMED.loader.exec_module(postmortem)
 CAUSES = [cause.name for cause in postmortem.CAUSES]
 LOSS, LAG, ONCE = (CAUSES.index(name) for name in ("loss", "lag", "once"))
 

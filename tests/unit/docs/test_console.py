@@ -1,7 +1,7 @@
 """The runner of the documentation's examples (docs/console.py)."""
 
+import console
 import pytest
-from support.pages import console
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """What several pages and specs call by one name is one thing."""
 
-import sys
-
+from solverbench.loop import DISTURBED
 from support.paths import ROOT
 
 from tetractl.experiment.load import load_spec
@@ -10,11 +9,6 @@ EXPERIMENTS = ROOT / "experiments"
 
 
 def test_the_disturbances_of_the_solvers_figures_are_those_of_its_page():
-    sys.path.insert(0, str(ROOT / "benchmarks"))
-    try:
-        from solverbench.loop import DISTURBED
-    finally:
-        sys.path.remove(str(ROOT / "benchmarks"))
     page = (ROOT / "docs/explanation/solver.md").read_text()
     assert all(f"`{setting}`" in page for setting in DISTURBED)
 

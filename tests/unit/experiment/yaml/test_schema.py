@@ -1,9 +1,9 @@
-import importlib.util
 import json
 import re
 from functools import cache
 
 import jsonschema
+import make_reference
 import pytest
 from support.paths import ROOT
 
@@ -16,16 +16,6 @@ COMMITTED = EXPERIMENTS / "experiment.schema.json"
 SPECS = sorted(EXPERIMENTS.glob("*.yaml"))
 
 
-def reference():
-    path = ROOT / "docs" / "make_reference.py"
-    found = importlib.util.spec_from_file_location("make_reference", path)
-    assert found is not None
-    assert found.loader is not None
-    module = importlib.util.module_from_spec(found)
-    found.loader.exec_module(module)
-    return module
-
-
 def test_the_committed_schema_is_that_of_the_models():
     assert COMMITTED.read_text(encoding="utf-8") == schema_json(experiment_schema()), (
         f"run: tetractl schema -o {COMMITTED.relative_to(ROOT)}"
@@ -33,9 +23,8 @@ def test_the_committed_schema_is_that_of_the_models():
 
 
 def test_the_committed_reference_is_that_of_the_models():
-    module = reference()
-    page = module.PAGE.read_text(encoding="utf-8")
-    assert page == module.page(page), "run: python docs/make_reference.py"
+    page = make_reference.PAGE.read_text(encoding="utf-8")
+    assert page == make_reference.page(page), "run: python docs/make_reference.py"
 
 
 def test_the_walk_through_quotes_the_experiment_it_walks_through():

@@ -5,8 +5,8 @@ import re
 import shutil
 import subprocess
 
+import make_layouts
 import pytest
-from support.pages import make_layouts
 from support.random_trials import trial, write
 from support.trials import experiment
 

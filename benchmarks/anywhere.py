@@ -182,7 +182,7 @@ def crowd(robots: int, seed: int) -> Problem:
         motion="exact",
         period=0.2,
         first_period=0.2,
-        obstacles=Obstacles(()),
+        obstacles=Obstacles.of(),
         obstacle_weight=1000.0,
         swept=False,
     )

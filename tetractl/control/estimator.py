@@ -8,6 +8,8 @@ that a bank of filters identifies from all frames and commands while the robots 
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
+
 from tetractl.control.filter import FilterBank
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
@@ -42,6 +44,7 @@ class StateEstimator:
         self.estimate: Estimate | None = None if prior.certain else prior.estimate()
         self._last_sent: int | None = None
         self._newest_ns = 0
+        self._held = np.full(len(problem.a), np.nan)
 
     @property
     def dead_time_s(self) -> float:
@@ -75,12 +78,12 @@ class StateEstimator:
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
         self.filter.restart(others)
-        poses, a, speed, bias, flow, _ = self.filter.ahead(self.sends(observation))
-        problem = replace(self.problem, poses=poses)
-        if self.estimate is not None:
-            self.estimate = self.filter.estimate()
-            problem = replace(problem, a=a, speed=speed, bias=bias, flow=flow)
-        return problem.only(self.left)
+        poses, a, speed, bias, flow, self._held = self.filter.ahead(self.sends(observation))
+        if self.estimate is None:
+            return replace(self.problem, poses=poses).only(self.left)
+        self.estimate = self.filter.estimate()
+        of_all = replace(self.problem, poses=poses, a=a, speed=speed, bias=bias, flow=flow)
+        return of_all.only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""
@@ -107,8 +110,8 @@ class StateEstimator:
                 send = due
         return send
 
-    def held_at_action(self, observation: Observation) -> Floats:
-        """Return, for each robot that is not lost, the direction [rad] that it follows at the
-        moment when the next direction begins to act, NaN for a robot that stands still.
-        """
-        return self.filter.ahead(self.sends(observation)).held[self.left]
+    @property
+    def held_at_action(self) -> Floats:
+        """The direction [rad] that each robot that is not lost follows at the moment when the next
+        direction begins to act, NaN for a robot that stands still."""
+        return self._held[self.left]

@@ -24,7 +24,7 @@ outlier; after some time without a fit, the filter restarts from the camera's po
 Each robot has a bank of filters, one for each dead time tau of a grid, from the sending of a
 direction to the moment when it acts, weighted by its likelihood; the grid is refined around likely
 values. Most probably all robots have the same dead time, so that each robot's frames tell that of
-the others too (`_shared`). For cells, the bank also has several frequencies w to start from. The
+the others too (`_share`). For cells, the bank also has several frequencies w to start from. The
 filter uses frames about 30 ms apart, and each control step's newest frame: wheels whose lag is not
 given respond over tens of milliseconds, and at shorter intervals the start of the response would
 bias dead time and turning rate to smaller values. If the lag T is given, turning rate and speed
@@ -51,9 +51,7 @@ from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
 GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
-FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
 REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
-UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
 OWN = 0.1  # probability that a robot's dead time differs from the others'
 OWN_S = 0.06  # standard deviation of such a difference [s]
 KEPT = 64  # number of commands kept after they have acted
@@ -67,7 +65,6 @@ FLOW_DRIFT = 0.05  # random walk of the flow, over its prior deviation [1/sqrt(s
 HELIX_DRIFT = 0.1  # random walk of the helix's sine and cosine, over its radius [1/sqrt(s)]
 PITCHES = 0.5, 0.75, 1.0, 1.4  # frequencies of the helix to start from, over the usual one
 PITCH_STD, PITCH_DRIFT = 0.15, 0.01  # deviation of ln of each, and its random walk [1/sqrt(s)]
-SAME_PITCH = 0.05  # distance of ln frequencies below which they are the same
 LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
 SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
 
@@ -75,6 +72,13 @@ SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wi
 def _kernel() -> Any:
     """Import the compiled filter and return it: late, as checking a spec does not need it."""
     from tetractl.control.kernels import filter as kernel
+
+    return kernel
+
+
+def _bank_kernel() -> Any:
+    """Import the compiled functions of a whole bank, and return their module."""
+    from tetractl.control.kernels import bank as kernel
 
     return kernel
 
@@ -134,7 +138,7 @@ class FilterBank:
         self._tau = np.arange(low, high + 1e-9, GRID_STEP_S)  # dead times to start from [s]
         self._steps = np.full(count, GRID_STEP_S)  # spacing of each robot's dead times [s]
         self._bank = self._first_bank()
-        self._shared()
+        self._share()
 
     def _first_bank(self) -> Any:
         kernel, count, tau = _kernel(), len(self.prior.a), self._tau
@@ -195,23 +199,23 @@ class FilterBank:
             self._last = frame
         if not certain:
             self._select()
-            self._shared()
+            self._share()
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
-        kept, fresh = (self._parts(one) for one in (self._bank, self._first_bank()))
-        if replaced := set(robots):
+        if replaced := sorted(set(robots)):
             assert self._last is not None, "a robot can be replaced only after a frame"
-            self._steps[list(replaced)] = GRID_STEP_S
-            parts = [(fresh if i in replaced else kept)[i] for i in range(len(kept))]
-            self._bank = _joined(parts)
+            fresh, (count, all_robots) = self._first_bank(), self._bank.tau.shape
+            rows = np.arange(max(count, len(fresh.tau)))[:, None].repeat(all_robots, axis=1)
+            self._bank = _of_filters(self._bank, np.minimum(rows, count - 1))
+            self._bank.score[count:] = -np.inf
+            first = _of_filters(fresh, np.minimum(rows, len(fresh.tau) - 1))
+            first.score[len(fresh.tau) :] = -np.inf
+            for column, new in zip(self._bank, first, strict=True):
+                column[:, replaced] = new[:, replaced]
+            self._steps[replaced] = GRID_STEP_S
             self._place(self._last, replaced)
-            self._shared()
-
-    def _parts(self, bank: Any) -> list[Any]:
-        """Return a bank's filters for each robot by itself."""
-        there = [np.flatnonzero(score > -np.inf) for score in bank.score.T]
-        return [_part(bank, i, which) for i, which in enumerate(there)]
+            self._share()
 
     def _place(self, frame: Observation, robots: Iterable[int] | None = None) -> None:
         """Set the poses to those of a frame, and let robots follow the last command that acts at
@@ -250,12 +254,12 @@ class FilterBank:
             seen,
         )
 
-    def _shared(self) -> None:
+    def _share(self) -> None:
         """Compute the ln of each filter's probability (B, N), up to a constant, by its own frames
         and by what those of the other robots tell of the common dead time."""
-        bank, prior = self._bank, self.prior
-        times = np.arange(0, float(bank.tau.max()) + FINEST_S, FINEST_S / 2)
-        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, FINEST_S) / 2
+        bank, prior, finest = self._bank, self.prior, _bank_kernel().FINEST_S
+        times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
+        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
         near = (1 - OWN) * np.exp(-((gaps / width) ** 2) / 2) / width
         near += OWN * np.exp(-((gaps / OWN_S) ** 2) / 2) / OWN_S
         ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
@@ -264,57 +268,34 @@ class FilterBank:
         others = every[:, None] - ln
         told = (near * np.exp(others - others.max(axis=0))[:, None]).sum(axis=0)
         self._score = bank.score + np.log(told + 1e-300)
+        weight = np.exp(self._score - self._score.max(axis=0))
+        weight /= weight.sum(axis=0)
+        mean = (weight * bank.tau).sum(axis=0)
+        spread = (weight * (bank.tau - mean) ** 2).sum(axis=0)
+        self._dead_times = mean, np.sqrt(spread + (self._steps / 4) ** 2)
 
     def _select(self) -> None:
         """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
-        self._shared()
-        parts = [self._selected(part, i) for i, part in enumerate(self._parts(self._bank))]
-        self._bank = _joined(parts)
-
-    def _selected(self, part: Any, i: int) -> Any:
-        """Return the filters of robot i that are to go on."""
-        score = self._score[: len(part.tau), i]
-        tau, pitch = part.tau[:, 0], part.pitch[:, 0]
-        best = int(np.argmax(score))
-        kept, which = score >= score[best] - UNLIKELY, []
-        slots = np.argmax(part.weight[:, 0], axis=1)
-        reached = part.state[np.arange(len(tau)), 0, slots, _kernel().LN_W]
-        for one in np.unique(pitch[kept]):
-            group = np.flatnonzero(pitch == one)
-            top = int(np.argmax(score[group]))
-            if one != pitch[best] and abs(reached[group[top]] - reached[best]) < SAME_PITCH:
-                continue
-            likely = np.flatnonzero(kept[group])
-            which += group[max(0, min(likely[0], top - 1)) : max(likely[-1], top + 1) + 1].tolist()
-        if len(which) < len(tau):
-            part, score, tau, pitch = _part(part, 0, which), score[which], tau[which], pitch[which]
-        grid = np.unique(tau)
-        if len(grid) > 3 or self._when.size == 0:
-            return part
-        best = int(np.searchsorted(grid, tau[np.argmax(score)]))
-        if self._steps[i] > FINEST_S and len(grid) == 3:
-            self._steps[i] /= 2
-        elif 0 < best < len(grid) - 1 or (best == 0 and grid[0] == 0 and len(grid) > 1):
-            return part
-        new = np.unique(np.maximum(grid[best] + self._steps[i] * np.arange(-1, 2), 0.0))
-        which, scores = [], []
-        for one in np.unique(pitch):  # frequencies that the poses do not distinguish stay
-            group = np.flatnonzero(pitch == one)
-            which += [group[np.argmin(np.abs(tau[group] - time))] for time in new]
-            scores.append(np.interp(new, tau[group], part.score[group, 0]))
-        made = _part(part, 0, which)
-        made.score[:, 0], made.tau[:, 0] = np.concatenate(scores), np.tile(new, len(scores))
-        return made
+        self._share()
+        size = max(len(self._bank.tau), 3 * len(PITCHES)), len(self.prior.a)
+        which, tau, own = np.empty(size, np.int64), np.empty(size), np.empty(size)
+        changed = _bank_kernel().select(
+            self._bank, self._score, self._steps, self._when.size > 0, which, tau, own
+        )
+        if changed:
+            there, robots = which >= 0, np.arange(size[1])
+            last = there.sum(axis=0) - 1
+            rows = np.minimum(np.arange(last.max() + 1)[:, None], last)  # the last fills the rest
+            self._bank = _of_filters(self._bank, which[rows, robots])
+            self._bank.tau[:] = tau[rows, robots]
+            self._bank.score[:] = np.where(there[: len(rows)], own[rows, robots], -np.inf)
+            self._share()
 
     def dead_times(self) -> tuple[Floats, Floats]:
         """Return each robot's dead time and its standard deviation, (N,) each [s]."""
         if self.prior.certain:
             return self._bank.tau[0], np.zeros(len(self.prior.a))
-        weight = np.exp(self._score - self._score.max(axis=0))
-        weight /= weight.sum(axis=0)
-        mean = (weight * self._bank.tau).sum(axis=0)
-        spread = (weight * (self._bank.tau - mean) ** 2).sum(axis=0)
-        return mean, np.sqrt(spread + (self._steps / 4) ** 2)
+        return self._dead_times
 
     def _likely(self) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
         """Return the indices of each robot's likeliest filter, and of its likeliest hypothesis."""
@@ -356,39 +337,20 @@ class FilterBank:
     def ahead(self, sent: int) -> Ahead:
         """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
         assert self._last is not None
-        k, bank, (_, each) = _kernel(), self._bank, self._likely()
-        z, now, stops = (column[each] for column in (bank.state, bank.u, bank.until))
+        k, (_, (best, _, slots)) = _kernel(), self._likely()
+        z, held = np.empty((len(best), k.STATE)), np.empty(len(best))
         begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
-        until = np.maximum(sent / SECOND + tau, begin)
-        acts = self._when[:, None] + tau
-        past = (acts <= begin) | (each[2] == k.STUCK)
-        u = np.vstack([now, np.where(past, now, self._u[:, None])])
-        stops = np.vstack([stops, np.where(past, stops, acts + self._model.watchdog)])
-        last = (acts <= until + 1e-9).sum(axis=0), np.arange(len(tau))
-        held = np.where(stops[last] > until, u[last], np.nan)
-        ends = np.clip(np.vstack([acts, until]), begin, until)
-        begins = np.vstack([np.full_like(tau, begin), ends[:-1]])
-        drives = np.clip(stops, begins, ends) - begins
-        u = np.stack([u, np.full_like(u, np.nan)], axis=1)  # a command, then the watchdog
-        seconds = np.stack([drives, ends - begins - drives], axis=1)
-        k.drive(self._model, z, u.reshape(-1, len(tau)), seconds.reshape(-1, len(tau)))
+        moments = tau, begin, sent / SECOND
+        commands = self._when, self._u
+        _bank_kernel().ahead(self._bank, self._model, best, slots, *commands, *moments, z, held)
         a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
         return Ahead(Poses.of(z[:, :3]), a, speed, z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]], held)
 
 
-def _part(bank: Any, i: int, which: Any) -> Any:
-    """Return the filters `which` of robot i."""
-    return bank._make(column[which, i : i + 1] for column in bank)
-
-
-def _joined(parts: Sequence[Any]) -> Any:
-    """Return a bank of the filters of all robots, filled up to the same number."""
-    most = max(len(part.tau) for part in parts)
-    filled = [_part(part, 0, np.minimum(np.arange(most), len(part.tau) - 1)) for part in parts]
-    bank = parts[0]._make(np.concatenate(columns, axis=1) for columns in zip(*filled, strict=True))
-    for i, part in enumerate(parts):
-        bank.score[len(part.tau) :, i] = -np.inf
-    return bank
+def _of_filters(bank: Any, which: Any) -> Any:
+    """Return a bank of each robot's filters `which` (B, N)."""
+    robots = np.arange(which.shape[1])
+    return bank._make(column[which, robots] for column in bank)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

@@ -25,7 +25,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.evaluate import compiled_path
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
@@ -59,13 +58,14 @@ class Margins:
     def __init__(
         self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
     ) -> None:
+        from tetractl.control.kernels import clearance
+
+        self._kernels = clearance
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
-        xy = targets[:, 0], targets[:, 1]
-        self._least_margins = self._room(*xy, radius)
-        # indices of the robots of each pair
-        self._one, self._other = np.triu_indices(len(targets), 1)
-        self._apart = self._least(*xy)
+        x, y = self._target_xy = targets[:, 0].copy(), targets[:, 1].copy()
+        self._least_margins = self._room(x, y, radius)
+        self._apart = clearance.least_apart(x, y)
 
     def around(
         self,
@@ -91,8 +91,7 @@ class Margins:
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""
-        x = np.concatenate([poses.x, self._targets[:, 0]])
-        y = np.concatenate([poses.y, self._targets[:, 1]])
+        x, y = np.concatenate([[poses.x, poses.y], self._target_xy], axis=1)
         return self._bare.grown(
             np.maximum(self._room(x, y, margin), np.minimum(margin, self._least_margins))
         )
@@ -101,19 +100,22 @@ class Margins:
         """Return for each obstacle the margin, or less so that none grown by it contains a point
         (x, y).
         """
-        nearest = self._bare.distances(x, y).min(axis=1)
+        nearest = self._gaps(x, y).min(axis=1)
         return np.where(nearest > margin, margin, ROOM * np.maximum(nearest, 0.0))
+
+    def _gaps(self, x: Floats, y: Floats) -> Floats:
+        """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
+        found = np.empty((self._bare.count, len(x)))
+        self._kernels.gaps(self._bare.rows, self._bare.walls, x, y, found)
+        return found
 
     def entered(self, x: Floats, y: Floats) -> bool:
         """Return whether a body would touch an obstacle or another body, margins ignored, on the
         way along x, y (M, N), or would go deeper if it touches one at the beginning.
         """
-        crossed = self._bodies.cross(x[:-1], y[:-1], x[1:], y[1:]).any(axis=0)
-        gaps = self._bare.distance(x, y)
-        deeper = (gaps[1:] < gaps[0]).any(axis=0)
-        apart = self._gaps(x, y)
-        touch = (apart[1:] < np.minimum(2 * self._radius, apart[0])).any()
-        return bool(touch or (crossed & (deeper | ~self._bodies.contain(x[0], y[0]))).any())
+        bare, bodies = self._bare, self._bodies
+        obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
+        return self._kernels.enters(*obstacles, self._radius, x, y)
 
     def clear_unheard(
         self,
@@ -131,50 +133,38 @@ class Margins:
         Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
         that is less, and `apart` from each other, or the problem's separation if that is less.
         """
+        from tetractl.control.kernels.motion import constants
+        from tetractl.control.kernels.prediction import predict
+
         count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
-        bias = 0.0 if problem.bias is None else problem.bias
+        ways, drift = np.empty((steps + 1, path[..., 0].size, 3)), np.tile(problem.drift, count)
+        ways[0] = path.reshape(-1, 3)
         # one virtual robot for each signal and robot: each holds its own direction
-        branches = replace(
-            problem,
-            poses=Poses.of(path.reshape(-1, 3)),
-            targets=np.zeros((path[..., 0].size, 2)),
-            a=np.tile(problem.a, count),
-            speed=np.tile(problem.speed, count),
-            bias=(signals[:, None] + bias + np.zeros(len(problem.a))).ravel(),
-            flow=None if problem.flow is None else np.tile(problem.flow, (count, 1)),
-            first_period=seconds / steps,
-            period=seconds / steps,
-        )
-        ways = compiled_path(branches, np.zeros(steps)).reshape(steps + 1, count, -1, 3)
-        x, y = ways[..., 0], ways[..., 1]
-        shapes = self.obstacles(problem.poses, margin)
-        if shapes.cross(x[:-1], y[:-1], x[1:], y[1:]).any():
-            return False
-        return bool((self._gaps(x, y) >= min(apart, problem.separation)).all())
+        towards = signals[:, None] + (0.0 if problem.bias is None else problem.bias)
+        each = (towards + np.zeros(len(problem.a))).ravel()
+        drift[:2] = np.cos(each), np.sin(each)
+        t, a, speed = seconds / steps, np.tile(problem.a, count), np.tile(problem.speed, count)
+        predict(np.zeros(steps), a, speed, drift, t, t, constants(problem)[1], ways)
+        shapes, least = self.obstacles(problem.poses, margin), min(apart, problem.separation)
+        ways = ways.reshape(steps + 1, *path.shape)
+        return self._kernels.clear(shapes.rows, shapes.walls, least, ways)
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
         of a body to obstacles and walls, negative inside, and of all distances of two robots minus
         `apart`.
         """
-        between = self._gaps(x, y).min(axis=-1, initial=np.inf) - apart
-        return np.minimum(self._bare.distance(x, y).min(axis=-1) - self._radius, between)
-
-    def _gaps(self, x: Floats, y: Floats) -> Floats:
-        """Return the distance between the two robots of each pair, (..., pairs)."""
-        one, other = self._one, self._other
-        return np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
+        nearest = self._gaps(x.ravel(), y.ravel()).min(axis=0, initial=np.inf).reshape(x.shape)
+        one, other = np.triu_indices(x.shape[-1], 1)
+        between = np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other])
+        least = between.min(axis=-1, initial=np.inf) - apart
+        return np.minimum(nearest.min(axis=-1) - self._radius, least)
 
     def separation(self, poses: Poses, wanted: float) -> float:
         """Return the separation to keep: `wanted`, or the least present distance between two robots
         or two targets if that is less, but two radii if robots and targets are so far apart.
         """
-        if not self._one.size or wanted <= 0:
+        if len(self._targets) < 2 or wanted <= 0:
             return 0.0
-        least = min(self._least(poses.x, poses.y), self._apart)
+        least = min(self._kernels.least_apart(poses.x, poses.y), self._apart)
         return min(wanted, max(ROOM * least, min(2 * self._radius, least)))
-
-    def _least(self, x: Floats, y: Floats) -> float:
-        """Return the least distance between two of N points, inf for a single point."""
-        one, other = self._one, self._other
-        return float(np.hypot(x[one] - x[other], y[one] - y[other]).min(initial=np.inf))

@@ -203,7 +203,7 @@ class Mpc:
         warm = self._warm
         assert warm is not None
         last = self._last_leg
-        held = self.estimator.held_at_action(observation)
+        held = self.estimator.held_at_action
         stop = best_stop(problem, held, self.section.period if last else 0.0)
         goes_on = np.inf
         if len(warm):
@@ -367,7 +367,7 @@ class Mpc:
 
     def _enters(self, problem: Problem, observation: Observation, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
-        held = self.estimator.held_at_action(observation)
+        held = self.estimator.held_at_action
         seconds = self.section.period + LATE * self.estimator.dead_time_s
         ahead = np.full_like(held, signals[0])
         x, y, _ = driven(problem, problem.poses, ahead, seconds * TESTED[:, None])

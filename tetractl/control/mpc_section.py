@@ -244,6 +244,16 @@ class RecommendedMpc(SearchFields):
             return super().known(setup)
         return self.prior.of(self.problem(setup), self.dead_time, setup)
 
+    def warm_up(self, setup: Setup) -> None:
+        """Call the functions of the planner and of the margins once, so that they are compiled."""
+        from tetractl.control.margins import Margins
+
+        super().warm_up(setup)
+        problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
+        poses = problem.poses
+        margins.entered(poses.x[None], poses.y[None])
+        margins.clear_unheard(problem, poses.array()[None], np.zeros(1), 0.0, 0.0, 0.0)
+
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
         """Return the controller of one trial."""
         from tetractl.control.mpc import Mpc

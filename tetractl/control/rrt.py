@@ -123,8 +123,7 @@ class Rrt(PlainController):
         off = signals[0] - problem.poses.heading[0]
         if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
             return None
-        held = self.estimator.held_at_action(observation)
-        stopping = best_stop(problem, held, self.section.period)
+        stopping = best_stop(problem, self.estimator.held_at_action, self.section.period)
         if stopping.error > evaluate(problem, signals[None]).target[0]:
             return None
         done = Outcome.NOTHING_BETTER

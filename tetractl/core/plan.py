@@ -5,7 +5,6 @@ searches it was chosen from, or the end of the trial.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
-from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -259,12 +258,12 @@ class Region(Protocol):
         """Return the number of obstacles whose union the region is; each wall counts."""
         ...
 
-    @cached_property
+    @property
     def rows(self) -> Floats:
         """Return the shapes in an array for compiled code; see `tetractl.model.obstacles`."""
         ...
 
-    @cached_property
+    @property
     def walls(self) -> Floats:
         """Return left, bottom, right and top of the region between walls (4,), or (0,)."""
         ...

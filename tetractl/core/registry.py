@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
@@ -73,7 +73,7 @@ class Registry:
         its object cannot be imported or is not derived from `base`.
         """
         if name in self.builtin:
-            return resolve_name(self.builtin[name])
+            return _builtin(self.builtin[name])
         point = self._installed[name]
         try:
             found = point.load()
@@ -117,6 +117,9 @@ class Registry:
         points = sorted(entry_points(group=self.group), key=_package, reverse=True)
         # if two packages provide the same name, the alphabetically first is used
         return {point.name: point for point in points}
+
+
+_builtin = cache(resolve_name)  # controllers load the motion several times in a control step
 
 
 def _package(point: EntryPoint) -> tuple[str, str]:

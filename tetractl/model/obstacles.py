@@ -1,7 +1,7 @@
 """The obstacle region O of (13): a union of shapes, and what lies outside the walls of an arena."""
 
 from collections.abc import Sequence
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 from functools import cached_property
 from typing import Self
 
@@ -15,32 +15,57 @@ OUTWARD = np.array([-1.0, -1.0, 1.0, 1.0])
 """Sign of the way out through the left, bottom, right and top wall of an arena."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Obstacles:
     """A union of O obstacles, edges included: shapes, then the left, bottom, right and top wall.
 
-    `inside` is the region between the walls, None for no walls. Lengths in the spec's unit.
+    Obstacles are numbers, which the kernels read: `rows` (M, 6 + 2 K), padded with zeros, has for
+    each shape its radius, number of corners, left, bottom, right and top, then x, y of each corner;
+    `walls` (4,) are left, bottom, right and top of the region between the walls, or (0,) for none;
+    `boxes` (M, 4) the sides of each polygon without its radius. Lengths in the spec's unit.
     """
 
-    shapes: tuple[Shape, ...]
-    inside: Bounds | None = None
+    rows: Floats
+    walls: Floats
+    boxes: Floats
 
     @classmethod
-    def of(cls, shapes: Sequence[Shape], margin: float = 0.0, walls: Bounds | None = None) -> Self:
+    def of(
+        cls, shapes: Sequence[Shape] = (), margin: float = 0.0, walls: Bounds | None = None
+    ) -> Self:
         """Return the union of shapes and of the walls of an arena, all grown by a margin."""
-        bare = cls(tuple(shapes), walls)
-        return bare.grown(np.full(bare.count, margin)) if margin else bare
+        most = max((len(shape.corners) for shape in shapes), default=0)
+        rows, boxes = np.zeros((len(shapes), 6 + 2 * most)), np.zeros((len(shapes), 4))
+        for row, box, shape in zip(rows, boxes, shapes, strict=True):
+            row[:2], box[:] = (shape.radius, len(shape.corners)), replace(shape, radius=0.0).box
+            row[6 : 6 + shape.corners.size] = shape.corners.ravel()
+        bare = cls(rows, np.array([] if walls is None else astuple(walls), dtype=np.float64), boxes)
+        return bare.grown(np.full(bare.count, margin))
 
     @property
     def count(self) -> int:
         """The number O of obstacles; each wall counts."""
-        return len(self.shapes) + self.walls.size
+        return len(self.rows) + self.walls.size
 
     def grown(self, margins: Floats) -> Self:
         """Return the obstacles, each grown by its own margin, (O,)."""
-        shapes = zip(self.shapes, margins.tolist(), strict=False)
-        inside = self.inside and Bounds(*(self.walls - OUTWARD * margins[-4:]).tolist())
-        return type(self)(tuple(shape.grown(margin) for shape, margin in shapes), inside)
+        rows, walls = self.rows.copy(), self.walls
+        rows[:, 0] += margins[: len(rows)]
+        rows[:, 2:6] = self.boxes + OUTWARD * rows[:, :1]
+        if walls.size:
+            walls = walls - OUTWARD * margins[-4:]
+        return type(self)(rows, walls, self.boxes)
+
+    @cached_property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes, as the readable functions below use them."""
+        corners = [row[6 : 6 + 2 * int(row[1])].reshape(-1, 2) for row in self.rows]
+        return tuple(Shape(at, row[0]) for at, row in zip(corners, self.rows, strict=True))
+
+    @property
+    def inside(self) -> Bounds | None:
+        """The region between the walls, None for no walls."""
+        return Bounds(*self.walls.tolist()) if self.walls.size else None
 
     def distances(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point to each obstacle (O, ...), negative inside."""
@@ -59,26 +84,10 @@ class Obstacles:
         touched = np.zeros(np.broadcast(x0, y0, x1, y1).shape, dtype=np.bool_)
         for shape in self.shapes:
             touched |= shape.cross(x0, y0, x1, y1)
-        if self.inside is not None:
-            touched |= (self.inside.inside(x0, y0) <= 0) | (self.inside.inside(x1, y1) <= 0)
+        if (at := self.inside) is not None:
+            touched |= (at.inside(x0, y0) <= 0) | (at.inside(x1, y1) <= 0)
         return touched
 
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Return the distance to the nearest obstacle, negative inside; inf if there is none."""
         return self.distances(x, y).min(axis=0, initial=np.inf)
-
-    @cached_property
-    def walls(self) -> Floats:
-        """Left, bottom, right and top of the region between the walls (4,), or (0,) for none."""
-        return np.array([] if self.inside is None else astuple(self.inside), dtype=np.float64)
-
-    @cached_property
-    def rows(self) -> Floats:
-        """The shapes for the kernels, (M, 6 + 2 K) padded with zeros: radius, number of corners,
-        left, bottom, right and top of the shape, then x, y of each corner."""
-        most = max((len(shape.corners) for shape in self.shapes), default=0)
-        table = np.zeros((len(self.shapes), 6 + 2 * most))
-        for row, shape in zip(table, self.shapes, strict=True):
-            row[:6] = shape.radius, len(shape.corners), *shape.box
-            row[6 : 6 + shape.corners.size] = shape.corners.ravel()
-        return table

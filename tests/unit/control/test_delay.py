@@ -85,7 +85,7 @@ def test_robots_stand_before_the_first_command_acts():
     assert np.array_equal(estimates.seen(seen(problem, 0.0)).poses.x, problem.poses.x)
     found = estimates.seen(seen(problem, 0.2), command(0.0, 0.0))
     assert found.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
-    assert estimates.held_at_action(seen(problem, 0.2)).tolist() == [0.0] * 3
+    assert estimates.held_at_action.tolist() == [0.0] * 3
 
 
 def test_commands_that_acted_are_forgotten():
@@ -93,4 +93,4 @@ def test_commands_that_acted_are_forgotten():
     for k in range(300):
         estimates.seen(seen(problem, 0.2 * k), command(float(k), 0.2 * k - 0.2) if k else None)
     assert len(estimates.filter._when) < 100
-    assert estimates.held_at_action(seen(problem, 59.8)).tolist() == [299.0] * 3
+    assert estimates.held_at_action.tolist() == [299.0] * 3

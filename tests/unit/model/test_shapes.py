@@ -38,7 +38,7 @@ def compiled(row, x0, y0, x1, y1):
 
 
 def row(shape):
-    return Obstacles((shape,)).rows[0]
+    return Obstacles.of((shape,)).rows[0]
 
 
 def test_the_strategies_know_every_kind_that_is_built_in():

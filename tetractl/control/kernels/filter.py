@@ -72,7 +72,7 @@ class Bank(NamedTuple):
 
 
 @compiled(**INLINE_FAST)
-def _advance(model, i, z, cov, u, scale, seconds):
+def advance(model, i, z, cov, u, scale, seconds):
     """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
@@ -365,7 +365,7 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                         stops = min(max(bank.until[b, i, s], t), end)
                         for way, time in ((held, stops - t), (math.nan, end - stops)):
                             if time > 0:
-                                _advance(model, i, z, cov, way, bank.scale[b, i], time)
+                                advance(model, i, z, cov, way, bank.scale[b, i], time)
                 t = end
                 if acts:
                     _switch(bank, model, b, i, u[coming], step, t)
@@ -377,23 +377,3 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
         scores = bank.score[:, i]
         scores[:] = (scores - scores.max()) * math.exp(-(until - since) / FORGET_S)
     return found
-
-
-@compiled(**ENTRY_FAST)
-def drive(model, states, u, seconds):
-    """Predict states (N, STATE) in place through directions u (C, N), each held for `seconds`
-    (C, N).
-
-    Lagging wheels then stop: the states are those in which the robots come to rest.
-    """
-    scale, cov = np.zeros(2), np.zeros((SIZE, SIZE))
-    for i in range(model.a.size):
-        z = states[i]
-        for c in range(len(u)):
-            _advance(model, i, z, cov, u[c, i], scale, seconds[c, i])
-        turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
-        half = 0.5 * turn
-        chord = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE] * (1 - half * half / 6)
-        z[X] += chord * math.cos(z[HEADING] + half)
-        z[Y] += chord * math.sin(z[HEADING] + half)
-        z[HEADING] += turn

@@ -23,6 +23,8 @@ would differ in the last bits from run to run.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
+INLINE_EXACT, ENTRY = _PART, _ENTRY
+"""The same for kernels that compute the bits of their readable twins."""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""
 

@@ -1,0 +1,43 @@
+"""The compiled clearance computes what the readable obstacle region does."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from support.shapes import SHAPES
+
+from tetractl.control.kernels import clearance
+from tetractl.core.setup import Bounds
+from tetractl.model.obstacles import Obstacles
+
+WALLS = st.none() | st.just(Bounds(-8.0, -7.5, 9.0, 7.0))
+REGIONS = st.builds(
+    lambda sections, margin, walls: Obstacles.of([s.shape() for s in sections], margin, walls),
+    st.lists(SHAPES, max_size=3),
+    st.sampled_from([0.0, 0.25, 1.0]),
+    WALLS,
+)
+PATHS = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), min_size=4, max_size=12)
+
+
+@given(REGIONS, PATHS)
+def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
+    x, y = np.array(points).T.copy()
+    found = np.empty((region.count, len(x)))
+    clearance.gaps(region.rows, region.walls, x, y, found)
+    assert np.array_equal(found, region.distances(x, y))
+
+
+@given(REGIONS, PATHS, st.sampled_from([0.0, 2.0]))
+def test_ways_are_clear_where_no_segment_crosses_and_no_two_robots_meet(region, points, apart):
+    x, y = (np.array(points)[: len(points) // 2 * 2].T).reshape(2, -1, 2)  # two robots
+    ways = np.stack([x, y, 0 * x], axis=-1)[:, None]
+    crosses = region.cross(x[:-1], y[:-1], x[1:], y[1:]).any()
+    meets = (np.hypot(np.diff(x, axis=1), np.diff(y, axis=1)) < apart).any()
+    assert clearance.clear(region.rows, region.walls, apart, ways) == (not crosses and not meets)
+
+
+@given(PATHS)
+def test_the_least_distance_is_that_of_the_nearest_two(points):
+    x, y = np.array(points).T.copy()
+    gaps = np.hypot(x[:, None] - x, y[:, None] - y)[np.triu_indices(len(x), 1)]
+    assert clearance.least_apart(x, y) == gaps.min()

@@ -1,0 +1,119 @@
+"""The clearance of robots from obstacles, walls and each other: what `tetractl.control.margins`
+asks at every control step. Obstacles are `rows` and `walls` of `tetractl.model.obstacles`.
+"""
+
+import math
+
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.obstacles import CORNERS, FIRST, RADIUS, touches
+from tetractl.control.kernels.options import ENTRY, INLINE_EXACT
+
+
+@compiled(**INLINE_EXACT)
+def _gap(rows, walls, o, x, y):
+    """Return the distance of (x, y) to obstacle o, negative inside; bit by bit that of
+    `tetractl.core.shape`."""
+    if o >= rows.shape[0]:
+        w = o - rows.shape[0]
+        along = x if w % 2 == 0 else y
+        return along - walls[w] if w < 2 else walls[w] - along
+    row = rows[o]
+    last, inside, least = FIRST + 2 * int(row[CORNERS]) - 2, False, math.inf
+    ax, ay = row[last], row[last + 1]
+    for k in range(FIRST, last + 1, 2):
+        bx, by = row[k], row[k + 1]
+        ex, ey = bx - ax, by - ay
+        if (ay > y) != (by > y) and (ex * (y - ay) - ey * (x - ax) > 0) == (by > ay):
+            inside = not inside
+        length2 = ex * ex + ey * ey
+        along = ((x - ax) * ex + (y - ay) * ey) / (length2 if length2 > 0.0 else 1.0)
+        along = max(0.0, min(along, 1.0))
+        least = min(least, math.hypot(x - (ax + along * ex), y - (ay + along * ey)))
+        ax, ay = bx, by
+    return (-least if inside else least) - row[RADIUS]
+
+
+@compiled(**INLINE_EXACT)
+def _least(rows, walls, x, y):
+    """Return the distance of (x, y) to the nearest obstacle, inf if there is none."""
+    least = math.inf
+    for o in range(rows.shape[0] + walls.size):
+        least = min(least, _gap(rows, walls, o, x, y))
+    return least
+
+
+@compiled(**INLINE_EXACT)
+def _crosses(rows, walls, x0, y0, x1, y1):
+    """Return whether the segment from (x0, y0) to (x1, y1) touches an obstacle."""
+    for w in range(walls.size):
+        o = rows.shape[0] + w
+        if _gap(rows, walls, o, x0, y0) <= 0 or _gap(rows, walls, o, x1, y1) <= 0:
+            return True
+    for o in range(rows.shape[0]):
+        row = rows[o]
+        if max(x0, x1) < row[2] or min(x0, x1) > row[4]:
+            continue
+        if max(y0, y1) >= row[3] and min(y0, y1) <= row[5] and touches(row, x0, y0, x1, y1):
+            return True
+    return False
+
+
+@compiled(**ENTRY)
+def gaps(rows, walls, x, y, found):
+    """Write the distance of each point x, y (P,) to each obstacle to found (O, P)."""
+    for o in range(found.shape[0]):
+        for n in range(x.size):
+            found[o, n] = _gap(rows, walls, o, x[n], y[n])
+
+
+@compiled(**ENTRY)
+def least_apart(x, y):
+    """Return the least distance between two of N points x, y (N,), inf for a single point."""
+    least = math.inf
+    for i in range(x.size):
+        for k in range(i):
+            least = min(least, math.hypot(x[k] - x[i], y[k] - y[i]))
+    return least
+
+
+@compiled(**ENTRY)
+def enters(rows, walls, body_rows, body_walls, radius, x, y):
+    """Return whether a body would touch an obstacle or another body on the way along x, y (M, N),
+    or would go deeper if it touches one at the beginning.
+
+    The obstacles are given bare and grown by the bodies' radius.
+    """
+    for i in range(x.shape[1]):
+        crossed = deeper = False
+        first = _least(rows, walls, x[0, i], y[0, i])
+        for m in range(1, x.shape[0]):
+            ends = x[m - 1, i], y[m - 1, i], x[m, i], y[m, i]
+            crossed |= _crosses(body_rows, body_walls, *ends)
+            deeper |= _least(rows, walls, x[m, i], y[m, i]) < first
+            for k in range(i):
+                before = math.hypot(x[0, k] - x[0, i], y[0, k] - y[0, i])
+                apart = math.hypot(x[m, k] - x[m, i], y[m, k] - y[m, i])
+                if apart < min(2 * radius, before):
+                    return True
+        if crossed and (deeper or _least(body_rows, body_walls, x[0, i], y[0, i]) > 0):
+            return True
+    return False
+
+
+@compiled(**ENTRY)
+def clear(rows, walls, separation, ways):
+    """Return whether no robot touches an obstacle on ways (S + 1, L, N, 3), L ways of N robots
+    each, and no two robots of a way come nearer than `separation`."""
+    for j in range(ways.shape[1]):
+        for m in range(ways.shape[0]):
+            now = ways[m, j]
+            for i in range(ways.shape[2]):
+                x, y = now[i, 0], now[i, 1]
+                if m > 0:
+                    before = ways[m - 1, j, i]
+                    if _crosses(rows, walls, before[0], before[1], x, y):
+                        return False
+                for k in range(i):
+                    if math.hypot(now[k, 0] - x, now[k, 1] - y) < separation:
+                        return False
+    return True

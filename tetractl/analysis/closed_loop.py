@@ -18,12 +18,9 @@ before signal j, with g_L = 0. The chain rule backwards in time gives
 
     d end / d u_j = dd/du + g_{j+1} dw/du,      g_j = dd/dheading + g_{j+1} (1 + dw/dheading)
 
-and likewise the derivatives with respect to the robot's turning rate a and speed. A step's
-derivatives with respect to heading and signal are those that the optimiser's kernels use; those
-with respect to turning rate and speed are central differences.
+and likewise the derivatives with respect to the robot's turning rate a and speed.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,7 +33,7 @@ from tetractl.core.registries import MOTIONS
 from tetractl.experiment.plant import PlantSection
 from tetractl.experiment.section_abilities import Noisy
 
-NUDGE = 1e-4  # relative change of a and speed for a central difference
+NUDGE = 1e-5  # change for a central difference: of angles [rad], relative of a and speed
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +66,12 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     heading = path[:-1, :, 2]
     seconds = np.full(length, problem.period)
     seconds[0] = problem.first_period
-    by_turn, by_u, turn = _steps(problem, heading, signals, seconds)
-    of_a, of_speed = (_by_logarithm(problem, heading, signals, seconds, which) for which in (0, 1))
+    by_heading, by_u, of_a, of_speed = _derivatives(problem, heading, signals, seconds)
     g = np.zeros((length + 1, count, 2))
     for j in reversed(range(length)):
-        g[j] = by_turn[j] + g[j + 1] * turn[j, :, None]
+        g[j] = by_heading[j, :, :2] + g[j + 1] * by_heading[j, :, 2:]
     later = g[1:]
-    by_signal = by_u + later * (1 - turn)[..., None]  # (L, N, 2)
+    by_signal = by_u[..., :2] + later * by_u[..., 2:]  # (L, N, 2)
     end = path[-1]
     onward = (
         problem.period
@@ -94,45 +90,19 @@ def linearise(problem: Problem, signals: Floats) -> Linear:
     )
 
 
-def _steps(
+def _derivatives(
     problem: Problem, heading: Floats, signals: Floats, seconds: Floats
-) -> tuple[Floats, Floats, Floats]:
-    """Return the derivatives of each step's displacement with respect to the heading and to the
-    signal, (L, N, 2) each, and keep (L, N).
-
-    keep is the derivative of the next heading with respect to the heading; with respect to the
-    signal, that derivative is 1 - keep.
-    """
-    lanes = MOTIONS.load(problem.motion).lanes
-    robots = list(zip(problem.a.tolist(), problem.speed.tolist(), strict=True))
-    steps = zip(np.exp(1j * heading).tolist(), signals.tolist(), seconds.tolist(), strict=True)
-    rows = [
-        [
-            lanes.differentiate(at.real, at.imag, math.cos(u), math.sin(u), a, v, t)
-            for at, (a, v) in zip(row, robots, strict=True)
-        ]
-        for row, u, t in steps
-    ]
-    found = np.array(rows)  # (L, N, 8)
-    return found[..., 3:5], found[..., 5:7], found[..., 7]
-
-
-def _by_logarithm(
-    problem: Problem, heading: Floats, signals: Floats, seconds: Floats, which: int
-) -> Floats:
-    """Return the derivatives of each step's dx, dy and turn, (L, N, 3), with respect to ln a if
-    `which` is 0, or to ln speed if it is 1."""
+) -> tuple[Floats, ...]:
+    """Return the derivatives of each step's dx, dy and next heading, (L, N, 3) each, with respect
+    to the heading, the signal, ln a and ln speed, as central differences."""
     step, zero = MOTIONS.load(problem.motion).step, np.zeros_like(heading)
 
-    def moved(factor: float) -> Floats:
-        scale = [1.0, 1.0]
-        scale[which] = factor
-        a, v = problem.a * scale[0], problem.speed * scale[1]
-        return np.stack(
-            step(zero, zero, heading, signals[:, None], a, v, seconds[:, None]), axis=-1
-        )
+    def moved(turned: float, steered: float, a: float, speed: float) -> Floats:
+        u, t = signals[:, None] + steered, seconds[:, None]
+        rates = problem.a * (1 + a), problem.speed * (1 + speed)
+        return np.stack(step(zero, zero, heading + turned, u, *rates, t), axis=-1)
 
-    return (moved(1 + NUDGE) - moved(1 - NUDGE)) / (2 * NUDGE)
+    return tuple((moved(*by) - moved(*-by)) / (2 * NUDGE) for by in NUDGE * np.eye(4))
 
 
 TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]

@@ -65,12 +65,8 @@ def test_json_holds_the_same(folder):
     assert channels["/frames"]["messages"] < len(trial.mocap) / 100
     assert channels["/controller/step"]["hz"] == pytest.approx(5, rel=0.01)
     assert found["digest"] == found["stated_digest"] == content_digest(folder / "whole.mcap")
-    assert set(found["attachments"]) == {
-        "spec.yaml",
-        "spec.resolved.yaml",
-        "environment.json",
-        "layout.json",
-    }
+    files = {"spec.yaml", "spec.resolved.yaml", "environment.json", "layout.json"}
+    assert set(found["attachments"]) == files
     assert found["damage"] is None
     assert found["size"] == (folder / "whole.mcap").stat().st_size
 

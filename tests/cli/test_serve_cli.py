@@ -1,4 +1,4 @@
-"""`serve` and `run --serve`: commands in processes of their own, read by a real viewer."""
+"""`serve`, `open` and `run --serve`: commands in processes of their own, read by a real viewer."""
 
 import os
 import re
@@ -8,6 +8,7 @@ import sys
 import threading
 from contextlib import contextmanager
 from urllib.parse import parse_qs, urlsplit
+from urllib.request import Request, urlopen
 
 import pytest
 from support import random_trials as made
@@ -45,7 +46,7 @@ class Command:
         )
         assert self.process.stdout
         self.output, self.said = self.process.stdout, ""
-        self.url = self.until(r"served at (ws://127\.0\.0\.1:\d+/[\w-]{16})\n")
+        self.url = self.until(r"((?:ws|http)://127\.0\.0\.1:\d+/[\w-]{16,}/?)\n")
         self.reader = threading.Thread(target=self._read)
 
     def until(self, pattern):
@@ -175,3 +176,17 @@ def test_without_the_extra_one_clear_line_says_how_to_get_it(log, tmp_path, word
     )
     assert done.stdout == ""
     assert not (tmp_path / "logs").exists()
+
+
+def test_a_trial_is_opened_until_ctrl_c(log):
+    words = ("open", log.name, "--no-browser", "--lichtblick", "http://127.0.0.1:1")
+    with command(*words, cwd=log.parent) as served:
+        with urlopen(served.url) as page:
+            assert b'id="trial-data-0"' in page.read()
+        asked = Request(f"{served.url}logs/0-trial-000.mcap", headers={"Range": "bytes=0-7"})
+        with urlopen(asked) as part:
+            assert (part.status, part.read()) == (206, log.read_bytes()[:8])
+        served.process.send_signal(signal.SIGINT)
+        assert served.process.wait(PATIENCE_S) == 0
+        served.reader.join()
+        assert served.said.count("http://") == 1 and "ssh -L" in served.said

@@ -13,6 +13,8 @@ from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, write
 
+from tetractl.cli.ui import announce_compiling
+
 # A command, what its one line says and, where it matters, how its hint begins.
 USAGE = r"""
 run study.yaml | study.yaml: is a study, not a spec | run it with: tetractl study study.yaml
@@ -217,3 +219,58 @@ def test_an_error_of_the_disk_is_one_line_and_a_failure(tmp_path):
     with mock.patch("tetractl.cli.app.app", side_effect=full):
         done = tetractl(tmp_path, "kinds")
     assert (done.returncode, done.stderr) == (1, "error: logs: No space left on device\n")
+
+
+def test_a_pattern_of_the_shell_may_catch_the_tables_of_a_study(folder, tmp_path):
+    """`report` takes what `stats` takes; a log that cannot be read is named with its cause."""
+    inside = sorted(f"out/{path.name}" for path in (folder / "out").iterdir())
+    assert "out/trials.csv" in inside
+    one, other = (tetractl(folder, "stats", *paths) for paths in (["out"], inside))
+    assert one == other
+    assert (one.returncode, one.stderr) == (0, "")
+    page = tmp_path / "page.html"
+    done = tetractl(folder, "report", *inside, "noise.mcap", "-o", page)
+    assert (done.returncode, done.stderr) == (1, "warning: noise.mcap: not an MCAP file\n")
+    assert "dead_time=0.1" in page.read_text()
+
+
+def test_a_full_disk_leaves_the_picture_before(folder, tmp_path, monkeypatch):
+    """Half of a page or a picture stayed, under its final name."""
+    file = tmp_path / "a.png"
+    file.write_text("the one before")
+
+    def full(path, data):
+        path.write_text("half")
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("pathlib.Path.write_bytes", full)
+        done = tetractl(folder, "plot", "out/dead_time=0", "-o", file)
+    assert done.returncode == 1
+    assert done.stderr == f"error: {file}: cannot be written: No space left on device\n"
+    assert [path.name for path in tmp_path.iterdir()] == [file.name]
+    assert file.read_text() == "the one before"
+
+
+@pytest.mark.parametrize("words", [["run"], ["stats"], ["study"], ["lab", "check"], []])
+def test_help_names_no_types_of_python(folder, words):
+    shown = tetractl(folder, *words, "--help").stdout
+    assert not re.search("<(bool|int|str|float|path|list)", shown), shown
+
+
+def test_warm_compiles_what_specs_and_studies_name(folder):
+    done = tetractl(folder, "warm", "spec.yaml", "study.yaml")
+    assert done.returncode == 0
+    kinds, seconds = done.stdout.split(": ")
+    assert kinds == "pso-mpc, pso, euler"
+    assert float(seconds.removesuffix(" s\n")) >= 0
+    assert done.stderr.startswith("kept in /")
+    done = tetractl(folder, "warm", "spec.yaml", "--set", "controller.motion=exact")
+    assert done.stdout.startswith("pso-mpc, pso, exact: ")
+
+
+def test_on_a_terminal_compiling_is_said_even_to_who_asked_for_quiet(capsys, monkeypatch):
+    for terminal, quiet, said in ((True, True, True), (False, True, False), (False, False, True)):
+        monkeypatch.setattr("sys.stderr.isatty", lambda terminal=terminal: terminal)
+        announce_compiling(quiet, "compiling")
+        assert capsys.readouterr().err == ("compiling\n" if said else "")

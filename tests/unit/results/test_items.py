@@ -69,14 +69,6 @@ def test_json_stays_json_where_nothing_is_known():
     assert found["damaged"] == [{"path": "torn.mcap", "problem": "no header"}]
 
 
-def test_csv_has_a_row_per_trial_with_units_in_its_columns():
-    rows = rows_of(group(batch(ERRORS)))
-    assert len(rows) == 20
-    assert float(rows[3]["total_error_mm"]) == pytest.approx(sum(ERRORS[3]))
-    assert float(rows[3]["error_blue_mm"]) == ERRORS[3][1]
-    assert rows[3]["outcome"] == "sequence completed"
-
-
 def test_attempts_are_rows_that_say_so():
     trials = batch(ERRORS[:2])
     aborted = result([1, 2, 3], outcome=Outcome.ABORTED)

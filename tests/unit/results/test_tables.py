@@ -3,7 +3,6 @@ import re
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from rich.console import Console
 from support.batches import DISTURBED, REFERENCE, SCALE, batch, experiment, group, result
 
@@ -59,12 +58,6 @@ def test_trials_left_out_are_listed_with_their_reason():
     assert "not in the means, pulled" in text
     assert "in the means, read from a damaged log" in text
     assert "Flagged trials" not in printed(group(batch(ERRORS[:4])))
-
-
-@pytest.mark.parametrize(("scale", "mean"), [(1, "648.6"), (1e-3, "0.649"), (1e3, "648600")])
-def test_means_keep_three_digits_in_every_unit(scale, mean):
-    rows = [[600 * scale], [697.2 * scale]]
-    assert f" {mean} " in printed(group(batch(rows)))
 
 
 def test_markdown_has_as_many_cells_in_every_row():
@@ -147,15 +140,3 @@ def test_more_groups_than_fit_abreast_have_tables_of_their_own():
     found = [table for table in tables(contrast(named)) if table.title == "Trials"]
     assert [table.header for table in found] == [["figure", "g0", "g1", "g2"], ["figure", "g3"]]
     assert max(map(len, printed(*named).splitlines())) <= WIDTH
-
-
-def test_flagged_trials_of_every_group_are_listed():
-    one = group(batch(ERRORS[:4]), name="one")
-    other = [replace(t, path=f"other/{t.path}") for t in batch(ERRORS, outcome=Outcome.STEPS_MAX)]
-    assert "other/trial-000.mcap" in printed(one, group(other, name="other"))
-
-
-def test_outcomes_have_a_row():
-    trials = batch(ERRORS[:4])
-    trials[1] = replace(trials[1], result=result([1, 2, 3], outcome=Outcome.STEPS_MAX))
-    assert shown(group(trials), "outcomes") == "3 sequence completed, 1 steps max"

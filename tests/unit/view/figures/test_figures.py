@@ -142,24 +142,6 @@ def test_the_trajectory_shows_arena_trails_and_errors(log):
     assert "true path" not in text
 
 
-def test_the_truth_shows_only_where_it_differs(log):
-    assert log.truth is not None
-    figure = trajectory_figure([replace(log, truth=log.truth + np.array([50, 0, 0]))])
-    assert "true path" in words(figure)
-    dashed = [line for line in figure.axes[0].lines if line.get_color() == style.INK]
-    assert np.array_equal(dashed[0].get_xydata(), log.truth[:, 0, :2] + np.array([50, 0]))
-
-
-def test_several_trials_lie_over_one_another(log):
-    logs = [three_robots(seed) for seed in (1, 2, 3)]
-    figure = trajectory_figure(logs)
-    trails = [line for line in figure.axes[0].lines if len(line.get_xydata()) > 100]
-    assert len(trails) == 9
-    totals = np.array([trial.result.total_error for trial in logs if trial.result])
-    assert f"3 trials, error at the end [mm], total {totals.mean():.0f}" in words(figure)
-    assert f"± {totals.std(ddof=1):.0f}" in words(figure)
-
-
 def test_robots_that_leave_the_arena_or_end_outside_stay_in_the_picture(log):
     mocap = log.mocap.copy()
     mocap[200:300, 1, 0] = 100
@@ -197,20 +179,6 @@ def test_a_limit_that_searches_exceed_is_not_drawn(log):
     assert f"most: {most}" in words(draw("convergence", [log]))
     start = replace(log.start, setup=replace(log.start.setup, iterations_max=1))  # of each start
     assert "most: 1" not in words(draw("convergence", [replace(log, start=start)]))
-
-
-def test_the_convergence_figure_takes_any_cost(log):
-    step = log.steps[0]
-    search = replace(step.plan.search, history=np.array([np.inf, 3.0, 0.0]), cost=0.0)
-    plan = replace(step.plan, searches=(search,), chosen=0)
-    figure = draw("convergence", [replace(log, steps=(replace(step, plan=plan),))])
-    text = words(figure)
-    assert "at iteration 2" in text
-    assert "inf" not in text
-    assert "nan" not in text
-    (curve,) = [line for line in figure.axes[0].lines if line.get_marker() == "*"]
-    assert np.array_equal(curve.get_ydata(), [np.nan, 3.0, np.nan], equal_nan=True)
-    assert np.isfinite(figure.axes[0].get_ylim()).all()
 
 
 def test_the_error_figure_shows_total_robots_tolerance_and_misses(log):
@@ -334,20 +302,46 @@ def test_labels_stay_apart_in_order_and_inside(heights, gap):
         assert placed == pytest.approx(wanted)  # those that do not touch stay
 
 
-@pytest.mark.parametrize("kind", [kind for kind in COURSES if kind != "trajectory"])
-def test_an_empty_log_says_so(log, kind):
-    with pytest.raises(LogError, match="contains no"):
-        draw(kind, [cut_short(log, 0)])
+def refusals():
+    """What cannot be drawn: the kind, the logs that a log becomes, the error and its text."""
+
+    def moved(log, **fields):
+        return [replace(log, result=replace(log.result, **fields))]
+
+    def in_um(log):
+        cells = experiment(units={"length": "um"})
+        start = replace(log.start, setup=cells.setup)
+        return [log, replace(log, experiment=cells, start=start)]
+
+    def other(log, **fields):
+        return replace(log, experiment=experiment(**fields))
+
+    def arms(log):
+        return [replace(log, path=f"arm-{i}/trial-000.mcap") for i in range(13)]
+
+    def late(log):
+        return [replace(log, steps=(replace(log.steps[0], k=3), *log.steps[1:]))]
+
+    swarmless = {"controller": {"optimizer": {"type": "multistart"}}}
+    for kind in COURSES:
+        if kind != "trajectory":
+            yield kind, lambda log: [cut_short(log, 0)], LogError, "contains no"
+    for kind in ALONE:
+        yield kind, lambda log: [log, log], UsageError, "one trial"
+    for kind in ("trajectory", "errors", "scatter"):
+        yield kind, lambda log: [log, other(log, obstacles=[])], UsageError, "different experiments"
+    for kind in ("errors", "scatter"):
+        yield kind, arms, UsageError, "13 folders: this figure has a panel for each"
+    yield "arms", lambda log: moved(log, outcome=Outcome.ABORTED), LogError, "no complete trial"
+    yield "arms", in_um, UsageError, "mm and um"
+    yield "swarm", lambda log: [other(log, **swarmless)], LogError, "its optimiser is multistart"
+    yield "swarm", late, LogError, "cannot be run again"
 
 
-def test_an_empty_log_still_shows_the_scene(log):
-    assert "target" in words(draw("trajectory", [cut_short(log, 0)]))
-
-
-@pytest.mark.parametrize("kind", ALONE)
-def test_most_figures_show_one_trial(log, kind):
-    with pytest.raises(UsageError, match="one trial"):
-        draw(kind, [log, log])
+@pytest.mark.parametrize(("kind", "changed", "error", "why"), list(refusals()))
+def test_what_cannot_be_drawn_is_told(log, kind, changed, error, why):
+    with pytest.raises(error, match=why):
+        draw(kind, changed(log))
 
 
 def test_drawing_leaves_matplotlib_as_it_was_and_opens_no_window(log):
@@ -369,12 +363,6 @@ def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch)
     assert "robots" in str(refused.value.hint)
 
 
-@pytest.mark.parametrize("kind", [kind for kind in SEVERAL if kind not in OF_BATCHES])
-def test_a_batch_of_different_experiments_is_refused(log, kind):
-    with pytest.raises(UsageError, match="different experiments"):
-        draw(kind, [log, replace(log, experiment=experiment(obstacles=[]))])
-
-
 def test_the_swarm_is_that_of_the_logged_search(log):
     figure = draw("swarm", [log])
     search = log.steps[0].plan.search
@@ -389,18 +377,6 @@ def test_the_swarm_is_that_of_the_logged_search(log):
     assert len(dots["swarm"]) == log.experiment.controller.optimizer.particles
     assert len(dots["course"]) == len(search.history)
     assert np.isclose(dots["course"][-1], dots["swarm"]).all(axis=1).any()
-
-
-def test_no_swarm_without_particles(log):
-    other = experiment(controller={"optimizer": {"type": "multistart"}})
-    with pytest.raises(LogError, match="has no swarm: its optimiser is multistart"):
-        draw("swarm", [replace(log, experiment=other)])
-
-
-def test_a_swarm_that_does_not_follow_from_the_log_is_no_traceback(log):
-    late = replace(log.steps[0], k=3)
-    with pytest.raises(LogError, match="cannot be run again"):
-        draw("swarm", [replace(log, steps=(late, *log.steps[1:]))])
 
 
 def test_the_errors_of_a_batch_end_as_the_results_say(log):
@@ -481,13 +457,6 @@ def test_each_folder_has_panels_of_its_own_errors(log):
     assert "total" not in text  # no mean over both
 
 
-def test_more_folders_than_panels_fit_are_refused(log):
-    logs = [replace(log, path=f"arm-{i}/trial-000.mcap") for i in range(13)]
-    for kind in ("errors", "scatter"):
-        with pytest.raises(UsageError, match="13 folders: this figure has a panel for each"):
-            draw(kind, logs)
-
-
 def test_the_scatter_shows_mean_and_covariance_of_each_robot(log):
     logs = [three_robots(seed) for seed in (1, 2, 3)]
     figure = draw("scatter", logs)
@@ -540,18 +509,6 @@ def test_arms_have_the_median_of_each_folder_over_time(log):
     first = [setup.distances(one.mocap[..., :2])[max(began, 0)].sum() for one in logs]
     assert medians["exact, n = 3"][0] == pytest.approx(np.median(first[:3]))
     assert medians["arc, n = 1"][0] == pytest.approx(first[3])
-
-
-def test_arms_without_a_complete_trial_or_in_several_units_are_refused(log):
-    aborted = replace(log, result=replace(log.result, outcome=Outcome.ABORTED))
-    with pytest.raises(LogError, match="no complete trial"):
-        draw("arms", [aborted])
-    cells = experiment(units={"length": "um"})
-    with pytest.raises(UsageError, match="mm and um"):
-        draw(
-            "arms",
-            [log, replace(log, experiment=cells, start=replace(log.start, setup=cells.setup))],
-        )
 
 
 def test_a_start_is_drawn_where_the_path_begins(log):

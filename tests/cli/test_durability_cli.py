@@ -11,26 +11,16 @@ import pytest
 from support import cli
 from support.durable import ENDLESS, random_kill
 from support.lateness import lateness
-from support.running import QUICK, TETRACTL
+from support.running import TETRACTL
 
 from tetractl.run.store import locked
 
-SPEC = QUICK.replace("count: 3", "count: 2")
 LOSS_S = 1.2
 
 
-@pytest.fixture(scope="module")
-def batch(tmp_path_factory):
-    """A folder with a spec, and two trials of it in `logs`."""
-    folder = tmp_path_factory.mktemp("batch")
-    (folder / "quick.yaml").write_text(SPEC)
-    assert tetractl(folder, "run quick.yaml --out logs --quiet").returncode == 0
-    return folder
-
-
 @pytest.fixture
-def logs(batch, tmp_path):
-    shutil.copytree(batch / "logs", tmp_path, dirs_exist_ok=True)
+def logs(folder, tmp_path):
+    shutil.copytree(folder / "logs", tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 

@@ -9,28 +9,6 @@ from support.cli import tetractl
 
 from tetractl.log.read.reader import read_trial
 
-SPEC = """
-name: quick
-arena: {left: 0, bottom: 0, width: 1000, height: 800}
-robots:
-  - {name: one, start: [100, 500], target: [300, 500], a: 6, speed: 200}
-  - {name: two, start: [100, 200], target: [300, 250], a: 3, speed: 200}
-wheels: {radius: 45}
-controller: {type: pso-mpc, horizon_max: 8, steps_max: 20,
-  optimizer: {particles: 20, iterations: 20}}
-plant: {type: sim, dead_time: 0.1, heading_noise: 0.1, lost_commands: 0.2}
-trials: {count: 2, seed: 7}
-"""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with `logs` of two trials."""
-    place = tmp_path_factory.mktemp("export")
-    (place / "quick.yaml").write_text(SPEC)
-    assert tetractl(place, "run", "quick.yaml", "--out", "logs", "--quiet").returncode == 0
-    return place
-
 
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_tables_hold_what_the_logs_hold(folder, kind):
@@ -74,7 +52,9 @@ def test_a_log_that_cannot_be_read_is_named_and_the_rest_written(folder, tmp_pat
 
 
 def test_logs_of_different_experiments_are_exported_apart(folder, tmp_path):
-    (tmp_path / "other.yaml").write_text(SPEC.replace("name: two", "name: three"))
+    (tmp_path / "other.yaml").write_text(
+        (folder / "quick.yaml").read_text().replace("name: two", "name: three")
+    )
     assert tetractl(tmp_path, "run", "other.yaml", "--out", "logs", "--quiet").returncode == 0
     done = tetractl(tmp_path, "export", folder / "logs", "logs", "-o", "out")
     assert done.returncode == 2

@@ -6,30 +6,6 @@ import pytest
 import yaml
 from support.cli import tetractl
 
-SPEC = """
-name: quick
-arena: {left: 0, bottom: 0, width: 1000, height: 800}
-robots:
-  - {name: one, start: [300, 500], target: [600, 500], a: 6, speed: 100}
-  - {name: two, start: [300, 200], target: [600, 250], a: 3, speed: 100}
-controller: {type: pso-mpc, motion: exact, horizon_max: 20,
-  optimizer: {particles: 20, iterations: 20}}
-plant:
-  type: sim
-  dead_time: 0.1
-  heading_noise: 0.02
-  measurement_noise: {position: 0.3, heading: 0.005}
-trials: {count: 2, seed: 7}
-"""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    place = tmp_path_factory.mktemp("identify")
-    (place / "quick.yaml").write_text(SPEC)
-    assert tetractl(place, "run", "quick.yaml", "--out", "logs", "--quiet").returncode == 0
-    return place
-
 
 def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
     done = tetractl(folder, "identify", "logs", "-o", "found.yaml")
@@ -38,7 +14,9 @@ def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
     found = yaml.safe_load((folder / "found.yaml").read_text())
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
     assert found["robots"]["two"]["a"]["value"] == pytest.approx(3, rel=0.05)
-    (folder / "better.yaml").write_text(SPEC + "identified: found.yaml\n")
+    (folder / "better.yaml").write_text(
+        (folder / "quick.yaml").read_text() + "identified: found.yaml\n"
+    )
     dry = tetractl(folder, "run", "better.yaml", "--dry-run")
     resolved = yaml.safe_load(dry.stdout)
     assert [one["a"] for one in resolved["robots"]] == [

@@ -13,9 +13,12 @@ from tetractl.cli.run import DryRun, Json, Out, Quiet, Unattended
 from tetractl.cli.serve import Port, Serve, wanted_port
 from tetractl.cli.trials import RunOptions, drive, run_command
 from tetractl.core.errors import Exit, printable
+from tetractl.core.table.table import Column, Table, fixed
+from tetractl.core.table.table_files import json_text
+from tetractl.core.table.terminal_table import print_tables
+from tetractl.log.read.find import find_log, find_logs
 
 if TYPE_CHECKING:
-    from tetractl.core.table.table import Table
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.replay.redrive import Apart
@@ -54,7 +57,6 @@ def rerun(
 
     Example: tetractl rerun logs/demo/trial-003.mcap
     """
-    from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import read_trial
     from tetractl.run.task import log_path
 
@@ -144,8 +146,6 @@ def redrive(
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
     """
-    from tetractl.core.table.terminal_table import print_tables
-    from tetractl.log.read.find import find_log
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.run.store import default_folder
     from tetractl.view.figures.trajectory import redriven_figure
@@ -172,8 +172,6 @@ def redrive(
 def _distances(apart: "Apart") -> "Table":
     """Return a table of distances between two paths: at a few times, the largest, and the last."""
     import numpy as np
-
-    from tetractl.core.table.table import Column, Table, fixed
 
     last = max(len(apart.time_s) - 1, 0)
     rows = np.unique(np.linspace(0, last, DISTANCES).astype(int))[: len(apart.time_s)]
@@ -211,9 +209,6 @@ def what_if(
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
     """
-    from tetractl.core.table.table_files import json_text
-    from tetractl.core.table.terminal_table import print_tables
-    from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.replay import what_if as replay
 
@@ -236,8 +231,6 @@ def what_if(
 
 def _decisions(found: "WhatIf") -> "Table":
     """Return a table of the predicted decisions next to the recorded ones."""
-    from tetractl.core.table.table import Column, Table, fixed
-
     unit, steps, three = found.unit, found.steps, fixed(3)
     columns = (
         Column("k", [step.k for step in steps]),

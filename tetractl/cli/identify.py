@@ -10,6 +10,8 @@ from tetractl.cli import ui
 from tetractl.cli.trials import drive
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
+from tetractl.core.table.table_files import json_text
+from tetractl.log.read.find import find_logs
 
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
@@ -89,8 +91,6 @@ def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None
     """Print the directions of a proposed motion, and the predicted standard deviations of the
     values that will be identified from it.
     """
-    from tetractl.core.table.table_files import json_text
-
     setup = loaded.experiment.setup
     if as_json:
         plain = {
@@ -143,7 +143,6 @@ def identify(
 
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
     """
-    from tetractl.log.read.find import find_logs
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import csv_tracks, track_of
 

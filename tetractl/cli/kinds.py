@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.core.table.table_files import json_text
 
 
 def kinds(
@@ -45,7 +46,6 @@ def kinds(
 def _list(as_json: bool) -> int:
     from tetractl.core.registries import REGISTRIES
     from tetractl.core.registry import PluginError
-    from tetractl.core.table.table_files import json_text
 
     problems: dict[str, str] = {}
     rows = [(registry, kind) for registry in REGISTRIES for kind in registry.kinds()]
@@ -77,7 +77,6 @@ def _list(as_json: bool) -> int:
 
 def _check(code: str, sets: list[str], as_json: bool) -> int:
     from tetractl.cli.specs import template
-    from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import parse_spec
     from tetractl.experiment.yaml.document import frozen, parse_value
     from tetractl.testing import check_kind

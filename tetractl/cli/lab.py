@@ -3,16 +3,23 @@
 import math
 import sys
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from functools import partial
+from json import dumps
 from pathlib import Path
+from threading import Event
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tetractl.cli import ui
 from tetractl.cli.lab_survey import rig_of
+from tetractl.cli.streams import hung_up_unread
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.files import save_whole
+from tetractl.lab.serial_port import PortHeldError, stop_beside
+from tetractl.run.interrupt import interrupted_once
+from tetractl.view.terminal.keys import SAYS, StopKey
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -36,8 +43,6 @@ def check(
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
     """
-    from json import dumps
-
     from tetractl.experiment.plants import on_plant
     from tetractl.lab.preflight import inspect
     from tetractl.view.terminal import findings
@@ -83,7 +88,6 @@ def stop(
     """
     if (spec is None) == (port is None):
         raise UsageError("give either a SPEC or --port")
-    from tetractl.lab.serial_port import PortHeldError, stop_beside
 
     if spec is not None:
         lab, experiment = _lab(spec, sets)
@@ -139,12 +143,6 @@ def calibrate(
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
     """
-    from threading import Event
-
-    from tetractl.cli.streams import hung_up_unread
-    from tetractl.run.interrupt import interrupted_once
-    from tetractl.view.terminal.keys import SAYS, StopKey
-
     ui.refuse_existing(out)
     lab, experiment = _lab(spec, sets)
     if micrometer is not None:
@@ -180,8 +178,6 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 
 
 def _save(out: Path, found: "Measured") -> int:
-    from datetime import UTC, datetime
-
     from tetractl.experiment.plants import Calibration, calibration_yaml
 
     calibration = Calibration(

@@ -1,10 +1,12 @@
 """`tetractl lab emulate`: runs an emulated lab, to which another process connects."""
 
+from json import dumps
 from pathlib import Path
 from typing import Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit
+from tetractl.run.interrupt import SIGNALS
 
 ROBOTS = {
     "run": "first command of a run",
@@ -72,7 +74,6 @@ def emulate(
     from tetractl.emulate.script import NOTHING, load_script
     from tetractl.emulate.sides import Options
     from tetractl.experiment.plants import lab_of
-    from tetractl.run.interrupt import SIGNALS
 
     loaded = ui.load(spec, sets)
     lab = lab_of(loaded.experiment, loaded.name)
@@ -97,8 +98,6 @@ def emulate(
 
 
 def _report_json(event: str, facts: dict[str, Any]) -> None:
-    from json import dumps
-
     print(dumps({"event": event, **facts}), flush=True)
 
 

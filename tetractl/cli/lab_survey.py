@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
+from tetractl.core.files import save_whole
+from tetractl.core.table.table_files import json_text
+from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
     from tetractl.experiment.choice import FoundCell
@@ -49,14 +52,11 @@ def survey(
     from tetractl.analysis.choices import alike, ranked
     from tetractl.analysis.closed_loop import Noise
     from tetractl.analysis.steering import planner, tolerance
-    from tetractl.core.files import save_whole
     from tetractl.core.protocols import LabSupervision
-    from tetractl.core.table.table_files import json_text
     from tetractl.experiment.load import document_of
     from tetractl.experiment.plants import on_plant
     from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.lab.find_cells import turn_field
-    from tetractl.run.interrupt import interrupted_once
 
     loaded = ui.load(spec, sets)
     experiment = on_plant(loaded, plant).experiment

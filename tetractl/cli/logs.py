@@ -8,7 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
+from tetractl.log.read.find import find_log, find_logs
 
 if TYPE_CHECKING:
     from tetractl.log.read.overview import Overview
@@ -30,7 +32,6 @@ def info(
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
     """
-    from tetractl.log.read.find import find_log
     from tetractl.log.read.overview import overview
 
     found = overview(find_log(log))
@@ -80,8 +81,6 @@ def _aligned(items: dict[str, str]) -> list[str]:
 
 
 def _result(found: "Overview") -> dict[str, str]:
-    from tetractl.core.clock import milliseconds
-
     result, unit = found.result, found.run.get("unit", "")
     if result is None:
         return {"outcome": "none: the log breaks off before the end of the trial"}
@@ -149,7 +148,6 @@ def recover(
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
     """
-    from tetractl.log.read.find import find_log
     from tetractl.log.read.recover import recover as save
 
     log = find_log(log)
@@ -180,7 +178,6 @@ def verify(logs: ui.Logs, as_json: ui.AsJson = False) -> int:
 
     Example: tetractl verify logs/batch
     """
-    from tetractl.log.read.find import find_logs
     from tetractl.replay.verify import verify as check
 
     done: list[dict[str, Any]] = []

@@ -6,6 +6,9 @@ from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError, printable
+from tetractl.core.files import save_whole
+from tetractl.core.table.table_files import FORMATS, TableFiles, check_format
+from tetractl.log.read.find import find_logs
 
 VIDEO = "video"
 
@@ -43,7 +46,6 @@ def plot(
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
     """
-    from tetractl.log.read.find import find_logs
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
 
@@ -98,7 +100,6 @@ def report(
 
     Example: tetractl report logs/three-m3pi -o report.html
     """
-    from tetractl.core.files import save_whole
     from tetractl.report import page
 
     if not out.parent.is_dir():  # checked before the logs are read
@@ -138,8 +139,6 @@ def export(
 
     Example: tetractl export logs/three-m3pi -o tables --format parquet
     """
-    from tetractl.core.table.table_files import TableFiles
-    from tetractl.log.read.find import find_logs
     from tetractl.results.trial_tables import of_log
 
     paths, kind = _files(out, table, form)
@@ -163,7 +162,6 @@ def export(
 
 def _files(out: Path, table: str | None, kind: str | None) -> tuple[dict[str, Path], str]:
     """Return the file of each table, and the format."""
-    from tetractl.core.table.table_files import FORMATS, check_format
     from tetractl.results.trial_tables import TABLES
 
     if table is not None and table not in TABLES:

@@ -4,7 +4,9 @@ from pathlib import Path
 from typing import Annotated
 
 from tetractl.cli import ui
+from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.log.read.find import find_logs
 
 
 def replay(
@@ -37,8 +39,6 @@ def replay(
     """
     from rich.console import Console
 
-    from tetractl.core.clock import MonotonicClock
-    from tetractl.log.read.find import find_logs
     from tetractl.log.read.reader import read_trial
     from tetractl.replay.player import Playback, Player, Recording, span
     from tetractl.view.terminal.replay_screen import play, print_lines

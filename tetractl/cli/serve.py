@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 from urllib.parse import urlencode
 
 from tetractl.cli import ui
+from tetractl.core.clock import MonotonicClock
 from tetractl.core.errors import Exit, LogError, UsageError
+from tetractl.log.read.find import find_log, find_logs
+from tetractl.run.interrupt import interrupted_once
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import Observer
@@ -74,12 +77,9 @@ def serve(
             )
         return run(what, serve=True, port=port)
     ui.require_positive(rate)
-    from tetractl.core.clock import MonotonicClock
-    from tetractl.log.read.find import find_log
     from tetractl.log.read.reader import trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.replay.player import Player, Recording, span
-    from tetractl.run.interrupt import interrupted_once
     from tetractl.serve.live import ServedReplay
     from tetractl.serve.server import FOXGLOVE, LoopbackServer
 
@@ -130,9 +130,7 @@ def open_(
 
     Example: tetractl open trial-000.mcap
     """
-    from tetractl.log.read.find import find_logs
     from tetractl.report.page import report
-    from tetractl.run.interrupt import interrupted_once
     from tetractl.serve.server import LoopbackServer
 
     found = find_logs(logs)
@@ -167,7 +165,6 @@ def served_run(name: str, port: int | None) -> "Iterator[list[Observer]]":
     if port is None:
         yield []
         return
-    from tetractl.core.clock import MonotonicClock
     from tetractl.serve.live import ServedRun, Viewers
     from tetractl.serve.server import LoopbackServer
 

@@ -4,10 +4,14 @@ import re
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
+from tetractl.core.cache import cache_folder
 from tetractl.core.errors import Exit, UsageError, printable
+from tetractl.core.table.table_files import json_text
+from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
 
 if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
@@ -40,7 +44,6 @@ def example_files(name: str) -> dict[str, str]:
     Raises UsageError if there is no such example.
     """
     from tetractl.experiment.yaml.document import parse_document, read_text
-    from tetractl.experiment.yaml.problems import did_you_mean
 
     known, folder = example_names(), shipped_folder()
     name = name.removesuffix(".yaml").removeprefix(f"{FOLDER}/")
@@ -167,8 +170,6 @@ def validate(
 
     Example: tetractl validate experiments/*.yaml
     """
-    from tetractl.core.table.table_files import json_text
-
     results = [_check(spec, sets) for spec in specs]
     if as_json:
         print(json_text({"specs": [fields for fields, _ in results]}))
@@ -181,7 +182,6 @@ def validate(
 
 def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
     from tetractl.experiment.load import spec_hash
-    from tetractl.experiment.yaml.problems import InvalidSpecError
     from tetractl.run.plausibility import CheckContext
 
     shown = printable(str(path))
@@ -224,12 +224,9 @@ def warm(
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
     """
-    from time import perf_counter
-
     from rich.console import Console
 
     from tetractl.control.build import compiled_for, warm_up
-    from tetractl.core.cache import cache_folder
 
     wanted: dict[str, list[Experiment]] = {}
     for experiment in _experiments(specs or [], sets or []):

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, printable
+from tetractl.core.table.table_files import csv_text, json_text
+from tetractl.core.table.terminal_table import TEXTS, print_tables
 
 if TYPE_CHECKING:
     from tetractl.results.contrast import GroupComparison
@@ -74,8 +76,6 @@ def stats(
 
 def show(found: "GroupComparison", form: str) -> None:
     """Print groups and their comparisons to stdout."""
-    from tetractl.core.table.table_files import csv_text, json_text
-    from tetractl.core.table.terminal_table import TEXTS, print_tables
     from tetractl.results.tables import data_table, tables
 
     if form == "table":
@@ -143,8 +143,6 @@ def analyze(
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items
     from tetractl.analysis.analyze import analyze as found_of
-    from tetractl.core.table.table_files import json_text
-    from tetractl.core.table.terminal_table import print_tables
 
     if out:
         from tetractl.view.style import file_format

@@ -1,11 +1,16 @@
 """`tetractl study`: runs arms of trials with the same seeds: at once, in shares or on a cluster."""
 
 import os
+from contextlib import nullcontext, suppress
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
+from tetractl.cli.streams import first_signal_callback
 from tetractl.core.errors import Exit, TetractlError, UsageError
+from tetractl.core.table.terminal_table import print_tables
+from tetractl.run.interrupt import Interrupt, leave_on_signals
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -125,17 +130,12 @@ def _run(
     quiet: bool,
 ) -> bool:
     """Run the missing trials; return whether a signal stopped the study."""
-    from contextlib import nullcontext, suppress
-    from functools import partial
-
     from rich.console import Console
 
-    from tetractl.cli.streams import first_signal_callback
     from tetractl.control.build import warm_up
     from tetractl.run.batch import run_batch
     from tetractl.run.cluster import Cluster
     from tetractl.run.executors import on_this_machine
-    from tetractl.run.interrupt import Interrupt, leave_on_signals
     from tetractl.view.terminal.progress import StudyProgress
 
     console, interrupt = Console(stderr=True), Interrupt(first_signal_callback(STOPPING))
@@ -169,7 +169,6 @@ def _conclude(
     """Write tables and figures; print the errors, the number of missing trials, and `how` to run
     them; return the exit code.
     """
-    from tetractl.core.table.terminal_table import print_tables
     from tetractl.study.arm_table import arms_table, counted_rows, write_tables
     from tetractl.study.figure import write_figures
 

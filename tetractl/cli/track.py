@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
+from tetractl.core.table.table_files import TableFiles
 
 if TYPE_CHECKING:
     from tetractl.film.fit_cell import CellSummary
@@ -96,7 +97,6 @@ def _write(
     cells: "Sequence[CellSummary]",
 ) -> None:
     """Write the tables, the log and the film with the tracks."""
-    from tetractl.core.table.table_files import TableFiles
     from tetractl.film.film_files import write_log, write_overlay
     from tetractl.film.film_tables import pose_table, summary_table
 

@@ -10,7 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tetractl.cli import ui
+from tetractl.cli.streams import first_signal_callback, hung_up_unread
 from tetractl.core.errors import Exit, TetractlError, UsageError, printable
+from tetractl.run.interrupt import Interrupt, interrupted_once, leave_on_signals
+from tetractl.view.terminal.keys import SAYS, StopKey
 
 if TYPE_CHECKING:
     from tetractl.core.protocols import Observer
@@ -18,7 +21,6 @@ if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
     from tetractl.run.batch import Report, RunObserver
     from tetractl.run.executors import Executor
-    from tetractl.run.interrupt import Interrupt
     from tetractl.run.store import LogStore
 
 STOPPING = b"\nstopping after this step; a second Ctrl-C stops at once\n"
@@ -109,9 +111,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
 
     In the lab, unless `unattended`, SIGHUP is sent once no process reads the output.
     """
-    from tetractl.cli.streams import first_signal_callback, hung_up_unread
     from tetractl.control.build import warm_up
-    from tetractl.run.interrupt import Interrupt, leave_on_signals
 
     lab = loaded.experiment.plant.real_time
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
@@ -156,7 +156,6 @@ def _display(
 
     from tetractl.core.protocols import LabSupervision
     from tetractl.run.executors import Here, on_this_machine
-    from tetractl.view.terminal.keys import SAYS, StopKey
     from tetractl.view.terminal.live_screen import LabWatch, LiveView, TerminalPrompt
     from tetractl.view.terminal.progress import BatchProgress
 
@@ -207,11 +206,9 @@ def _conclude(report: "Report", trials: list[int], folder: Path, stopped: bool, 
     Raises the error of a trial that failed without an outcome.
     """
     from tetractl.cli.stats import show
-    from tetractl.cli.streams import first_signal_callback
     from tetractl.results.contrast import contrast
     from tetractl.results.describe import describe
     from tetractl.results.open_batch import open_batch
-    from tetractl.run.interrupt import interrupted_once
     from tetractl.run.task import log_path
 
     error = next(iter(report.errors.values()), None)

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tetractl.core.errors import UsageError, printable
+from tetractl.core.table.table import Table
+from tetractl.core.table.table_files import json_text
+from tetractl.core.table.terminal_table import print_tables
 
 if TYPE_CHECKING:
-    from tetractl.core.table.table import Table
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.run.plausibility import PlacedWarning
@@ -87,9 +89,6 @@ def tell(*lines: str) -> None:
 
 def show(as_json: bool, items: object, tables: "Sequence[Table]") -> None:
     """Print results to stdout: as one JSON object of `items`, or as tables."""
-    from tetractl.core.table.table_files import json_text
-    from tetractl.core.table.terminal_table import print_tables
-
     if as_json:
         print(json_text(items))
     else:

@@ -3,9 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
-
-import numpy as np
+from typing import Any, Protocol, Self, runtime_checkable
 
 NONE = "-"
 """The text for an unknown value."""
@@ -49,6 +47,15 @@ def as_text(value: Any) -> str:
     return NONE if value is None or value != value else str(value)
 
 
+@runtime_checkable
+class Array(Protocol):
+    """An array or a number of NumPy, which is slow to import."""
+
+    def tolist(self) -> Any:
+        """Return the values as Python's."""
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class Column:
     """The values of one quantity, one per row; None or NaN if unknown.
@@ -59,7 +66,7 @@ class Column:
     """
 
     name: str
-    values: Sequence[Any] | np.ndarray
+    values: Any  # a sequence or an array
     unit: str = ""
     format: Callable[[Any], str] = as_text
     words: bool = False
@@ -82,12 +89,8 @@ class Column:
     @property
     def known(self) -> list[Any]:
         """The values for a data file: None in place of NaN."""
-        if not isinstance(self.values, np.ndarray):
-            return [None if value != value else value for value in self.values]
-        found = self.values.tolist()
-        if self.values.dtype.kind == "f" and np.isnan(self.values).any():
-            return [None if value != value else value for value in found]
-        return found
+        values = self.values.tolist() if isinstance(self.values, Array) else self.values
+        return [None if value != value else value for value in values]
 
 
 @dataclass(frozen=True, slots=True)

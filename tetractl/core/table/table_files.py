@@ -12,10 +12,8 @@ from itertools import chain, repeat
 from pathlib import Path
 from typing import Any, Protocol, Self, TextIO
 
-import numpy as np
-
 from tetractl.core.errors import LogError, UsageError, cell
-from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table import Array, Column, Table
 
 PART = ".part"
 CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
@@ -228,7 +226,7 @@ def plain(value: Any) -> Any:
     """Convert data to dictionaries, lists, texts and finite numbers; other numbers become None."""
     if is_dataclass(value) and not isinstance(value, type):
         value = asdict(value)
-    if isinstance(value, np.ndarray | np.generic):
+    if isinstance(value, Array):
         value = value.tolist()
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.run import DryRun, Json, Out, Quiet, Unattended
 from tetractl.cli.serve import Port, Serve, wanted_port
 from tetractl.cli.trials import RunOptions, drive, run_command
 from tetractl.core.errors import Exit, printable
@@ -33,22 +32,15 @@ PREDICTION = (
 
 def rerun(
     log: ui.Log,
-    plant: Annotated[
-        ui.PlantChoice,
-        ui.option(
-            ui.PLANTS,
-            "sim: simulate. lab: drive the robots of the log's lab. emulated: emulate that lab in "
-            "virtual time.",
-        ),
-    ] = "sim",
+    plant: ui.PlantChoice = "sim",
     yes: ui.Yes = False,
-    unattended: Unattended = False,
-    out: Out = None,
-    dry_run: DryRun = False,
-    quiet: Quiet = False,
+    unattended: bool = False,
+    out: Path | None = None,
+    dry_run: bool = False,
+    quiet: Annotated[bool, "--quiet", "-q"] = False,
     serve: Serve = False,
     port: Port = None,
-    json: Json = False,
+    json: bool = False,
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
 
@@ -56,6 +48,16 @@ def rerun(
     in content. The trial of a log from a lab is simulated too; robots move only with --plant lab.
 
     Example: tetractl rerun logs/demo/trial-003.mcap
+
+    Options:
+      plant sim|lab|emulated: sim: simulate. lab: drive the robots of the log's lab. emulated:
+        emulate that lab in virtual time.
+      unattended: Lab only, with --yes: go on if the terminal closes or no process reads the output
+        any more, which otherwise stops the robots.
+      out DIR: Folder for the logs.  [logs/<spec name>-<UTC time>]
+      dry_run: Run nothing: print the spec, its limits and what would be run.
+      quiet: Show neither a live view nor progress.
+      json: Print the statistics as JSON, like `stats --format json`.
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.run.task import log_path
@@ -124,19 +126,9 @@ def _compare(log: Path, again: Path) -> int:
 
 def redrive(
     log: ui.Log,
-    plant: Annotated[
-        ui.PlantChoice,
-        ui.option(
-            ui.PLANTS,
-            "sim: drive a simulation. lab: drive the robots of the log's lab. emulated: emulate "
-            "that lab in virtual time.",
-        ),
-    ] = "sim",
-    out: Annotated[Path | None, ui.output("DIR", "Folder for the log of the new trial.")] = None,
-    picture: Annotated[
-        Path | None,
-        ui.option("FILE", "File of a figure of both paths: .png, .svg or .pdf.", "--plot"),
-    ] = None,
+    plant: ui.PlantChoice = "sim",
+    out: Path | None = None,
+    picture: Annotated[Path | None, "--plot"] = None,
     yes: ui.Yes = False,
 ) -> int:
     """Drive a plant with the recorded commands of a log, open loop, in a new trial.
@@ -145,6 +137,12 @@ def redrive(
     have to stand on their starts, and all checks of a run apply.
 
     Example: tetractl redrive trial-000.mcap --plant sim --plot apart.svg
+
+    Options:
+      plant sim|lab|emulated: sim: drive a simulation. lab: drive the robots of the log's lab.
+        emulated: emulate that lab in virtual time.
+      out DIR: Folder for the log of the new trial.
+      picture FILE: File of a figure of both paths: .png, .svg or .pdf.
     """
     from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
     from tetractl.run.store import default_folder
@@ -191,14 +189,7 @@ def _distances(apart: "Apart") -> "Table":
 
 def what_if(
     logs: ui.Logs,
-    sets: Annotated[
-        list[str],
-        ui.option(
-            "PATH=VALUE",
-            "Replace a value of the controller, as field=value; may be repeated.",
-            "--set",
-        ),
-    ],
+    sets: Annotated[list[str], "--set"],
     as_json: ui.AsJson = False,
 ) -> int:
     """Print what another controller would have decided on the recorded observations.
@@ -208,6 +199,9 @@ def what_if(
     prediction: the robots do not follow the other controller.
 
     Example: tetractl what-if trial-000.mcap --set controller.horizon_max=20
+
+    Options:
+      sets PATH=VALUE: Replace a value of the controller, as field=value; may be repeated.
     """
     from tetractl.log.read.reader import read_trial
     from tetractl.replay import what_if as replay

@@ -4,7 +4,6 @@ Modules that are slow to import are imported inside the commands that need them,
 answers at once.
 """
 
-import inspect
 import re
 import sys
 from typing import Annotated, Any
@@ -61,11 +60,6 @@ EXTRAS = {
 """For each optional module, the package's name and the extra of tetractl that installs it."""
 
 _BREAK = re.compile(r"(?<!\n)\n(?!\n|[a-z]+: )")  # a break inside a paragraph, not in a list
-
-
-def _joined(text: str | None) -> str:
-    """Return a docstring as help: the lines of each paragraph joined."""
-    return _BREAK.sub(" ", inspect.cleandoc(text or ""))
 
 
 def _placeholders(params: Any) -> Any:
@@ -147,7 +141,8 @@ app.add_typer(lab_app)
 for group, functions in ((app, COMMANDS), (lab_app, LAB_COMMANDS)):
     for function in functions:
         name = function.__name__.strip("_").replace("_", "-")
-        group.command(name, cls=_Command, help=_joined(function.__doc__))(function)
+        help_text = _BREAK.sub(" ", ui.declare_options(function))
+        group.command(name, cls=_Command, help=help_text)(function)
 
 
 def run_app() -> int:

@@ -23,26 +23,11 @@ if TYPE_CHECKING:
 def design(
     spec: ui.Spec,
     sets: ui.Sets = None,
-    seconds: Annotated[float, ui.option("S", "Duration of the motion [s].", min=1, max=120)] = 10.0,
-    plant: Annotated[
-        ui.PlantChoice | None,
-        ui.option(ui.PLANTS, "Drive the proposed motion, and identify the robots from it."),
-    ] = None,
-    logs: Annotated[
-        Path | None,
-        ui.option(
-            "DIR", "With --plant: folder for the log.  \\[logs/<spec name>-design-<UTC time>]"
-        ),
-    ] = None,
+    seconds: Annotated[float, ui.Bounds(1, 120)] = 10.0,
+    plant: ui.PlantChoice | None = None,
+    logs: Path | None = None,
     yes: ui.Yes = False,
-    out: Annotated[
-        Path | None,
-        ui.output(
-            "FILE",
-            "YAML file to write: a spec of the motion; with --plant, the identified values, for "
-            "the field `identified` of a spec.",
-        ),
-    ] = None,
+    out: Path | None = None,
     as_json: ui.AsJson = False,
 ) -> int:
     """Propose a motion from which the robots can be identified well.
@@ -52,6 +37,13 @@ def design(
     identified from its log.
 
     Example: tetractl design experiments/three_m3pi.yaml --plant sim
+
+    Options:
+      seconds S: Duration of the motion [s].
+      plant sim|lab|emulated: Drive the proposed motion, and identify the robots from it.
+      logs DIR: With --plant: folder for the log.  [logs/<spec name>-design-<UTC time>]
+      out FILE: YAML file to write: a spec of the motion; with --plant, the identified values, for
+        the field `identified` of a spec.
     """
     from tetractl.experiment.plants import on_plant
     from tetractl.log.read.reader import read_trial
@@ -119,19 +111,8 @@ def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None
 
 
 def identify(
-    logs: Annotated[
-        list[Path],
-        ui.argument(
-            "LOG...",
-            "Logs of the same robots, folders or globs; or CSV files of poses and commands.",
-        ),
-    ],
-    out: Annotated[
-        Path | None,
-        ui.output(
-            "FILE", "YAML file to write the values to; a spec names it in its field `identified`."
-        ),
-    ] = None,
+    logs: list[Path],
+    out: Path | None = None,
     as_json: ui.AsJson = False,
 ) -> int:
     """Identify turning rate a, speed, heading bias, dead time and noise, with 95 % intervals.
@@ -142,6 +123,10 @@ def identify(
     `tetractl design SPEC` proposes a motion from which robots can be identified well.
 
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
+
+    Options:
+      logs LOG...: Logs of the same robots, folders or globs; or CSV files of poses and commands.
+      out FILE: YAML file to write the values to; a spec names it in its field `identified`.
     """
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import csv_tracks, track_of

@@ -9,20 +9,8 @@ from tetractl.core.table.table_files import json_text
 
 
 def kinds(
-    check: Annotated[
-        str | None,
-        ui.option(
-            "MODULE:NAME",
-            "Check your own motion, or section of a shape, optimiser, controller, disturbance, "
-            "camera or actuator, given as module:NAME.",
-        ),
-    ] = None,
-    sets: Annotated[
-        list[str] | None,
-        ui.option(
-            "FIELD=VALUE", "With --check: set a field of the kind; may be repeated.", "--set"
-        ),
-    ] = None,
+    check: str | None = None,
+    sets: Annotated[list[str] | None, "--set"] = None,
     as_json: ui.AsJson = False,
 ) -> int:
     """List every available kind: optimisers, shapes, cameras, sweeps, statistics, figures and so
@@ -37,6 +25,11 @@ def kinds(
     opened if possible; an actuator is not opened, and nothing moves.
 
     Example: tetractl kinds --check pivot:PIVOT
+
+    Options:
+      check MODULE:NAME: Check your own motion, or section of a shape, optimiser, controller,
+        disturbance, camera or actuator, given as module:NAME.
+      sets FIELD=VALUE: With --check: set a field of the kind; may be repeated.
     """
     if check is None and sets:
         raise UsageError("--set needs --check")

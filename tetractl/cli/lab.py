@@ -34,7 +34,7 @@ def check(
     sets: ui.Sets = None,
     plant: ui.LabChoice = "lab",
     as_json: ui.AsJson = False,
-    yes: Annotated[bool, ui.switch("--yes", "Answer yes to every question.")] = False,
+    yes: bool = False,
 ) -> int:
     """Check camera, actuator, robots, batteries and starts of a lab, without moving a robot.
 
@@ -42,6 +42,9 @@ def check(
     the firmware of an unknown radio, are asked; without a terminal, give --yes.
 
     Example: tetractl lab check experiments/three_m3pi_lab.yaml
+
+    Options:
+      yes: Answer yes to every question.
     """
     from tetractl.experiment.plants import on_plant
     from tetractl.lab.preflight import inspect
@@ -69,14 +72,10 @@ def _agreed(questions: Sequence[str]) -> bool:
 
 
 def stop(
-    spec: Annotated[
-        Path | None, ui.argument("SPEC", "Spec file; only its actuator is used.")
-    ] = None,
+    spec: Path | None = None,
     sets: ui.Sets = None,
-    port: Annotated[
-        str | None, ui.option("PORT", "Serial port of an m3pi radio, in place of a spec.")
-    ] = None,
-    baud: Annotated[int, ui.option("N", "With --port: baud rate.")] = 57600,
+    port: str | None = None,
+    baud: int = 57600,
 ) -> int:
     """Stop every robot permanently, through the spec's actuator or the port of an m3pi radio.
 
@@ -85,6 +84,11 @@ def stop(
     killed. Exits with 1 if another program keeps the port.
 
     Example: tetractl lab stop --port /dev/ttyUSB0
+
+    Options:
+      spec [SPEC]: Spec file; only its actuator is used.
+      port PORT: Serial port of an m3pi radio, in place of a spec.
+      baud N: With --port: baud rate.
     """
     if (spec is None) == (port is None):
         raise UsageError("give either a SPEC or --port")
@@ -107,30 +111,10 @@ def stop(
 def calibrate(
     spec: ui.Spec,
     sets: ui.Sets = None,
-    out: Annotated[Path, ui.output("FILE", "YAML file to write the calibration to.")] = Path(
-        "calibration.yaml"
-    ),
-    robot: Annotated[
-        list[str] | None,
-        ui.option("NAME", "Calibrate only this robot; may be repeated.  [all]"),
-    ] = None,
-    limit: Annotated[
-        int,
-        ui.option(
-            "N",
-            "Largest output that the calibration sends; for m3pi robots a wheel count.",
-            min=10,
-            max=80,
-        ),
-    ] = 45,
-    micrometer: Annotated[
-        str | None,
-        ui.option(
-            "C,R,C,R,UM",
-            "Column and row of two places in a microscope's picture (px), and their distance along "
-            "the spec's x axis (um).",
-        ),
-    ] = None,
+    out: Path = Path("calibration.yaml"),
+    robot: list[str] | None = None,
+    limit: Annotated[int, ui.Bounds(10, 80)] = 45,
+    micrometer: str | None = None,
     yes: ui.Yes = False,
 ) -> int:
     """Calibrate each robot's actuator by small motions, or the scale and rotation of a microscope.
@@ -142,6 +126,13 @@ def calibrate(
     `lab.calibration`.
 
     Example: tetractl lab calibrate experiments/three_m3pi_lab.yaml -o m3pi.calibration.yaml
+
+    Options:
+      out FILE: YAML file to write the calibration to.
+      robot NAME: Calibrate only this robot; may be repeated.  [all]
+      limit N: Largest output that the calibration sends; for m3pi robots a wheel count.
+      micrometer C,R,C,R,UM: Column and row of two places in a microscope's picture (px), and their
+        distance along the spec's x axis (um).
     """
     ui.refuse_existing(out)
     lab, experiment = _lab(spec, sets)

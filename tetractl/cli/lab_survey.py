@@ -22,18 +22,8 @@ NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
 def survey(
     spec: ui.Spec,
     sets: ui.Sets = None,
-    out: Annotated[
-        Path | None, ui.output("FILE", "YAML file to write a spec for trials to.")
-    ] = None,
-    plans: Annotated[
-        int,
-        ui.option(
-            "N",
-            "Number of plans to search for each of the best choices of cells.",
-            min=1,
-            max=1000,
-        ),
-    ] = 48,
+    out: Path | None = None,
+    plans: Annotated[int, ui.Bounds(1, 1000)] = 48,
     plant: ui.LabChoice = "lab",
     yes: ui.Yes = False,
     as_json: ui.AsJson = False,
@@ -46,6 +36,10 @@ def survey(
     cells again, by their turning rates a and speeds.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
+
+    Options:
+      out FILE: YAML file to write a spec for trials to.
+      plans N: Number of plans to search for each of the best choices of cells.
     """
     import numpy as np
 

@@ -5,7 +5,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
 from tetractl.cli import ui
 from tetractl.core.clock import milliseconds
@@ -21,7 +21,7 @@ PROBLEMS = 20  # largest number of problems that `verify` prints per log
 
 
 def info(
-    log: Annotated[Path, ui.argument("LOG", "Log of a trial, finished or not.")],
+    log: Path,
     as_json: ui.AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
@@ -31,6 +31,9 @@ def info(
     The whole log is read and checked. Exits with 1 if the log is damaged or has no result.
 
     Example: tetractl info logs/three-m3pi-20200101T000000Z/trial-000.mcap
+
+    Options:
+      log LOG: Log of a trial, finished or not.
     """
     from tetractl.log.read.overview import overview
 
@@ -138,8 +141,8 @@ def _digest(found: "Overview") -> dict[str, str]:
 
 
 def recover(
-    log: Annotated[Path, ui.argument("LOG", "Log of a trial, or a .part file.")],
-    out: Annotated[Path | None, ui.output("FILE", "File to write.  [NAME.recovered.mcap]")] = None,
+    log: Path,
+    out: Path | None = None,
     as_json: ui.AsJson = False,
 ) -> int:
     """Copy the intact records of a damaged log to a complete file, and print what is lost.
@@ -147,6 +150,10 @@ def recover(
     Exits with 0 if nothing is lost, 3 if something is, 1 if nothing can be saved.
 
     Example: tetractl recover logs/batch/trial-003.mcap.part
+
+    Options:
+      log LOG: Log of a trial, or a .part file.
+      out FILE: File to write.  [NAME.recovered.mcap]
     """
     from tetractl.log.read.recover import recover as save
 

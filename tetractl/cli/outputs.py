@@ -15,17 +15,8 @@ VIDEO = "video"
 
 def plot(
     logs: ui.Logs,
-    out: Annotated[
-        Path | None,
-        ui.output(
-            "FILE",
-            "Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. "
-            "A film: .mp4, .gif or .webp, by default LOG-video.gif.",
-        ),
-    ] = None,
-    kind: Annotated[
-        str, ui.option("NAME", "The figure to draw, a name from the list above.")
-    ] = "trajectory",
+    out: Path | None = None,
+    kind: str = "trajectory",
 ) -> int:
     """Draw a figure of a trial and print the name of its file.
 
@@ -45,6 +36,11 @@ def plot(
     The same log gives the same bytes. MP4 films need ffmpeg.
 
     Example: tetractl plot trial-000.mcap --kind convergence -o convergence.pdf
+
+    Options:
+      out FILE: Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A
+        film: .mp4, .gif or .webp, by default LOG-video.gif.
+      kind NAME: The figure to draw, a name from the list above.
     """
     from tetractl.view.figures.draw import check_kind, draw
     from tetractl.view.style import file_format, save
@@ -85,12 +81,8 @@ def _default_name(logs: list[Path], kind: str) -> Path:
 
 def report(
     logs: ui.Logs,
-    out: Annotated[
-        Path, ui.output("FILE", "HTML file to write; an existing file is overwritten.")
-    ] = Path("report.html"),
-    title: Annotated[
-        str | None, ui.option("TEXT", "Title of the page.  \\[experiment's name]")
-    ] = None,
+    out: Path = Path("report.html"),
+    title: str | None = None,
 ) -> int:
     """Write one HTML page that shows trials and their statistics, and needs no network.
 
@@ -99,6 +91,10 @@ def report(
     folder is a batch; several batches are shown side by side.
 
     Example: tetractl report logs/three-m3pi -o report.html
+
+    Options:
+      out FILE: HTML file to write; an existing file is overwritten.
+      title TEXT: Title of the page.  [experiment's name]
     """
     from tetractl.report import page
 
@@ -115,22 +111,9 @@ def report(
 
 def export(
     logs: ui.Logs,
-    out: Annotated[
-        Path,
-        ui.output(
-            "DIR|FILE",
-            "Folder for all tables; or a .csv or .parquet file for the one named by --table.",
-        ),
-    ],
-    table: Annotated[
-        str | None,
-        ui.option(
-            "NAME", "Write only this table: trials, steps, poses, estimates or events.  \\[all]"
-        ),
-    ] = None,
-    form: Annotated[
-        str | None, ui.option("NAME", "File format: csv or parquet.  \\[csv]", "--format")
-    ] = None,
+    out: Path,
+    table: str | None = None,
+    form: Annotated[str | None, "--format"] = None,
 ) -> int:
     """Write trials as tidy tables: one row per trial, control step, pose, estimate or event.
 
@@ -138,6 +121,11 @@ def export(
     tables can be joined. Existing files of these names are overwritten.
 
     Example: tetractl export logs/three-m3pi -o tables --format parquet
+
+    Options:
+      out DIR|FILE: Folder for all tables; or a .csv or .parquet file for the one named by --table.
+      table NAME: Write only this table: trials, steps, poses, estimates or events.  [all]
+      form NAME: File format: csv or parquet.  [csv]
     """
     from tetractl.results.trial_tables import of_log
 

@@ -1,7 +1,6 @@
 """`tetractl replay`: play a trial back."""
 
 from pathlib import Path
-from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.core.clock import MonotonicClock
@@ -11,18 +10,11 @@ from tetractl.log.read.find import find_logs
 
 def replay(
     logs: ui.Logs,
-    rate: Annotated[
-        float | None,
-        ui.option(
-            "R",
-            "Speed: seconds of the trial per second (1). Without a terminal all lines are printed "
-            "at once unless --rate is given.",
-        ),
-    ] = None,
-    start: Annotated[float, ui.option("S", "Begin at this second of the trial.")] = 0.0,
-    until: Annotated[float | None, ui.option("S", "Stop at this second of the trial.")] = None,
-    loop: Annotated[bool, ui.switch("--loop", "At the end, start again.")] = False,
-    paused: Annotated[bool, ui.switch("--paused", "Start paused, until a key is pressed.")] = False,
+    rate: float | None = None,
+    start: float = 0.0,
+    until: float | None = None,
+    loop: bool = False,
+    paused: bool = False,
 ) -> int:
     """Play trials back: arena, trails, plan, error, convergence, events.
 
@@ -36,6 +28,14 @@ def replay(
     Without a terminal it prints one line per control step and event.
 
     Example: tetractl replay trial-000.mcap --rate 2 --start 5
+
+    Options:
+      rate R: Speed: seconds of the trial per second (1). Without a terminal all lines are printed
+        at once unless --rate is given.
+      start S: Begin at this second of the trial.
+      until S: Stop at this second of the trial.
+      loop: At the end, start again.
+      paused: Start paused, until a key is pressed.
     """
     from rich.console import Console
 

@@ -8,58 +8,24 @@ from tetractl.cli.serve import Port, Serve, wanted_port
 from tetractl.cli.trials import RunOptions, run_command
 from tetractl.core.errors import UsageError
 
-Out = Annotated[
-    Path | None, ui.output("DIR", "Folder for the logs.  \\[logs/<spec name>-<UTC time>]")
-]
-DryRun = Annotated[
-    bool, ui.switch("--dry-run", "Run nothing: print the spec, its limits and what would be run.")
-]
-Quiet = Annotated[bool, ui.option("", "Show neither a live view nor progress.", "--quiet", "-q")]
-Unattended = Annotated[
-    bool,
-    ui.switch(
-        "--unattended",
-        "Lab only, with --yes: go on if the terminal closes or no process reads the output any "
-        "more, which otherwise stops the robots.",
-    ),
-]
-Json = Annotated[
-    bool, ui.switch("--json", "Print the statistics as JSON, like `stats --format json`.")
-]
-
 
 def run(
     spec: ui.Spec,
-    trials: Annotated[
-        int | None, ui.option("N", "Number of trials.  \\[spec: trials.count]", min=1)
-    ] = None,
-    seed: Annotated[
-        int | None, ui.option("S", "Seed of all random numbers.  \\[spec: trials.seed]", min=0)
-    ] = None,
+    trials: Annotated[int | None, ui.Bounds(1)] = None,
+    seed: Annotated[int | None, ui.Bounds(0)] = None,
     sets: ui.Sets = None,
-    plant: Annotated[
-        ui.PlantChoice | None,
-        ui.option(
-            ui.PLANTS,
-            "sim: simulate. lab: drive the robots of the spec's lab. emulated: emulate that lab in "
-            "virtual time.  \\[spec: plant.type]",
-        ),
-    ] = None,
+    plant: ui.PlantChoice | None = None,
     yes: ui.Yes = False,
-    unattended: Unattended = False,
-    out: Out = None,
-    jobs: Annotated[
-        int, ui.option("N", "Number of trials run at a time, each in its own process.", min=1)
-    ] = 1,
-    resume: Annotated[
-        bool, ui.switch("--resume", "Run only the trials without a complete log in DIR.")
-    ] = False,
-    dry_run: DryRun = False,
+    unattended: bool = False,
+    out: Path | None = None,
+    jobs: Annotated[int, ui.Bounds(1)] = 1,
+    resume: bool = False,
+    dry_run: bool = False,
     strict: ui.Strict = False,
-    quiet: Quiet = False,
+    quiet: Annotated[bool, "--quiet", "-q"] = False,
     serve: Serve = False,
     port: Port = None,
-    json: Json = False,
+    json: bool = False,
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
 
@@ -72,6 +38,20 @@ def run(
     the step.
 
     Example: tetractl run experiments/three_m3pi.yaml --trials 5 --set plant.dead_time=0.1
+
+    Options:
+      trials N: Number of trials.  [spec: trials.count]
+      seed S: Seed of all random numbers.  [spec: trials.seed]
+      plant sim|lab|emulated: sim: simulate. lab: drive the robots of the spec's lab. emulated:
+        emulate that lab in virtual time.  [spec: plant.type]
+      unattended: Lab only, with --yes: go on if the terminal closes or no process reads the output
+        any more, which otherwise stops the robots.
+      out DIR: Folder for the logs.  [logs/<spec name>-<UTC time>]
+      jobs N: Number of trials run at a time, each in its own process.
+      resume: Run only the trials without a complete log in DIR.
+      dry_run: Run nothing: print the spec, its limits and what would be run.
+      quiet: Show neither a live view nor progress.
+      json: Print the statistics as JSON, like `stats --format json`.
     """
     from tetractl.experiment.plants import on_plant
 

@@ -25,7 +25,7 @@ LICHTBLICK = "http://localhost:8080"
 """Default address of Lichtblick on this machine."""
 
 SHOW = "Print a link that shows the trial in Foxglove or Lichtblick as it runs."
-Serve = Annotated[bool, ui.switch("--serve", SHOW)]
+Serve = Annotated[bool, ui.option("", SHOW, "--serve")]
 FREE = "0 for any free port."
 Port = Annotated[
     int | None,
@@ -37,19 +37,12 @@ Viewer = Annotated[str, ui.option("URL", "Address at which Lichtblick runs.", "-
 
 
 def serve(
-    what: Annotated[Path, ui.argument("LOG|SPEC", "The log of a trial to play, or a spec to run.")],
-    rate: Annotated[
-        float, ui.option("R", "With a LOG: speed, in seconds of the trial per second.")
-    ] = 1.0,
-    start: Annotated[float, ui.option("S", "With a LOG: begin at this second of the trial.")] = 0.0,
-    until: Annotated[
-        float | None, ui.option("S", "With a LOG: end at this second of the trial.")
-    ] = None,
-    loop: Annotated[bool, ui.option("", "With a LOG: at its end, start again.")] = True,
-    paused: Annotated[
-        bool,
-        ui.switch("--paused", "With a LOG: start paused, until the viewer or a key starts it."),
-    ] = False,
+    what: Path,
+    rate: float = 1.0,
+    start: float = 0.0,
+    until: float | None = None,
+    loop: bool = True,
+    paused: bool = False,
     port: ServerPort = PORT,
     browser: Browser = True,
     viewer: Viewer = LICHTBLICK,
@@ -66,6 +59,14 @@ def serve(
     The trials of a SPEC are run as by `tetractl run SPEC --serve`; that command has more options.
 
     Example: tetractl serve trial-000.mcap
+
+    Options:
+      what LOG|SPEC: The log of a trial to play, or a spec to run.
+      rate R: With a LOG: speed, in seconds of the trial per second.
+      start S: With a LOG: begin at this second of the trial.
+      until S: With a LOG: end at this second of the trial.
+      loop: With a LOG: at its end, start again.
+      paused: With a LOG: start paused, until the viewer or a key starts it.
     """
     if what.suffix.lower() in SPECS:
         from tetractl.cli.run import run

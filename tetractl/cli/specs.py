@@ -66,21 +66,10 @@ def example_files(name: str) -> dict[str, str]:
 
 
 def init(
-    name: Annotated[
-        str | None,
-        ui.argument("[NAME]", "Name of the experiment and of the file to write.  \\[experiment]"),
-    ] = None,
-    lab: Annotated[bool, ui.switch("--lab", "Add a lab of m3pi robots to the spec.")] = False,
-    cells: Annotated[
-        bool, ui.switch("--cells", "Write a spec of two cells, in um, in place of robots.")
-    ] = False,
-    example: Annotated[
-        str | None,
-        ui.option(
-            "NAME",
-            "Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.",
-        ),
-    ] = None,
+    name: str | None = None,
+    lab: bool = False,
+    cells: bool = False,
+    example: str | None = None,
 ) -> int:
     """Write NAME.yaml, a commented spec that can be run. An existing file is left unchanged.
 
@@ -91,6 +80,12 @@ def init(
     Example: tetractl init first
 
     Example: tetractl init --example studies/dead_time
+
+    Options:
+      name [NAME]: Name of the experiment and of the file to write.  [experiment]
+      lab: Add a lab of m3pi robots to the spec.
+      cells: Write a spec of two cells, in um, in place of robots.
+      example NAME: Write an example instead, such as three_m3pi, to experiments/three_m3pi.yaml.
     """
     if example is not None:
         if name is not None or lab or cells:
@@ -156,11 +151,8 @@ def template(name: str, file: str, kind: str) -> str:
 
 
 def validate(
-    specs: Annotated[list[Path], ui.argument("SPEC", "Spec files to check.")],
-    sets: Annotated[
-        list[str] | None,
-        ui.option("PATH=VALUE", "Replace a value of every spec before the check.", "--set"),
-    ] = None,
+    specs: list[Path],
+    sets: Annotated[list[str] | None, "--set"] = None,
     strict: ui.Strict = False,
     as_json: ui.AsJson = False,
 ) -> int:
@@ -169,6 +161,10 @@ def validate(
     Valid values that will probably not work as intended cause a warning on stderr.
 
     Example: tetractl validate experiments/*.yaml
+
+    Options:
+      specs SPEC: Spec files to check.
+      sets PATH=VALUE: Replace a value of every spec before the check.
     """
     results = [_check(spec, sets) for spec in specs]
     if as_json:
@@ -207,13 +203,7 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
 
 
 def warm(
-    specs: Annotated[
-        list[Path] | None,
-        ui.argument(
-            "[SPEC|STUDY]...",
-            "Specs and studies to compile for.  \\[the specs that `tetractl init` writes]",
-        ),
-    ] = None,
+    specs: list[Path] | None = None,
     sets: ui.Sets = None,
 ) -> int:
     """Compile the code that specs and studies need, with progress, so that their runs start at
@@ -223,6 +213,10 @@ def warm(
     controller, optimiser and motion. Run this command again after a change of one of these.
 
     Example: tetractl warm three-m3pi.yaml studies/slip.yaml
+
+    Options:
+      specs [SPEC|STUDY]...: Specs and studies to compile for.  [the specs that `tetractl init`
+        writes]
     """
     from rich.console import Console
 
@@ -261,14 +255,16 @@ def _experiments(files: list[Path], sets: list[str]) -> "Iterator[Experiment]":
 
 
 def schema(
-    out: Annotated[Path | None, ui.output("FILE", "File to write the schema to.")] = None,
-    study: Annotated[
-        bool, ui.switch("--study", "Print the schema of a study in place of a spec's.")
-    ] = False,
+    out: Path | None = None,
+    study: bool = False,
 ) -> None:
     """Print the JSON schema of a spec, or of a study, for editors.
 
     Example: tetractl schema -o experiment.schema.json
+
+    Options:
+      out FILE: File to write the schema to.
+      study: Print the schema of a study in place of a spec's.
     """
     from tetractl.experiment.yaml.schema import experiment_schema, schema_json
     from tetractl.study.load_study import study_schema

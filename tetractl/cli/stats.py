@@ -14,34 +14,15 @@ if TYPE_CHECKING:
     from tetractl.results.describe import Group
     from tetractl.results.open_batch import Source
 
-PICTURE = "File of {}: .png, .svg or .pdf."
 Format = Literal["table", "json", "csv", "markdown", "latex", "html"]
 
 
 def stats(
-    paths: Annotated[
-        list[str],
-        ui.argument(
-            "PATH",
-            "Logs, folders or globs: one batch. Several folders, or one of several folders such as "
-            "a study, are several batches.",
-        ),
-    ],
-    form: Annotated[
-        Format, ui.option("table|json|csv|markdown|latex|html", "Output format.", "--format")
-    ] = "table",
+    paths: list[str],
+    form: Annotated[Format, "--format"] = "table",
     as_json: ui.LikeFormatJson = False,
-    against: Annotated[
-        list[str] | None,
-        ui.option(
-            "PATH",
-            "Log, folder or quoted glob of a baseline batch: the others are compared with this "
-            "batch only; may be repeated.",
-        ),
-    ] = None,
-    plot: Annotated[
-        Path | None, ui.option("FILE", PICTURE.format("a figure of the batches"))
-    ] = None,
+    against: list[str] | None = None,
+    plot: Path | None = None,
 ) -> int:
     """Print statistics of batches: errors with intervals, the published result, comparisons.
 
@@ -57,6 +38,14 @@ def stats(
     Example: tetractl stats logs/exact logs/arc logs/euler --plot ecdf.pdf
 
     Example: tetractl stats logs/slip
+
+    Options:
+      paths PATH: Logs, folders or globs: one batch. Several folders, or one of several folders such
+        as a study, are several batches.
+      form table|json|csv|markdown|latex|html: Output format.
+      against PATH: Log, folder or quoted glob of a baseline batch: the others are compared with
+        this batch only; may be repeated.
+      plot FILE: File of a figure of the batches: .png, .svg or .pdf.
     """
     from tetractl.results.contrast import contrast
     from tetractl.results.open_batch import one_source, sources
@@ -118,16 +107,12 @@ def _draw(found: "GroupComparison", file: Path) -> None:
 
 
 def analyze(
-    spec: Annotated[Path, ui.argument("SPEC", "Spec file of the experiment to analyse.")],
+    spec: Path,
     sets: ui.Sets = None,
-    plans: Annotated[
-        int, ui.option("N", "Number of plans to search for each result.", min=1, max=1000)
-    ] = 5,
-    form: Annotated[
-        Literal["text", "json"], ui.option("text|json", "Output format.", "--format")
-    ] = "text",
+    plans: Annotated[int, ui.Bounds(1, 1000)] = 5,
+    form: Annotated[Literal["text", "json"], "--format"] = "text",
     as_json: ui.LikeFormatJson = False,
-    out: Annotated[Path | None, ui.output("FILE", PICTURE.format("the figure to draw"))] = None,
+    out: Path | None = None,
 ) -> int:
     """Predict how well the robots of a spec can be steered together; no trial is run.
 
@@ -139,6 +124,12 @@ def analyze(
     value of one of them.
 
     Example: tetractl analyze experiments/tetrahymena.yaml -o analysis.png
+
+    Options:
+      spec SPEC: Spec file of the experiment to analyse.
+      plans N: Number of plans to search for each result.
+      form text|json: Output format.
+      out FILE: File of the figure to draw: .png, .svg or .pdf.
     """
     from tetractl.analysis.analysis_text import advice, tables
     from tetractl.analysis.analysis_text import as_json as items

@@ -24,59 +24,19 @@ STOPPING = b"\nstopping after the steps that run; a second Ctrl-C stops at once\
 
 
 def study(
-    file: Annotated[Path, ui.argument("STUDY", "The study, a YAML file.")],
-    folders: Annotated[
-        list[Path] | None, ui.argument("[DIR]...", "With --merge: folders of the study's shares.")
-    ] = None,
-    out: Annotated[
-        Path | None, ui.output("DIR", "Folder of the study.  \\[logs/<study name>]")
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        ui.option(
-            "N",
-            "Number of trials run at a time, each in its own process.  \\[processors]",
-            min=1,
-        ),
-    ] = None,
-    logs: Annotated[
-        str, ui.option("all|failed|sample:N|none", "Trials whose logs are kept.")
-    ] = "all",
-    fail_fast: Annotated[
-        bool, ui.switch("--fail-fast", "Stop at the first trial that fails.")
-    ] = False,
-    rerun_outdated: Annotated[
-        bool,
-        ui.switch(
-            "--rerun-outdated",
-            "Run again the trials whose rows were written by another version of the code.",
-        ),
-    ] = False,
-    shard: Annotated[
-        str | None,
-        ui.option(
-            "I/N", "Run only the I-th of N shares of the trials, in that share's own folder."
-        ),
-    ] = None,
-    merge: Annotated[
-        bool,
-        ui.switch("--merge", "Run nothing: merge the rows of the shares in the folders DIR."),
-    ] = False,
-    cluster: Annotated[
-        str | None,
-        ui.option("ADDRESS", "Run on the Dask cluster with the scheduler at this address."),
-    ] = None,
-    trial: Annotated[
-        str | None,
-        ui.option(
-            "ARM/N", "Run one trial again, write its log, and compare the log with the trial's row."
-        ),
-    ] = None,
-    slurm: Annotated[
-        int | None,
-        ui.option("N", "Run nothing: print a Slurm job script that runs N shares.", min=1),
-    ] = None,
-    quiet: Annotated[bool, ui.option("", "Print only failures.", "--quiet", "-q")] = False,
+    file: Path,
+    folders: list[Path] | None = None,
+    out: Path | None = None,
+    jobs: Annotated[int | None, ui.Bounds(1)] = None,
+    logs: str = "all",
+    fail_fast: bool = False,
+    rerun_outdated: bool = False,
+    shard: str | None = None,
+    merge: bool = False,
+    cluster: str | None = None,
+    trial: str | None = None,
+    slurm: Annotated[int | None, ui.Bounds(1)] = None,
+    quiet: Annotated[bool, "--quiet", "-q"] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.
 
@@ -84,6 +44,21 @@ def study(
     not stop the others; the exit code is then 1.
 
     Example: tetractl study experiments/studies/dead_time.yaml --logs none
+
+    Options:
+      file STUDY: The study, a YAML file.
+      folders [DIR]...: With --merge: folders of the study's shares.
+      out DIR: Folder of the study.  [logs/<study name>]
+      jobs N: Number of trials run at a time, each in its own process.  [processors]
+      logs all|failed|sample:N|none: Trials whose logs are kept.
+      fail_fast: Stop at the first trial that fails.
+      rerun_outdated: Run again the trials whose rows were written by another version of the code.
+      shard I/N: Run only the I-th of N shares of the trials, in that share's own folder.
+      merge: Run nothing: merge the rows of the shares in the folders DIR.
+      cluster ADDRESS: Run on the Dask cluster with the scheduler at this address.
+      trial ARM/N: Run one trial again, write its log, and compare the log with the trial's row.
+      slurm N: Run nothing: print a Slurm job script that runs N shares.
+      quiet: Print only failures.
     """
     from tetractl.study.load_study import load_study
     from tetractl.study.options import Logs, Shard, job_script, lacking, repeat

@@ -15,40 +15,12 @@ if TYPE_CHECKING:
 
 
 def track(
-    film: Annotated[Path, ui.argument("FILM", "A film, a TIFF stack or a folder of pictures.")],
-    field: Annotated[
-        Path | None,
-        ui.option(
-            "CSV",
-            "CSV file of the field's direction over time, with columns time_s and direction_rad.",
-        ),
-    ] = None,
-    scale: Annotated[
-        float | None,
-        ui.option(
-            "UM",
-            "Micrometres per pixel; by default as the film states it, or else guessed from the "
-            "cells' size.",
-            min=0.05,
-            max=100,
-        ),
-    ] = None,
-    rate: Annotated[
-        float | None,
-        ui.option(
-            "HZ",
-            "Pictures per second, if the rate that the film states is wrong or missing.",
-            min=0.1,
-            max=2000,
-        ),
-    ] = None,
-    y_down: Annotated[
-        bool, ui.switch("--y-down", "Directions in the --field file run clockwise.")
-    ] = False,
-    out: Annotated[
-        Path | None,
-        ui.output("DIR", "Folder for the tables, a log and the film with the tracks drawn in."),
-    ] = None,
+    film: Path,
+    field: Path | None = None,
+    scale: Annotated[float | None, ui.Bounds(0.05, 100)] = None,
+    rate: Annotated[float | None, ui.Bounds(0.1, 2000)] = None,
+    y_down: bool = False,
+    out: Path | None = None,
     as_json: ui.AsJson = False,
 ) -> int:
     """Follow the cells of a film, and print speed, path and sway of each with 95 % intervals.
@@ -57,6 +29,15 @@ def track(
     bias and whether it has a magnet. Nothing is steered. Exits with 1 if no cell swims in the film.
 
     Example: tetractl track dish.avi --field field.csv --scale 2.3 -o tracks
+
+    Options:
+      film FILM: A film, a TIFF stack or a folder of pictures.
+      field CSV: CSV file of the field's direction over time, with columns time_s and direction_rad.
+      scale UM: Micrometres per pixel; by default as the film states it, or else guessed from the
+        cells' size.
+      rate HZ: Pictures per second, if the rate that the film states is wrong or missing.
+      y_down: Directions in the --field file run clockwise.
+      out DIR: Folder for the tables, a log and the film with the tracks drawn in.
     """
     from tetractl.film.field_file import read_field
     from tetractl.film.film_tables import as_items, cell_table

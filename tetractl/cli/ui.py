@@ -2,12 +2,14 @@
 confirmation before robots move.
 """
 
+import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 import typer
 
@@ -27,28 +29,53 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-def option(
-    metavar: str,
-    text: str,
-    *names: str,
-    min: float | None = None,
-    max: float | None = None,
-) -> Any:
+def option(metavar: str, text: str, *names: str, **bounds: float | None) -> Any:
     """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
 
-    `names` are needed if it is not named after its parameter.
+    `names` are needed if it is not named after its parameter; `bounds` are `min` and `max`.
     """
-    return typer.Option(*names, metavar=metavar, help=text, min=min, max=max)
+    return typer.Option(*names, metavar=metavar, help=text, **bounds)
 
 
-def switch(name: str, text: str) -> Any:
-    """Return the declaration of an option without a value and without a `--no-` form."""
-    return option("", text, name)
+class Bounds(NamedTuple):
+    """The least and the largest value of an option."""
+
+    min: float | None
+    max: float | None = None
 
 
-def output(metavar: str, text: str) -> Any:
-    """Return the declaration of -o/--out, which names what a command writes."""
-    return option(metavar, text, "-o", "--out")
+_ENTRY = re.compile(r"(\w+)(?: (\S+))?: (.*)")
+
+
+def declare_options(function: Callable[..., object]) -> str:
+    """Declare the arguments and options that the section "Options:" of a function's docstring
+    describes, and return the docstring without the section.
+
+    An entry is "PARAMETER METAVAR: TEXT", without METAVAR for a switch. The parameter's annotation
+    may state `Bounds`, and the option's names if it is not named after the parameter. A parameter
+    without names is an argument if it has no default, or if METAVAR is in brackets.
+    """
+    text, _, section = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
+    parameters = inspect.signature(function).parameters
+    for entry in re.split(r"\n(?=  \w)", section) if section else ():
+        found = _ENTRY.fullmatch(" ".join(entry.split()))
+        assert found is not None, entry
+        name, metavar, words = found.groups("")
+        kind, *more = [function.__annotations__[name]]
+        if get_origin(kind) is Annotated:
+            kind, *more = get_args(kind)
+        names = [one for one in more if isinstance(one, str)]
+        if not names and parameters[name].default is False:
+            names = [f"--{name.replace('_', '-')}"]  # without a --no- form
+        bounds = next((one._asdict() for one in more if isinstance(one, Bounds)), {})
+        names, words = ["-o", "--out"] if name == "out" else names, words.replace("[", "\\[")
+        needed = parameters[name].default is inspect.Parameter.empty
+        if not names and (needed or metavar.startswith("[")):
+            made = argument(metavar, words)
+        else:
+            made = option(metavar, words, *names, **bounds)
+        function.__annotations__[name] = Annotated[kind, made]
+    return text
 
 
 Log = Annotated[Path, argument("LOG", "The log of the trial.")]
@@ -56,13 +83,12 @@ Logs = Annotated[list[Path], argument("LOG|FOLDER...", "Trial logs: files, folde
 Spec = Annotated[Path, argument("SPEC", "The experiment, a YAML file.")]
 SETS = "Replace a value of the spec, as field=value; may be repeated."
 Sets = Annotated[list[str] | None, option("PATH=VALUE", SETS, "--set")]
-AsJson = Annotated[bool, switch("--json", "Print one JSON object.")]
-LikeFormatJson = Annotated[bool, switch("--json", "The same as --format json.")]
-Strict = Annotated[bool, switch("--strict", "Exit with code 2 if a spec has warnings.")]
+AsJson = Annotated[bool, option("", "Print one JSON object.", "--json")]
+LikeFormatJson = Annotated[bool, option("", "The same as --format json.", "--json")]
+Strict = Annotated[bool, option("", "Exit with code 2 if a spec has warnings.", "--strict")]
 Yes = Annotated[
-    bool, switch("--yes", "Move robots without asking; needed if there is no terminal.")
+    bool, option("", "Move robots without asking; needed if there is no terminal.", "--yes")
 ]
-PLANTS = "sim|lab|emulated"
 PlantChoice = Literal["sim", "lab", "emulated"]
 LabChoice = Annotated[
     Literal["lab", "emulated"],

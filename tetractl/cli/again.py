@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from tetractl.cli import ui
-from tetractl.cli.serve import Port, Serve, wanted_port
+from tetractl.cli.serve import TCP, wanted_port
 from tetractl.cli.trials import RunOptions, drive, run_command
 from tetractl.core.errors import Exit, printable
 from tetractl.core.table.table import Column, Table, fixed
@@ -38,8 +38,8 @@ def rerun(
     out: Path | None = None,
     dry_run: bool = False,
     quiet: Annotated[bool, "--quiet", "-q"] = False,
-    serve: Serve = False,
-    port: Port = None,
+    serve: bool = False,
+    port: Annotated[int | None, TCP] = None,
     json: bool = False,
 ) -> int:
     """Run the trial of a log again, with the spec and seed in the log, and compare the two logs.
@@ -57,6 +57,8 @@ def rerun(
       out DIR: Folder for the logs.  [logs/<spec name>-<UTC time>]
       dry_run: Run nothing: print the spec, its limits and what would be run.
       quiet: Show neither a live view nor progress.
+      serve: Print a link that shows the trial in Foxglove or Lichtblick as it runs.
+      port N: With --serve: TCP port of the server; 0 for any free port.  [8765]
       json: Print the statistics as JSON, like `stats --format json`.
     """
     from tetractl.log.read.reader import read_trial

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 from tetractl.cli import ui
-from tetractl.cli.serve import Port, Serve, wanted_port
+from tetractl.cli.serve import TCP, wanted_port
 from tetractl.cli.trials import RunOptions, run_command
 from tetractl.core.errors import UsageError
 
@@ -23,8 +23,8 @@ def run(
     dry_run: bool = False,
     strict: ui.Strict = False,
     quiet: Annotated[bool, "--quiet", "-q"] = False,
-    serve: Serve = False,
-    port: Port = None,
+    serve: bool = False,
+    port: Annotated[int | None, TCP] = None,
     json: bool = False,
 ) -> int:
     """Run the trials of an experiment, log each to DIR/trial-000.mcap ..., print the statistics.
@@ -51,6 +51,8 @@ def run(
       resume: Run only the trials without a complete log in DIR.
       dry_run: Run nothing: print the spec, its limits and what would be run.
       quiet: Show neither a live view nor progress.
+      serve: Print a link that shows the trial in Foxglove or Lichtblick as it runs.
+      port N: With --serve: TCP port of the server; 0 for any free port.  [8765]
       json: Print the statistics as JSON, like `stats --format json`.
     """
     from tetractl.experiment.plants import on_plant

@@ -24,16 +24,7 @@ PORT = 8765
 LICHTBLICK = "http://localhost:8080"
 """Default address of Lichtblick on this machine."""
 
-SHOW = "Print a link that shows the trial in Foxglove or Lichtblick as it runs."
-Serve = Annotated[bool, ui.option("", SHOW, "--serve")]
-FREE = "0 for any free port."
-Port = Annotated[
-    int | None,
-    ui.option("N", f"With --serve: TCP port of the server; {FREE}  \\[{PORT}]", min=0, max=65535),
-]
-ServerPort = Annotated[int, ui.option("N", f"TCP port to serve at; {FREE}", min=0, max=65535)]
-Browser = Annotated[bool, ui.option("", "Open the browser; otherwise only print the address.")]
-Viewer = Annotated[str, ui.option("URL", "Address at which Lichtblick runs.", "--lichtblick")]
+TCP = ui.Bounds(0, 65535)
 
 
 def serve(
@@ -43,9 +34,9 @@ def serve(
     until: float | None = None,
     loop: bool = True,
     paused: bool = False,
-    port: ServerPort = PORT,
-    browser: Browser = True,
-    viewer: Viewer = LICHTBLICK,
+    port: Annotated[int, TCP] = PORT,
+    browser: bool = True,
+    viewer: Annotated[str, "--lichtblick"] = LICHTBLICK,
 ) -> int:
     """Show a trial in Foxglove or Lichtblick by a live WebSocket, until Ctrl-C.
 
@@ -67,6 +58,9 @@ def serve(
       until S: With a LOG: end at this second of the trial.
       loop: With a LOG: at its end, start again.
       paused: With a LOG: start paused, until the viewer or a key starts it.
+      port N: TCP port to serve at; 0 for any free port.
+      browser: Open the browser; otherwise only print the address.
+      viewer URL: Address at which Lichtblick runs.
     """
     if what.suffix.lower() in SPECS:
         from tetractl.cli.run import run
@@ -117,9 +111,9 @@ def serve(
 
 def open_(
     logs: ui.Logs,
-    port: ServerPort = 0,
-    browser: Browser = True,
-    viewer: Viewer = LICHTBLICK,
+    port: Annotated[int, TCP] = 0,
+    browser: bool = True,
+    viewer: Annotated[str, "--lichtblick"] = LICHTBLICK,
 ) -> int:
     """Show trials in the browser: the page of `tetractl report`, until Ctrl-C.
 
@@ -130,6 +124,11 @@ def open_(
     time and estimate.
 
     Example: tetractl open trial-000.mcap
+
+    Options:
+      port N: TCP port to serve at; 0 for any free port.
+      browser: Open the browser; otherwise only print the address.
+      viewer URL: Address at which Lichtblick runs.
     """
     from tetractl.report.page import report
     from tetractl.serve.server import LoopbackServer

@@ -29,19 +29,22 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-def option(metavar: str, text: str, *names: str, **bounds: float | None) -> Any:
-    """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
-
-    `names` are needed if it is not named after its parameter; `bounds` are `min` and `max`.
-    """
-    return typer.Option(*names, metavar=metavar, help=text, **bounds)
-
-
 class Bounds(NamedTuple):
     """The least and the largest value of an option."""
 
-    min: float | None
+    min: float | None = None
     max: float | None = None
+
+
+UNBOUND = Bounds()
+
+
+def option(metavar: str, text: str, *names: str, bounds: Bounds = UNBOUND) -> Any:
+    """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
+
+    `names` are needed if it is not named after its parameter.
+    """
+    return typer.Option(*names, metavar=metavar, help=text, min=bounds.min, max=bounds.max)
 
 
 _ENTRY = re.compile(r"(\w+)(?: (\S+))?: (.*)")
@@ -67,13 +70,13 @@ def declare_options(function: Callable[..., object]) -> str:
         names = [one for one in more if isinstance(one, str)]
         if not names and parameters[name].default is False:
             names = [f"--{name.replace('_', '-')}"]  # without a --no- form
-        bounds = next((one._asdict() for one in more if isinstance(one, Bounds)), {})
+        bounds = next((one for one in more if isinstance(one, Bounds)), UNBOUND)
         names, words = ["-o", "--out"] if name == "out" else names, words.replace("[", "\\[")
         needed = parameters[name].default is inspect.Parameter.empty
         if not names and (needed or metavar.startswith("[")):
             made = argument(metavar, words)
         else:
-            made = option(metavar, words, *names, **bounds)
+            made = option(metavar, words, *names, bounds=bounds)
         function.__annotations__[name] = Annotated[kind, made]
     return text
 

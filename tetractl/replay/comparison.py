@@ -15,7 +15,13 @@ from tetractl.log.format.scene import decode_note
 from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
-from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
+from tetractl.replay.difference import (
+    EXACT,
+    Difference,
+    Tolerance,
+    TooLongError,
+    first_difference,
+)
 
 NOT_REPEATED = frozenset(
     {channels.HOST, channels.HOST_END, channels.DIGESTS, channels.RECOVERED, *channels.FILM}
@@ -23,10 +29,6 @@ NOT_REPEATED = frozenset(
 """Topics whose messages a repeated trial does not have; `FilmCheck` checks the film."""
 DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN, channels.LAYOUT, channels.RESOLVED_SPEC})
 """Records of which other versions may have written other contents."""
-
-
-class TooLongError(Exception):
-    """Comparing would take longer than the limits allow."""
 
 
 class Comparison:

@@ -9,6 +9,10 @@ from google.protobuf.message import Message
 from numpy.typing import NDArray
 
 
+class TooLongError(Exception):
+    """Repeating a trial, or comparing its records, would take longer than the limits allow."""
+
+
 @dataclass(frozen=True, slots=True)
 class Difference:
     """A value that contradicts the log: its control step (None outside of steps), its field, and a

@@ -10,7 +10,7 @@ difference in the last bit of one cost may change the leading particle and then 
 import copy
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,12 +28,18 @@ from tetractl.core.plan import (
     StopReason,
 )
 from tetractl.core.poses import Floats, Observation
-from tetractl.core.protocols import Controller, Optimizer
+from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
-from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
+from tetractl.replay.difference import (
+    EXACT,
+    Difference,
+    Tolerance,
+    TooLongError,
+    first_difference,
+)
 from tetractl.run.task import trial_seeds
 
 TOLERANCE = 1e-9
@@ -42,6 +48,7 @@ ROUNDING = 1e-12
 """Additional tolerance relative to the largest coordinate: a cost near 0 is a small difference of
 much larger coordinates."""
 
+GOES_ON = "goes on"
 _LONG_AGO = 2**62
 
 
@@ -49,8 +56,16 @@ class NoSearchError(Exception):
     """The controller searches at a point where the log has no search."""
 
 
-class _TooLongError(Exception):
-    """Computing the decisions again would take longer than the limits allow."""
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """An optimiser, and what a controller asked of it: the arguments of `Optimizer.search`."""
+
+    optimizer: OptimizerSection
+    problem: Problem
+    length: int
+    warm: Floats | None
+    key: int
+    limits: Limits
 
 
 class Rerun:
@@ -58,93 +73,65 @@ class Rerun:
 
     A search that was ended by the deadline is repeated with a deadline that passes once the logged
     number of evaluations is done. With `search_again` False, nothing is searched: the logged
-    searches are returned, and contradictions are added to `wrong`. `limit_s` is the processor time
-    allowed after `start`, and `cpu` the clock that measures it [s].
+    searches are returned, and contradictions are added to `wrong`. `asked` are the present step's
+    searches by their index in the log. Searches may take `limits.seconds_limit` of processor time,
+    read from `cpu` [s]; the time of compiling does not count.
     """
 
-    def __init__(self, search_again: bool, cpu: Callable[[], float], limit_s: float) -> None:
-        self.search_again = search_again
-        self._cpu, self._limit_s = cpu, limit_s
-        self._until: float | None = None
+    def __init__(self, search_again: bool, cpu: Callable[[], float] = time.thread_time) -> None:
+        self._search_again, self._cpu = search_again, cpu
+        self._until = np.inf if search_again else cpu() + limits.seconds_limit()
         self.wrong: list[tuple[str, str]] = []
+        self.asked: dict[int, Asked] = {}
         self._left: list[tuple[int, Search]] = []
 
-    @property
-    def started(self) -> bool:
-        """Whether `start` was called."""
-        return self._until is not None
-
-    def start(self) -> None:
-        """Start the time limit."""
-        self._until = self._cpu() + self._limit_s
+    def controller(self, log: TrialLog, key: int) -> Controller:
+        """Return the controller of a log, with the logged searches and the random key `key`."""
+        host = Host(lambda optimizer: _Repeated(optimizer, self), self._timer)
+        return log.experiment.controller.build(log.start.setup, key, host)
 
     def expired(self) -> bool:
         """Return whether the time limit is exceeded."""
-        return self._until is not None and self._cpu() > self._until
+        return self._cpu() > self._until
 
     def begin(self, searches: Sequence[Search]) -> None:
         """Continue with the logged searches of a step; given signals need no search."""
         found = [(i, one) for i, one in enumerate(searches) if one.stopped != StopReason.FIXED]
-        self._left, self.wrong = found, []
+        self._left, self.wrong, self.asked = found, [], {}
 
-    def timer(self) -> int:
+    def _timer(self) -> int:
         """Return the time [ns] for the controller's deadline: 0 while logged searches are left,
         then a time after every deadline.
         """
         return 0 if self._left else _LONG_AGO
 
-    def wrap(self, optimizer: OptimizerSection) -> Optimizer:
-        """Return an optimiser that repeats the logged searches with `optimizer`."""
-        return _Repeated(optimizer, self)
-
-    def next(self) -> tuple[int, Search]:
-        """Return the index of the next logged search in its step, and the search."""
+    def search(self, asked: Asked) -> Search:
+        """Run the next logged search again, or return it; TooLongError beyond the limits."""
         if not self._left:
             raise NoSearchError
-        return self._left.pop(0)
-
-
-class _Repeated:
-    """An `Optimizer` for verification, which repeats or returns the logged searches."""
-
-    def __init__(self, optimizer: OptimizerSection, rerun: Rerun) -> None:
-        self._optimizer, self._rerun = optimizer, rerun
-
-    def search(
-        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
-    ) -> Search:
-        """Run the next logged search again, or return it."""
-        index, logged = self._rerun.next()
-        if not self._rerun.search_again:
-            self._evaluate(problem, length, warm is not None, limits, index, logged)
+        index, logged = self._left.pop(0)
+        self.asked[index] = asked
+        if not self._search_again:
+            self._evaluate(asked, f"searches.{index}", logged)
             return logged
+        optimizer, problem, length = asked.optimizer, asked.problem, asked.length
+        size = optimizer.evaluations_min * length * problem.a.size * (1 + problem.obstacles.count)
+        if size > limits.swarm_limit():  # one round cannot be interrupted
+            raise TooLongError
+        if self._until == np.inf:  # compile
+            least = Limits(optimizer.evaluations_min)
+            optimizer.search(problem, 1, np.zeros(1), asked.key, least)
+            self._until = self._cpu() + limits.seconds_limit()
+        most = logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf
+        limited = replace(asked.limits, expired=lambda spent: self.expired() or spent >= most)
+        found = optimizer.search(problem, length, asked.warm, asked.key, limited)
+        if self.expired():
+            raise TooLongError
+        return found
 
-        def found_with(most: float) -> Search:
-            late = self._rerun.expired
-            limited = replace(limits, expired=lambda spent: late() or spent >= most)
-            found = self._optimizer.search(problem, length, warm, key, limited)
-            if late():
-                raise _TooLongError
-            return found
-
-        _require_affordable(self._optimizer, problem, length)
-        if not self._rerun.started:  # the time of compiling does not count
-            least = Limits(self._optimizer.evaluations_min)
-            self._optimizer.search(problem, 1, np.zeros(1), key, least)
-            self._rerun.start()
-        return found_with(logged.evaluations if logged.stopped == StopReason.DEADLINE else np.inf)
-
-    def _evaluate(
-        self,
-        problem: Problem,
-        length: int,
-        warmed: bool,
-        limits: Limits,
-        index: int,
-        logged: Search,
-    ) -> None:
-        """Add to `Rerun.wrong` how a logged search contradicts its problem or its optimiser."""
-        name, wrong = f"searches.{index}", self._rerun.wrong
+    def _evaluate(self, asked: Asked, name: str, logged: Search) -> None:
+        """Add to `wrong` how a logged search contradicts its problem or its optimiser."""
+        problem, length, wrong = asked.problem, asked.length, self.wrong
         if logged.length != length or len(logged.signals) != length:
             wrong.append((f"{name}.length", f"{logged.length}, not {length}"))
             raise NoSearchError
@@ -154,19 +141,26 @@ class _Repeated:
         history = logged.history
         if not len(history) or history[-1] != logged.cost or (np.diff(history) > 0).any():
             wrong.append((f"{name}.history", "does not decrease to the stated cost"))
-        for field in self._optimizer.contradictions(logged, warmed, limits):
+        warmed = asked.warm is not None
+        for field in asked.optimizer.contradictions(logged, warmed, asked.limits):
             value = getattr(logged, field)
             text = f"logged {value}, which contradicts its history and the spec's limits"
             wrong.append((f"{name}.{field}", text))
 
 
-def _require_affordable(optimizer: OptimizerSection, problem: Problem, length: int) -> None:
-    """Raise _TooLongError if one round of a search is larger than the limit for searches of
-    logs.
-    """
-    robots, obstacles = problem.a.size, problem.obstacles.count
-    if optimizer.evaluations_min * length * robots * (1 + obstacles) > limits.swarm_limit():
-        raise _TooLongError
+@dataclass(frozen=True, slots=True)
+class _Repeated:
+    """An `Optimizer` for verification, whose searches `rerun` repeats."""
+
+    optimizer: OptimizerSection
+    rerun: Rerun
+
+    def search(
+        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
+    ) -> Search:
+        """Run the next logged search again, or return it."""
+        kept = None if warm is None else warm.copy()
+        return self.rerun.search(Asked(self.optimizer, problem, length, kept, key, limits))
 
 
 def recompute(
@@ -182,11 +176,8 @@ def recompute(
         key, _ = trial_seeds(log.start.seed, log.start.trial)
     except (ValueError, OverflowError):
         return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
-    setup, limit_s = log.start.setup, limits.seconds_limit()
-    rerun = Rerun(search_again, cpu, limit_s)
-    if not search_again:
-        rerun.start()
-    controller = log.experiment.controller.build(setup, key, Host(rerun.wrap, rerun.timer))
+    setup, rerun = log.start.setup, Rerun(search_again, cpu)
+    controller = rerun.controller(log, key)
     tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
     last: Step | None = None
     for step in first_steps(log):
@@ -194,9 +185,10 @@ def recompute(
         try:
             decision = plan_again(controller, log, last, step.observation)
             if rerun.expired():
-                raise _TooLongError
-        except (_TooLongError, MemoryError):
-            text = f"not computed again: the rest takes over {limit_s:g} s or much memory"
+                raise TooLongError
+        except (TooLongError, MemoryError):
+            limit_s = f"{limits.seconds_limit():g} s"
+            text = f"not computed again: the rest takes over {limit_s} or much memory"
             return Difference(step.k, "plan", f"{text}; {limits.FACTOR}=2 allows twice as much")
         except NoSearchError:
             found = next(iter(rerun.wrong), ("searches", f"only {len(step.plan.searches)} logged"))
@@ -204,9 +196,7 @@ def recompute(
         except TetractlError as error:
             return Difference(step.k, "plan", str(error))
         if not isinstance(decision, Plan):
-            return Difference(
-                step.k, "plan", f"the controller ends the trial: {_outcome_text(decision)}"
-            )
+            return Difference(step.k, "plan", f"the controller ends the trial: {_named(decision)}")
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
             return Difference(step.k, "generator", text)
@@ -218,7 +208,8 @@ def recompute(
         last = step
     if len(first_steps(log)) < len(log.steps):
         return None
-    return _outcome(log, controller, last, rerun)
+    rerun.begin(())
+    return _outcome(log, controller, last)
 
 
 def plan_again(
@@ -247,9 +238,7 @@ def first_steps(log: TrialLog) -> list[Step]:
     ]
 
 
-def _outcome(
-    log: TrialLog, controller: Controller, last: Step | None, rerun: Rerun
-) -> Difference | None:
+def _outcome(log: TrialLog, controller: Controller, last: Step | None) -> Difference | None:
     """Check that the controller, on a camera frame of the last control period, ends the trial with
     the logged outcome.
 
@@ -262,37 +251,34 @@ def _outcome(
         return None
     if not result.outcome.complete and not _stopped_by_itself(log, result):
         return None
-    since = log.steps[-1].observation.received_ns if log.steps else -1
-    period = round(log.experiment.controller.period * SECOND)
+    since = last.observation.received_ns if last else -1
     newest = np.flatnonzero((log.received_ns > since) & (log.received_ns <= stop.sent_ns))[::-1]
     if log.start.plant.simulated:
-        if last is not None and last.plan.pauses:
-            period += round(PAUSE_S * SECOND)
-        due = log.steps[-1].command.sent_ns + period if log.steps else stop.sent_ns
+        pause_s = PAUSE_S if last and last.plan.pauses else 0.0
+        wait_ns = round((log.experiment.controller.period + pause_s) * SECOND)
+        due = last.command.sent_ns + wait_ns if last else stop.sent_ns
         newest = newest[log.received_ns[newest] <= due][:1]
     said: list[str] = []
-    rerun.begin(())
     for i in newest:
         try:
             seen = log.sample(int(i)).observation
-            decision = plan_again(copy.deepcopy(controller), log, last, seen)
+            said.append(_named(plan_again(copy.deepcopy(controller), log, last, seen)))
         except NoSearchError:
-            said.append("goes on")
-            continue
+            said.append(GOES_ON)
         except TetractlError:
             said.append("cannot go on")
-            continue
-        outcome = decision.outcome if isinstance(decision, End) else decision
-        if outcome is result.outcome:
+        if said[-1] == result.outcome.value:
             return None
-        said.append("goes on" if isinstance(decision, Plan) else _outcome_text(decision))
-    if not result.outcome.complete and (not said or said[0] in ("goes on", "cannot go on")):
+    if not result.outcome.complete and (not said or said[0] in (GOES_ON, "cannot go on")):
         return None
     why = f"the controller decides {said[0]!r}" if said else "there is no frame to decide on"
     return Difference(None, "outcome", f"logged {result.outcome.value!r}, but {why}")
 
 
-def _outcome_text(decision: Outcome | End) -> str:
+def _named(decision: Plan | Outcome | End) -> str:
+    """Return the outcome that a controller decides, GOES_ON for a plan."""
+    if isinstance(decision, Plan):
+        return GOES_ON
     return (decision.outcome if isinstance(decision, End) else decision).value
 
 

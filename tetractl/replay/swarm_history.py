@@ -4,7 +4,6 @@ The controller, rebuilt from the log, repeats a control step and receives the lo
 problem, the warm start and the key that it passes to `search` determine the swarm.
 """
 
-import time
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -14,10 +13,8 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.control.optimizers.pso import LOWER, UPPER, Pso, swarms
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.core.plan import Limits, Problem, Search
+from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
-from tetractl.core.protocols import Optimizer
-from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.recompute import NoSearchError, Rerun
@@ -58,30 +55,6 @@ class SwarmHistory:
     repeated: bool
 
 
-@dataclass(frozen=True, slots=True)
-class _Asked:
-    optimizer: OptimizerSection
-    problem: Problem
-    length: int
-    warm: Floats | None
-    key: int
-
-
-class _SpyOptimizer:
-    """An `Optimizer` that records the arguments of each search and returns the logged search."""
-
-    def __init__(self, section: OptimizerSection, answers: Optimizer, asked: list[_Asked]) -> None:
-        self._section, self._answers, self._asked = section, answers, asked
-
-    def search(
-        self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
-    ) -> Search:
-        """Record the arguments of the search, and return the logged search."""
-        kept = None if warm is None else warm.copy()
-        self._asked.append(_Asked(self._section, problem, length, kept, key))
-        return self._answers.search(problem, length, warm, key, limits)
-
-
 def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     """Run the chosen search of control step 0 again and return its swarm.
 
@@ -89,10 +62,18 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
     Raises LogError for a search that was not by a particle swarm, has a single signal, does not
     follow from the log, or takes longer than `limits` allows.
     """
-    rerun = Rerun(False, time.thread_time, limits.seconds_limit())
-    rerun.start()
-    asked = _chosen(log, rerun)
-    section, logged = asked.optimizer, log.steps[0].plan.search
+    rerun, step = Rerun(False), log.steps[0]
+    rerun.begin(step.plan.searches)
+    key, _ = trial_seeds(log.start.seed, log.start.trial)
+    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
+        rerun.controller(log, key).plan(step.observation)
+    asked = rerun.asked.get(step.plan.chosen)
+    if step.k != 0 or asked is None:
+        raise LogError(
+            f"{log.path}: the first search of the trial cannot be run again",
+            "tetractl verify prints the difference",
+        )
+    section, problem, logged = asked.optimizer, asked.problem, step.plan.search
     if not isinstance(section, Pso):
         raise LogError(
             f"{log.path}: has no swarm: its optimiser is {section.type}",
@@ -100,44 +81,13 @@ def first_swarm(log: TrialLog, shown: Sequence[float]) -> SwarmHistory:
         )
     if asked.length < 2:
         raise LogError(f"{log.path}: the plan has one signal, but the figure needs two")
-    rounds = section.particles * asked.length * asked.problem.a.size
-    if rounds * (1 + asked.problem.obstacles.count) > limits.swarm_limit():
+    rounds = section.particles * asked.length * problem.a.size
+    if rounds * (1 + problem.obstacles.count) > limits.swarm_limit():
         raise LogError(f"{log.path}: a swarm this large takes too long to run again")
-    return _run(log, asked, section, logged, shown, rerun)
-
-
-def _chosen(log: TrialLog, rerun: Rerun) -> _Asked:
-    """Return the arguments of the search whose result became the plan of step 0."""
-    step, asked = log.steps[0], list[_Asked]()
-    key, _ = trial_seeds(log.start.seed, log.start.trial)
-    controller = log.experiment.controller.build(
-        log.start.setup,
-        key,
-        Host(lambda section: _SpyOptimizer(section, rerun.wrap(section), asked), rerun.timer),
-    )
-    rerun.begin(step.plan.searches)
-    with suppress(TetractlError, NoSearchError):  # the searches before the error are recorded
-        controller.plan(step.observation)
-    if step.k != 0 or len(asked) <= step.plan.chosen:
-        raise LogError(
-            f"{log.path}: the first search of the trial cannot be run again",
-            "tetractl verify prints the difference",
-        )
-    return asked[step.plan.chosen]
-
-
-def _run(
-    log: TrialLog,
-    asked: _Asked,
-    section: Pso,
-    logged: Search,
-    shown: Sequence[float],
-    rerun: Rerun,
-) -> SwarmHistory:
     last = min(len(logged.history) - 1, section.iterations)
     wanted = {round(share * last) for share in shown}
     frames, path, again = list[Frame](), [], []
-    for swarm in swarms(section, asked.problem, asked.length, asked.warm, asked.key):
+    for swarm in swarms(section, problem, asked.length, asked.warm, asked.key):
         if rerun.expired():
             raise LogError(f"{log.path}: the first search of the trial takes too long to run again")
         seen = swarm.u[SEEN].T.copy()
@@ -150,7 +100,7 @@ def _run(
                 tuple(frames),
                 np.array(path),
                 swarm.best[SEEN, 0],
-                _landscape(asked.problem, swarm.u_gb),
+                _landscape(problem, swarm.u_gb),
                 bool(np.array_equal(again, logged.history)),
             )
     raise AssertionError("the swarm moves without end")

@@ -24,9 +24,15 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
-from tetractl.replay.comparison import Comparison, TooLongError
-from tetractl.replay.difference import EXACT, Difference, Tolerance, first_difference
-from tetractl.replay.film_check import FilmCheck
+from tetractl.replay.comparison import Comparison
+from tetractl.replay.difference import (
+    EXACT,
+    Difference,
+    Tolerance,
+    TooLongError,
+    first_difference,
+)
+from tetractl.replay.film_check import film_differences
 from tetractl.replay.lab_checks import lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
@@ -95,24 +101,18 @@ def verify(path: Path) -> Verification:
     if others and elsewhere:
         tolerance = ROUGHLY if log.start.plant.simulated else NEARLY
         others = [*differences(raw, log, tolerance)]
-    film = FilmCheck(raw, log, same_host=not elsewhere)
-    known = len(first_steps(log))
-    gaps, loses = frame_gaps(log), log.experiment.plant.loses_frames and not log.damage
-    lost = [f"missing: {gap}" for gap in gaps]
+    known, lost = len(first_steps(log)), [f"missing: {gap}" for gap in frame_gaps(log)]
+    notes = lost if log.experiment.plant.loses_frames and not log.damage else []
+    missing = [Difference(None, "frames", text) for text in lost if not notes]
+    film = [*film_differences(raw, log, not elsewhere, notes)]
     return Verification(
         path=str(path),
         steps=len(log.steps),
         checked=found.step if found and found.step is not None else known,
         method=method,
         elsewhere=elsewhere,
-        problems=(
-            *([found] if found else []),
-            *others,
-            *(Difference(None, "frames", text) for text in lost if not loses),
-            *_damage(log),
-            *film.differences(),
-        ),
-        notes=(*(lost if loses else ()), *film.notes),
+        problems=(*([found] if found else []), *others, *missing, *_damage(log), *film),
+        notes=tuple(notes),
         seconds=time.perf_counter() - began,
     )
 

@@ -6,7 +6,6 @@ docs/reference/warnings.md explains the warnings.
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from pydantic import BaseModel
@@ -49,7 +48,8 @@ class CheckContext:
 
     `signal_s` is the time for which a signal of a plan is held [s]; `signals_max` is None if the
     length of plans is not limited; `motion` is "" if the controller has no model of the motion.
-    `margin` is the distance that plans keep to obstacles, including a robot's radius.
+    `margin` is the distance that plans keep to obstacles, including a robot's radius. `longest_s`
+    [s] is the longest time for which robots move.
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -61,13 +61,12 @@ class CheckContext:
         self.signals_max = control.horizon_max if isinstance(control, PlansSignals) else None
         self.motion = control.motion if isinstance(control, Modelled) else ""
         self.estimates = control.estimate if isinstance(control, Estimating) else False
-        keeps = control.collision if isinstance(control, KeepsClear) else None
-        self.radius = keeps.radius if keeps else 0.0
-        self.margin = keeps.margin + keeps.radius if keeps else 0.0
-        self.adaptive, self.walls = (keeps.adaptive, keeps.walls) if keeps else (False, False)
-        self.longest_s = (self.setup.steps_max + 1) * self.setup.period_s  # robots move at most
+        self.keeps = control.collision if isinstance(control, KeepsClear) else None
+        self.margin = self.keeps.margin + self.keeps.radius if self.keeps else 0.0
+        self.walls = self.keeps is not None and self.keeps.walls
+        self.longest_s = (self.setup.steps_max + 1) * self.setup.period_s
 
-    @cached_property
+    @property
     def least_total_error(self) -> float:
         """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
         return bounds.least_total_error(self.setup, self.longest_s)
@@ -80,6 +79,10 @@ class CheckContext:
     def clearances(self, points: Floats) -> Floats:
         """Return the distances of points (N, 2) to the nearest obstacle or wall."""
         return clearance(self.setup, points[:, 0], points[:, 1], self.walls)
+
+    def too_few(self, i: int, seconds: float, left: float) -> str:
+        """Return how far robot i drives in a time [s], and the distance left, as text."""
+        return f"drives {self.setup.speed[i] * seconds:.4g} {self.unit}, {left:.4g} too few"
 
     def way(self, i: int) -> str:
         """Return the distance from a robot's start to its target as text."""
@@ -123,21 +126,18 @@ def plan_outlasts_trial(spec: CheckContext) -> Found:
 def coarse_period(spec: CheckContext) -> Found:
     """Warn if signals are held so long that robots finish turning, or overshoot."""
     turned = spec.setup.a * spec.signal_s
-    quick = turned[turned > COARSE]
+    quick, i = turned[turned > COARSE], int(turned.argmax())
     overshoots = spec.motion in OVERSHOOTING
     if not quick.size or (quick.size == 1 and not overshoots):
         return  # an exact motion holds for any period, and one fast robot differs from the others
-    i = int(turned.argmax())
     share = -100 * math.expm1(-float(quick.min()))
+    why = f"{quick.size} robots make {share:.3g} % or more of a turn in T"
+    if overshoots:
+        why = "by equation (6) its heading overshoots a held direction further at each step"
     yield (
         ("controller", "period"),
         f"a T = {turned[i]:.3g} for {spec.setup.names[i]}, with signals held for T = "
-        f"{spec.signal_s:.4g} s, is above 2: "
-        + (
-            "by equation (6) its heading overshoots a held direction further at each step"
-            if overshoots
-            else f"{quick.size} robots make {share:.3g} % or more of a turn in T"
-        ),
+        f"{spec.signal_s:.4g} s, is above 2: {why}",
         f"hold signals for less than {COARSE / spec.setup.a[i]:.3g} s",
     )
 
@@ -165,8 +165,8 @@ def out_of_reach(spec: CheckContext) -> Found:
         if left > spec.tolerance:
             yield (
                 ("robots", i, "target"),
-                f"is {spec.way(i)} away; in the {spec.longest_s:.4g} s of a trial the robot drives "
-                f"{spec.setup.speed[i] * spec.longest_s:.4g} {spec.unit}, {left:.4g} too few",
+                f"is {spec.way(i)} away; in the {spec.longest_s:.4g} s of a trial the robot "
+                f"{spec.too_few(i, spec.longest_s, left)}",
                 "raise controller.steps_max, or bring the target nearer",
             )
 
@@ -180,13 +180,12 @@ def beyond_the_plan(spec: CheckContext) -> Found:
     far = (left > spec.tolerance) & (reach(spec.setup, spec.longest_s) <= spec.tolerance)
     if not far.any():
         return
-    speed = np.where(far, spec.setup.speed, 1.0)
-    needed = np.where(far, left / speed + seconds, 0.0)
+    needed = np.where(far, left / np.where(far, spec.setup.speed, 1.0) + seconds, 0.0)
     i = int(needed.argmax())
     yield (
         ("controller", "horizon_max"),
         f"{spec.setup.names[i]} is {spec.way(i)} from its target; in {spec.signals_max} signals, "
-        f"{seconds:.4g} s, it drives {speed[i] * seconds:.4g} {spec.unit}, {left[i]:.4g} too few",
+        f"{seconds:.4g} s, it {spec.too_few(i, seconds, left[i])}",
         f"set it to more than {math.ceil(needed[i] / spec.signal_s)}",
     )
 
@@ -204,16 +203,15 @@ def robots_alike(spec: CheckContext) -> Found:
         them = f"{', '.join(front)} and {last}" if front else last
         spread = float(np.ptp(some.a) / some.a.mean())
         turned = float(np.abs(wrap(some.starts.heading - some.starts.heading[0])).max())
+        message = (
+            f"{them} and {first} differ by {100 * spread:.2g} % in turning rate a and "
+            f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
+            f"they did not differ, the least total error of the {len(group)} would be"
+        )
         if spread == 0 and turned < 1e-9:
             message = (
                 f"is that of {first}, and so is the start heading: {them} can only move "
                 f"in parallel, and the least total error of the {len(group)} is"
-            )
-        else:
-            message = (
-                f"{them} and {first} differ by {100 * spread:.2g} % in turning rate a and "
-                f"{turned:.2g} rad in start heading, perhaps too little to separate them: if "
-                f"they did not differ, the least total error of the {len(group)} would be"
             )
         yield (
             ("robots", group[1], "a"),
@@ -224,24 +222,23 @@ def robots_alike(spec: CheckContext) -> Found:
 
 def _alike(setup: Setup) -> Iterator[list[int]]:
     """Yield groups of robots that are like the group's first in turning rate and start heading."""
-    left = np.ones(len(setup.a), dtype=np.bool_)
+    left, heading = np.ones(len(setup.a), dtype=np.bool_), setup.starts.heading
     for i in range(len(setup.a)):
-        near = left & (np.abs(setup.a - setup.a[i]) <= ALIKE * np.maximum(setup.a, setup.a[i]))
-        near &= np.abs(wrap(setup.starts.heading - setup.starts.heading[i])) <= ALIKE
-        if left[i] and near.sum() > 1:
-            yield np.flatnonzero(near).tolist()
         if left[i]:
+            near = left & (np.abs(setup.a - setup.a[i]) <= ALIKE * np.maximum(setup.a, setup.a[i]))
+            near &= np.abs(wrap(heading - heading[i])) <= ALIKE
             left &= ~near
+            if near.sum() > 1:
+                yield np.flatnonzero(near).tolist()
 
 
 def error_left(spec: CheckContext) -> Found:
     """Warn if no plan can reach all targets: the lower bound of the total error is not 0."""
-    if spec.counts(spec.least_total_error, len(spec.setup.a)):
-        yield (
-            ("robots",),
-            f"least total error of any plan: {spec.least_total_error:.4g} {spec.unit}",
-            "no controller can do better with these a, speeds, starts and targets",
-        )
+    least = spec.least_total_error
+    if spec.counts(least, len(spec.setup.a)):
+        message = f"least total error of any plan: {least:.4g} {spec.unit}"
+        hint = "no controller can do better with these a, speeds, starts and targets"
+        yield ("robots",), message, hint
 
 
 def walled_off(spec: CheckContext) -> Found:
@@ -253,11 +250,8 @@ def walled_off(spec: CheckContext) -> Found:
     ends = np.minimum(spec.clearances(spec.setup.starts.xy), spec.clearances(spec.setup.targets))
     for i in np.flatnonzero((apart > 0) | (squeezed > 0)).tolist():
         if apart[i] > 0:
-            yield (
-                ("robots", i, "target"),
-                f"is walled off: the robot comes no nearer than {apart[i]:.4g} {spec.unit}",
-                "open a gap between the obstacles",
-            )
+            message = f"is walled off: the robot comes no nearer than {apart[i]:.4g} {spec.unit}"
+            yield ("robots", i, "target"), message, "open a gap between the obstacles"
         elif ends[i] > spec.margin:
             yield (
                 ("robots", i, "target"),
@@ -269,7 +263,7 @@ def walled_off(spec: CheckContext) -> Found:
 
 def inside_margin(spec: CheckContext) -> Found:
     """Warn of starts and targets that are nearer to an obstacle than the planner's margin."""
-    if spec.margin == 0 or spec.adaptive:  # an adaptive margin is reduced there
+    if not spec.margin or not spec.keeps or spec.keeps.adaptive:  # a margin reduced there
         return
     for field, points in (("start", spec.setup.starts.xy), ("target", spec.setup.targets)):
         gaps = spec.clearances(points)
@@ -302,14 +296,12 @@ def too_close(spec: CheckContext) -> Found:
 
 def same_place(spec: CheckContext) -> Found:
     """Warn of the first two equal starts, and the first two targets where robots overlap."""
-    told = set()
+    told, body = set[str](), 2 * spec.keeps.radius if spec.keeps else 0.0
     for field, i, other, gap in nearest(spec.setup):
-        if (gap == 0 or gap < 2 * spec.radius) and field not in told:
+        if (gap == 0 or gap < body) and field not in told:
             told.add(field)
-            message = (
-                f"is {gap:.4g} {spec.unit} from the {field} of {other}: both cannot stand there"
-            )
-            yield ("robots", i, field), message, "move one of them"
+            where = f"is {gap:.4g} {spec.unit} from the {field} of {other}"
+            yield ("robots", i, field), f"{where}: both cannot stand there", "move one of them"
 
 
 CHECKS: tuple[Callable[[CheckContext], Found], ...] = (

@@ -8,9 +8,10 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 from google.protobuf.json_format import MessageToDict, ParseDict, ParseError
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import LogError, SpecError, UsageError
@@ -24,12 +25,49 @@ from tetractl.log.format.tetractl_pb2 import Result as ResultMessage
 from tetractl.log.read import limits
 from tetractl.log.read.limits import Budget, TooMuchError
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, stated_result
+from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, check_counts, stated_result
 
 SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
 """The plant of every study: a simulation. Results need no other facts of the plant."""
-TEXT_MAX = 200  # largest number of characters of a text in a row, except a reason
+
+
+def one_line(text: str) -> str:
+    """Return a text; ValueError if it has characters that cannot be printed."""
+    if not text.isprintable():
+        raise ValueError("not a name")
+    return text
+
+
+Count = Annotated[int, Field(ge=0, le=COUNT_MAX)]
+Seconds = Annotated[float, Field(ge=0, le=TIME_MAX_NS / 1e9)]
+Text = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
+
+
+class _Numbered(BaseModel, strict=True):
+    """What identifies a line: other values may be damaged."""
+
+    trial: Count
+
+
+class _Line(_Numbered):
+    """The values of a line, in their order."""
+
+    arm_hash: Text
+    code: Text
+    processor: Text
+    content_digest: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    count: Count
+    logged: bool
+    wall_s: Seconds
+    cpu_s: Seconds
+    result: dict[str, Any]
+    solve_ns: list[Count]
+    deadline_misses: Count
+
+
+OF_RESULT = {"result", "solve_ns", "deadline_misses"}
+"""The values of a line that a row has in its result."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,45 +102,25 @@ class Row:
     def line(self, experiment: Experiment) -> str:
         """Return the row as a line of JSON."""
         message = encode_result(self.result, experiment.units.length, self.warnings)
-        stated = {
-            "trial": self.trial,
-            "arm_hash": self.arm_hash,
-            "code": self.code,
-            "processor": self.processor,
-            "content_digest": self.content_digest,
-            "count": self.count,
-            "logged": self.logged,
-            "wall_s": self.wall_s,
-            "cpu_s": self.cpu_s,
-            "result": MessageToDict(message, preserving_proto_field_name=True),
-            "solve_ns": self.result.solve_ns,
-            "deadline_misses": self.result.deadline_misses,
-        }
+        stated = {name: getattr(self, name) for name in _Line.model_fields if name not in OF_RESULT}
+        stated["result"] = MessageToDict(message, preserving_proto_field_name=True)
+        stated["solve_ns"] = self.result.solve_ns
+        stated["deadline_misses"] = self.result.deadline_misses
         return json.dumps(stated, allow_nan=False) + "\n"
 
     @classmethod
-    def read(cls, stated: Any, experiment: Experiment, place: str) -> Self:
-        """Check every value of a line decoded from JSON, and return its row.
+    def read(cls, line: str, experiment: Experiment, place: str) -> Self:
+        """Check every value of a line, and return its row.
 
         Raises one of the exceptions `UNREADABLE` for a line that tetractl does not write.
         """
-        texts = {name: _text(stated[name]) for name in ("arm_hash", "code", "processor")}
-        message = ParseDict(stated["result"], ResultMessage())
-        end = HostEnd(
-            solve_ns=map(_count, stated["solve_ns"]),
-            deadline_misses=_count(stated["deadline_misses"]),
-        )
-        if type(stated["logged"]) is not bool or type(stated["solve_ns"]) is not list:
-            raise TypeError("not a row")
+        stated = _Line.model_validate_json(line)
+        message = ParseDict(stated.result, ResultMessage())
+        end = HostEnd(solve_ns=stated.solve_ns, deadline_misses=stated.deadline_misses)
+        check_counts("warnings", [message.warnings])
         return cls(
-            **texts,
-            trial=_count(stated["trial"]),
-            content_digest=f"{int(_text(stated['content_digest']), 16):064x}",
-            count=_count(stated["count"]),
-            logged=stated["logged"],
-            wall_s=_seconds(stated["wall_s"]),
-            cpu_s=_seconds(stated["cpu_s"]),
-            warnings=_count(message.warnings),
+            **stated.model_dump(exclude=OF_RESULT),
+            warnings=message.warnings,
             result=stated_result(message, end, len(experiment.robots), experiment.units.length),
             place=place,
         )
@@ -140,26 +158,6 @@ UNREADABLE = (
 """Exceptions that decoding a line may raise if tetractl did not write it."""
 
 
-def _count(value: Any) -> int:
-    if type(value) is not int or not 0 <= value <= COUNT_MAX:
-        raise ValueError("a number of trials or steps is not an integer of at least 0")
-    return value
-
-
-def _seconds(value: Any) -> float:
-    if type(value) not in (int, float) or not 0 <= value <= TIME_MAX_NS / 1e9:
-        raise ValueError("not a time")
-    return float(value)
-
-
-def _text(value: Any) -> str:
-    if not isinstance(value, str):
-        raise TypeError("not text")
-    if len(value) > TEXT_MAX or not value.isprintable():
-        raise ValueError("not a name")
-    return value
-
-
 def check_rows(path: Path) -> None:
     """Raise UsageError if a path is not a regular file, LogError if the file is too large."""
     if not path.is_file():  # reading a FIFO may never end
@@ -194,12 +192,11 @@ def read_rows(path: Path, experiment: Experiment) -> dict[int, Row | None]:
         for number, line in _lines(path):
             budget.spend(LINE_COST, "very many lines")
             try:
-                stated = json.loads(line)
-                trial = _count(stated["trial"])
-            except UNREADABLE:
+                trial = _Numbered.model_validate_json(line).trial
+            except ValidationError:
                 continue
             try:
-                row = Row.read(stated, experiment, f"{path}:{number}")
+                row = Row.read(line, experiment, f"{path}:{number}")
             except UNREADABLE:
                 row = None
             found[trial] = row

@@ -5,7 +5,6 @@ checks can be computed with, drawn and printed. Each function raises ValueError 
 that no trial can have.
 """
 
-import math
 from collections.abc import Iterable
 from dataclasses import fields, replace
 
@@ -13,7 +12,6 @@ import numpy as np
 
 from tetractl.core.commands import Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
-from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
@@ -38,8 +36,8 @@ def check_run(run: pb.Run, robots: int) -> None:
     """Check the record of a run whose resolved spec has `robots` robots."""
     if len(run.robots) != robots:
         raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
-    _counts("trial", [abs(run.trial)])
-    _within("camera_rate_hz", [run.camera_rate_hz], 0, RATE_MAX_HZ)
+    check_counts("trial", [abs(run.trial)])
+    _within("camera_rate_hz", [run.camera_rate_hz], RATE_MAX_HZ, 0)
     if not 0 <= run.start_unix_ns <= UNIX_MAX_NS:
         raise ValueError(f"the start of the trial, {run.start_unix_ns} ns, is out of range")
 
@@ -59,7 +57,7 @@ def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
     match command.action:
         case Steer(u) | Turn(u):
-            _within("a direction", [u], -ANGLE_MAX, ANGLE_MAX)
+            _within("a direction", [u], ANGLE_MAX)
     check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
@@ -69,7 +67,7 @@ def check_command(command: Command, robots: int) -> None:
         if len(wheel) != robots:
             text = f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
             raise ValueError(text)
-        _within("a wheel's speed", wheel, -LENGTH_MAX, LENGTH_MAX)
+        _within("a wheel's speed", wheel, LENGTH_MAX)
 
 
 def check_step(step: Step) -> None:
@@ -78,8 +76,8 @@ def check_step(step: Step) -> None:
     robots = len(seen.valid)
     check_frames(Frames.of([Sample(seen, None)], robots))
     check_command(step.command, robots)
-    _counts("k", [step.k])
-    _counts("a solve time", [step.solve_ns])
+    check_counts("k", [step.k])
+    check_counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
         raise ValueError(f"a path has {len(plan.path)} poses for {len(plan.signals)} signals")
     _poses("a predicted pose", plan.path)
@@ -90,21 +88,16 @@ def check_step(step: Step) -> None:
             )
         if not len(search.history):
             raise ValueError("a search has no history")
-    signals = [plan.signals, *(search.signals for search in plan.searches)]
-    _within("a signal", np.concatenate(signals), -ANGLE_MAX, ANGLE_MAX)
-    costs = [plan.cost, plan.target_cost, plan.obstacle_cost, *(s.cost for s in plan.searches)]
+    parts = (plan, *plan.searches)
+    _within("a signal", np.concatenate([one.signals for one in parts]), ANGLE_MAX)
+    costs = [plan.target_cost, plan.obstacle_cost, *(one.cost for one in parts)]
     histories = (search.history for search in plan.searches)
-    _within("a cost", np.concatenate([costs, *histories]), -COST_MAX, COST_MAX)
-    _counts("evaluations", (search.evaluations for search in plan.searches))
-    if plan.estimate is not None:
-        _check_estimate(plan.estimate)
-
-
-def _check_estimate(estimate: Estimate) -> None:
-    for one in fields(estimate):
-        if (value := getattr(estimate, one.name)) is not None:
+    _within("a cost", np.concatenate([costs, *histories]), COST_MAX)
+    check_counts("evaluations", (search.evaluations for search in plan.searches))
+    for one in fields(plan.estimate) if plan.estimate else ():
+        if (value := getattr(plan.estimate, one.name)) is not None:
             most = TIME_MAX_NS / 1e9 if one.name.startswith("dead_time") else LENGTH_MAX
-            _within(f"an estimated {one.name}", np.atleast_1d(value), -most, most)
+            _within(f"an estimated {one.name}", np.atleast_1d(value), most)
 
 
 def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit: str) -> Result:
@@ -122,27 +115,24 @@ def stated_result(message: pb.Result, end: pb.HostEnd | None, robots: int, unit:
 
 def check_result(result: Result) -> None:
     """Check a result; final poses and errors may be NaN if the trial is not complete."""
-    verdict = result.verdict
-    known = result.outcome.complete
-    lengths = [result.total_error, *result.robot_errors, *verdict.final.xy.ravel().tolist()]
-    headings = verdict.final.heading.tolist()
-    if not known:
-        lengths = [value for value in lengths if not math.isnan(value)]
-        headings = [value for value in headings if not math.isnan(value)]
-    _within("a length", lengths, -LENGTH_MAX, LENGTH_MAX)
-    _within("a heading", headings, -ANGLE_MAX, ANGLE_MAX)
-    distances = (*verdict.clearance, *verdict.edge, *verdict.apart)
+    verdict, final = result.verdict, result.verdict.final
+    lengths = np.array([result.total_error, *result.robot_errors, *final.xy.ravel()])
+    headings = final.heading
+    if not result.outcome.complete:
+        lengths, headings = lengths[~np.isnan(lengths)], headings[~np.isnan(headings)]
+    _within("a length", lengths, LENGTH_MAX)
+    _within("a heading", headings, ANGLE_MAX)
+    distances = np.array([*verdict.clearance, *verdict.edge, *verdict.apart])
     # distances are inf without obstacles or other robots
-    near = [value for value in distances if value != math.inf]
-    _within("a clearance", near, -LENGTH_MAX, LENGTH_MAX)
-    _within("duration_s", [result.duration_s], 0, TIME_MAX_NS / 1e9)
-    _counts("steps", [result.steps, result.deadline_misses])
-    _counts("a solve time", result.solve_ns)
+    _within("a clearance", distances[distances != np.inf], LENGTH_MAX)
+    _within("duration_s", [result.duration_s], TIME_MAX_NS / 1e9, 0)
+    check_counts("steps", [result.steps, result.deadline_misses])
+    check_counts("a solve time", result.solve_ns)
 
 
 def _poses(what: str, poses: Floats) -> None:
-    _within(what, poses[..., :2], -LENGTH_MAX, LENGTH_MAX)
-    _within(what, poses[..., 2], -ANGLE_MAX, ANGLE_MAX)
+    _within(what, poses[..., :2], LENGTH_MAX)
+    _within(what, poses[..., 2], ANGLE_MAX)
 
 
 def check_times(values: Iterable[int]) -> None:
@@ -152,15 +142,17 @@ def check_times(values: Iterable[int]) -> None:
         raise ValueError(f"a time or number exceeds {TIME_MAX_NS}")
 
 
-def _counts(what: str, values: Iterable[int]) -> None:
+def check_counts(what: str, values: Iterable[int]) -> None:
+    """Check counts such as steps or evaluations."""
     for value in values:
         if not 0 <= value <= COUNT_MAX:
             raise ValueError(f"{what} is {_shown(value)}")
 
 
-def _within(what: str, values: Iterable[float], least: float, most: float) -> None:
+def _within(what: str, values: Iterable[float], most: float, least: float | None = None) -> None:
+    """Check values from `least`, by default -most, to `most`."""
     found = np.asarray(values, dtype=np.float64)
-    good = (found >= least) & (found <= most)  # false for NaN
+    good = (found >= (-most if least is None else least)) & (found <= most)  # false for NaN
     if not good.all():
         raise ValueError(f"{what} is {float(found[~good].flat[0])!r}")
 

@@ -60,7 +60,6 @@ class Margins:
     ) -> None:
         from tetractl.control.kernels import clearance
 
-        self._kernels = clearance
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
         x, y = self._target_xy = targets[:, 0].copy(), targets[:, 1].copy()
@@ -105,17 +104,21 @@ class Margins:
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
+        from tetractl.control.kernels import clearance
+
         found = np.empty((self._bare.count, len(x)))
-        self._kernels.gaps(self._bare.rows, self._bare.walls, x, y, found)
+        clearance.gaps(self._bare.rows, self._bare.walls, x, y, found)
         return found
 
     def entered(self, x: Floats, y: Floats) -> bool:
         """Return whether a body would touch an obstacle or another body, margins ignored, on the
         way along x, y (M, N), or would go deeper if it touches one at the beginning.
         """
+        from tetractl.control.kernels import clearance
+
         bare, bodies = self._bare, self._bodies
         obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
-        return self._kernels.enters(*obstacles, self._radius, x, y)
+        return clearance.enters(*obstacles, self._radius, x, y)
 
     def clear_unheard(
         self,
@@ -133,6 +136,7 @@ class Margins:
         Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
         that is less, and `apart` from each other, or the problem's separation if that is less.
         """
+        from tetractl.control.kernels import clearance
         from tetractl.control.kernels.motion import constants
         from tetractl.control.kernels.prediction import predict
 
@@ -147,7 +151,7 @@ class Margins:
         predict(np.zeros(steps), a, speed, drift, t, t, constants(problem)[1], ways)
         shapes, least = self.obstacles(problem.poses, margin), min(apart, problem.separation)
         ways = ways.reshape(steps + 1, *path.shape)
-        return self._kernels.clear(shapes.rows, shapes.walls, least, ways)
+        return clearance.clear(shapes.rows, shapes.walls, least, ways)
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances
@@ -164,7 +168,9 @@ class Margins:
         """Return the separation to keep: `wanted`, or the least present distance between two robots
         or two targets if that is less, but two radii if robots and targets are so far apart.
         """
+        from tetractl.control.kernels import clearance
+
         if len(self._targets) < 2 or wanted <= 0:
             return 0.0
-        least = min(self._kernels.least_apart(poses.x, poses.y), self._apart)
+        least = min(clearance.least_apart(poses.x, poses.y), self._apart)
         return min(wanted, max(ROOM * least, min(2 * self._radius, least)))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from support.controllers import CONTROLLERS, FOR_ONE_ROBOT
 from support.plants import sim
-from support.straight import install
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.build import build_controller
@@ -27,8 +26,7 @@ MPC = {name: fields for name, fields in CONTROLLERS.items() if fields["type"] in
 
 
 @pytest.fixture(params=CONTROLLERS.values(), ids=list(CONTROLLERS))
-def fields(request, monkeypatch):
-    install(monkeypatch)
+def fields(request):
     return {"arrival_tolerance": 20} | request.param
 
 

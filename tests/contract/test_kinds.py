@@ -3,7 +3,6 @@
 import pytest
 from support.controllers import CONTROLLERS, SMALL
 from support.devices import ACTUATORS, CAMERAS
-from support.straight import install
 
 from tetractl.cli.specs import template
 from tetractl.core import registries
@@ -63,8 +62,7 @@ def test_optimizer(name):
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-def test_controller(name, monkeypatch):
-    install(monkeypatch)
+def test_controller(name):
     fields = CONTROLLERS[name]
     section = registries.CONTROLLERS.load(fields["type"]).model_validate(fields)
     assert failed(check_controller(section, SETUP)) == []

@@ -35,7 +35,6 @@ CONTROLLERS: dict[str, dict[str, Any]] = {
     "sequence": {"type": "sequence", "directions": [0.1 * i for i in range(20)]},
     "ensemble": {"type": "ensemble"},
     "rrt": {"type": "rrt", "margin": 40},
-    "straight": {"type": "straight"},
 }
 """Every controller. A further one joins the contract by an entry here."""
 FOR_ONE_ROBOT = {"rrt"}

@@ -6,7 +6,6 @@ from typing import Protocol
 
 SECOND = 1_000_000_000  # ns
 MILLISECOND = 1_000_000  # ns
-POLL_NS = 2 * MILLISECOND
 
 
 def seconds(ns: int) -> float:
@@ -73,5 +72,5 @@ def wait_for(clock: Clock, done: Callable[[], bool], timeout_s: float) -> bool:
     while not done():
         if clock.now() >= end:
             return False
-        clock.sleep_until(min(end, clock.now() + POLL_NS))
+        clock.sleep_until(min(end, clock.now() + 2 * MILLISECOND))
     return True

@@ -10,8 +10,6 @@ from traceback import extract_tb
 from tetractl.core.errors import TetractlError, printable
 from tetractl.core.registries import REGISTRIES
 
-CALLS = 20  # largest number of calls that are listed
-LONGEST = 300  # largest number of characters of an exception
 HINT = "PYTHONDEVMODE=1 prints its traceback"
 # reason, file and line in an error of numba's compiler
 COMPILED = re.compile(r'(\S[^\n]*)\n\s*File "([^"]+)", line (\d+)')
@@ -44,12 +42,11 @@ def plugin_fault(error: Exception) -> FaultyPluginError | None:
     places = [(why, call.filename, call.lineno) for call in reversed(calls)]
     for what, file, line in [*places, *COMPILED.findall(str(error))]:
         if owner := _owner(Path(file).absolute()):
-            what = printable(f"{type(error).__name__}: {what}", LONGEST)
+            what = printable(f"{type(error).__name__}: {what}", 300)
             text = f"plug-in {owner[0]} ({owner[1]}, {file}:{line}) raised {what}"
             fault = FaultyPluginError(text, HINT)
             fault.calls = tuple(
-                f"{call.filename}:{call.lineno} in {call.name}: {call.line}"
-                for call in calls[-CALLS:]
+                f"{call.filename}:{call.lineno} in {call.name}: {call.line}" for call in calls[-20:]
             )
             return fault
     return None

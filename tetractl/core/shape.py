@@ -15,8 +15,6 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 
-DRAWN = 64
-"""Number of directions in which the outline of a rounded shape is drawn."""
 BLOCK = 8
 """Number of edges that are compared with all points at a time, to bound the memory."""
 
@@ -79,7 +77,7 @@ class Shape:
         """Return the corners (M, 2), anticlockwise, of a polygon with which to draw the shape."""
         if self.radius == 0:
             return self.corners
-        angle = np.linspace(0.0, 2 * np.pi, DRAWN, endpoint=False)
+        angle = np.linspace(0.0, 2 * np.pi, 64, endpoint=False)
         away = np.column_stack([np.cos(angle), np.sin(angle)])
         furthest = (away @ self.corners.T).argmax(axis=1)
         return self.corners[furthest] + self.radius * away

@@ -14,8 +14,6 @@ from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Point, Positive, inconsistent
 
-DEVIATIONS = 2.0  # a cell is magnetised if its a exceeds 0 by this many standard deviations
-
 
 class Ring(Model):
     """Targets spread evenly on a circle, one for each robot."""
@@ -129,8 +127,8 @@ class FoundCell:
 
     @property
     def magnetised(self) -> bool:
-        """Whether the cell responds to the field."""
-        return self.a > DEVIATIONS * self.a_sd
+        """Whether the cell responds to the field: a exceeds 0 by two standard deviations."""
+        return self.a > 2 * self.a_sd
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,7 @@ from tetractl.experiment.choice import Choice, FoundCell, dealt
 from tetractl.experiment.experiment import Experiment, Robot
 
 UNLIKE = 0.4  # difference of ln a of two robots above which a larger one is no advantage
-NEAR_WALL = 0.5  # cells that could swim to the arena's edge in this time are chosen last [s]
 MISSED = 0.3  # difference of log(a) or log(speed) above which a cell is not the wanted one
-CELLS_MOST = 14  # largest number of cells whose combinations are compared: the cells of greatest a
 
 
 def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[FoundCell]:
@@ -30,7 +28,7 @@ def chosen_cells(experiment: Experiment, cells: Sequence[FoundCell]) -> list[Fou
             f"{len(able)} of {len(cells)} cells respond to the field, {choice.choose} are needed",
             "use more cells, a stronger field, or fewer robots",
         )
-    able = sorted(able, key=lambda cell: -cell.a)[:CELLS_MOST]
+    able = sorted(able, key=lambda cell: -cell.a)[:14]  # more would have very many combinations
     if choice.wanted:
         return _found_again(choice, able)
     every = combinations(able, choice.choose)
@@ -70,12 +68,12 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
-    """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls,
-    the `unlikeness` of their turning rates a up to UNLIKE, and the least turning rate [rad/s]."""
+    """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls
+    for 0.5 s, the `unlikeness` of their turning rates a up to UNLIKE, and the least rate [rad/s]."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
-    free = bool((arena.inside(x, y) > NEAR_WALL * speed).all()) and all(c.free for c in cells)
+    free = bool((arena.inside(x, y) > 0.5 * speed).all()) and all(c.free for c in cells)
     a = np.array([cell.a for cell in cells])
     apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))
     return free, min(apart, UNLIKE), float(a.min())

@@ -12,9 +12,6 @@ from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.shape_section import ShapeSection
 from tetractl.experiment.yaml.problems import Loc
 
-MEMORY_MAX = 1_000_000_000
-"""Largest memory that a control step may need [bytes]."""
-
 
 def same_names(robots: Mapping[int, Robot]) -> Iterator[tuple[Loc, str]]:
     """Yield location and text of each name that an earlier robot has already."""
@@ -77,13 +74,13 @@ def nearest(setup: Setup) -> Iterator[tuple[str, int, str, float]]:
 
 
 def too_large(experiment: Experiment) -> Iterator[tuple[Loc, str]]:
-    """Yield location and text if a control step would need more memory than MEMORY_MAX."""
-    held = 8 * experiment.controller.numbers_held(experiment.setup)
-    if held > MEMORY_MAX:
+    """Yield location and text if a control step would need more memory than 1 GB."""
+    held = 8e-9 * experiment.controller.numbers_held(experiment.setup)
+    if held > 1:
         yield (
             ("controller",),
-            f"a control step would need some {held / 1e9:.3g} GB of memory, more than "
-            f"{MEMORY_MAX / 1e9:g} GB; use fewer particles, robots or signals",
+            f"a control step would need some {held:.3g} GB of memory, more than "
+            "1 GB; use fewer particles, robots or signals",
         )
 
 

@@ -14,8 +14,6 @@ from tetractl.experiment.disturbance import DelayedCommand, DisturbanceSection, 
 from tetractl.testing.finding import SEED, Finding, Findings, random_watched, same, true
 
 FRAME_NS = SECOND // 60
-FRAMES = 180
-PERIOD = 12  # camera frames in a control period
 FITS = {
     "parameters": "finite, not below 0, (N,)",
     "placed": "finite",
@@ -74,13 +72,13 @@ def _calls(section: DisturbanceSection, setup: Setup) -> dict[str, list[tuple[An
     )
     poses = Poses.of(setup.starts.array())
     poses = call(disturbance.placed, poses) or poses
-    for k in range(FRAMES):
+    for k in range(180):
         now, passed_ns, moving = k * FRAME_NS, (k > 0) * FRAME_NS, np.full(every.size, float(k > 0))
         poses = call(disturbance.moved, poses, moving, passed_ns / SECOND, now / SECOND) or poses
         call(disturbance.varied, a.copy(), speed.copy(), now / SECOND)
         call(disturbance.measured, poses, every.copy(), now / SECOND)
         call(disturbance.received, now, now + FRAME_NS)
-        if k % PERIOD == 0:
+        if k % 12 == 0:  # once in a control period
             call(disturbance.planning_s, now / SECOND)
             wheels = np.ones((2, every.size))
             call(

@@ -14,7 +14,6 @@ from tetractl.model.motion.motion import Held, Motion
 from tetractl.testing.finding import COUNT, NEAR, SEED, Finding, Findings, near, same, true
 
 STEP = 1e-6  # step of a central difference [rad]
-SLOPE = 1e-4  # relative error up to which a derivative agrees with a central difference
 
 
 def check_motion(motion: Motion) -> Findings:
@@ -93,7 +92,7 @@ def _check_derivatives(motion: Motion, compiled: Any, case: Any, moved: Any, t: 
         ("d(heading')/dheading", found[7], by_heading[2], 1.0),
         ("d(heading')/du", 1.0 - found[7], by_u[2], 1.0),
     ):
-        yield near(f"differentiate: {name}", ours, theirs, scale, SLOPE)
+        yield near(f"differentiate: {name}", ours, theirs, scale, 1e-4)
 
 
 def check_shape(section: ShapeSection, setup: Setup) -> Findings:

@@ -13,7 +13,6 @@ from tetractl.experiment.yaml.schema import alternatives, child, describe, homes
 
 Schema = dict[str, Any]
 
-MAX_EXPLAINED = 1000
 KINDS = {
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
@@ -66,7 +65,7 @@ def explain(
     `schema` is the JSON schema of the file, by default the schema of a spec.
     """
     every = error.errors(include_url=False, include_input=False)
-    for details in every[:MAX_EXPLAINED]:
+    for details in every[:1000]:
         loc = data_loc(details, document.data)
         value = _at(document.data, loc)
         context = details.get("ctx", {})

@@ -30,7 +30,6 @@ from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 from tetractl.lab.serial_port import Ports
 
 TEMPERATURE_MAX_C = 60  # a run does not start with hotter coils
-STOPS = 3  # number of frames per stop, so that one damaged frame does not lose the stop
 OFF: Pair = (0.0, 0.0)
 
 
@@ -119,13 +118,14 @@ class FieldActuator:
     def stop(self, emergency: bool = False) -> Transmission:
         """Switch the field off: both currents go to 0 at the slew limit, and the cells swim on.
 
-        After an `emergency` stop the driver makes no field until it is switched off and on.
+        Three frames are sent, so that a damaged one does not lose the stop. After an `emergency`
+        stop the driver makes no field until it is switched off and on.
         AbortError if the port has failed.
         """
         with self._lock:
             self._currents = self._now(self._clock.now())
             flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
-            self._sent_ns = [self.driver.send(flag) for _ in range(STOPS)][-1]
+            self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
             self._held_until_ns = self._sent_ns
         return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))
 

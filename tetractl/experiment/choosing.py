@@ -69,7 +69,7 @@ def unlikeness(a: Floats, a_sd: Floats) -> float:
 
 def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, float, float]:
     """Return a tuple that is greatest for the best choice of cells: whether all are clear of walls
-    for 0.5 s, the `unlikeness` of their turning rates a up to UNLIKE, and the least rate [rad/s]."""
+    for 0.5 s, the `unlikeness` of their turning rates a up to UNLIKE, and the least."""
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])

@@ -12,7 +12,6 @@ from contextlib import contextmanager, suppress
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Steer, Transmission, Turn
-from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
@@ -125,11 +124,11 @@ class InnerLoop:
 
     def sent(self) -> list[Transmission]:
         """Return the transmissions since the last call, oldest first."""
-        return drained(self._sent)
+        return [self._sent.popleft() for _ in range(len(self._sent))]
 
     def warnings(self) -> list[tuple[int, str]]:
         """Return the guard's warnings since the last call, each as (time [ns], text)."""
-        return drained(self._warnings)
+        return [self._warnings.popleft() for _ in range(len(self._warnings))]
 
     def close(self) -> None:
         """End the loop's thread; may be called twice, never raises."""

@@ -81,10 +81,7 @@ class CsvCamera:
 
     def frames(self) -> list[CameraFrame]:
         """Return, once, every frame since the last call, oldest first."""
-        fresh: list[CameraFrame] = []
-        while self._fresh:
-            fresh.append(self._fresh.popleft())
-        return fresh
+        return [self._fresh.popleft() for _ in range(len(self._fresh))]
 
     def _play(self, frames: list[Frame], start_ns: int) -> None:
         number = 0

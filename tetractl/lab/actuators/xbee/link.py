@@ -4,7 +4,6 @@ from collections import deque
 from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.core.drained import drained
 from tetractl.lab.actuators.xbee import frames, hardware
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.serial_port import Ports, SerialPort
@@ -65,7 +64,7 @@ class Link:
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
-        return drained(self._fresh)
+        return [self._fresh.popleft() for _ in range(len(self._fresh))]
 
     def wait(self, timeout_s: float) -> None:
         """Wait at most `timeout_s` until data from other modules can be fetched."""

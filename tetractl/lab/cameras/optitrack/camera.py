@@ -15,7 +15,6 @@ from typing import Any, Self
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import EMULATED_NAME, Health
-from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
@@ -145,7 +144,7 @@ class OptitrackCamera:
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
-        return drained(self._fresh)
+        return [self._fresh.popleft() for _ in range(len(self._fresh))]
 
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the receiver's thread; may be called twice, never raises."""

@@ -12,7 +12,6 @@ import cv2
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
-from tetractl.core.drained import drained
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
@@ -94,7 +93,7 @@ class PictureCamera(ABC, Generic[S]):
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
-        return drained(self._fresh)
+        return [self._fresh.popleft() for _ in range(len(self._fresh))]
 
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""

@@ -7,7 +7,7 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
-from tetractl.core.table.table_files import FORMATS, TableFiles, check_format
+from tetractl.core.table.table_files import FORMATS, check_format, table_files
 from tetractl.log.read.find import find_logs
 
 VIDEO = "video"
@@ -131,7 +131,7 @@ def export(
 
     paths, kind = _files(out, table, form)
     found, unread = find_logs(logs), 0
-    with TableFiles(paths, kind) as files, ui.progress("Reading logs") as on_log:
+    with table_files(paths, kind) as add, ui.progress("Reading logs") as on_log:
         for number, path in enumerate(found):
             on_log(number, len(found))
             try:
@@ -141,7 +141,7 @@ def export(
                 unread += 1
                 continue
             for name, rows in added.items():
-                files.add(name, rows, str(path))
+                add(name, rows, str(path))
     if unread == len(found):
         raise LogError("none of the logs can be read")
     print(*paths.values(), sep="\n")

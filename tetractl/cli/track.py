@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.table.table_files import TableFiles
+from tetractl.core.table.table_files import table_files
 
 if TYPE_CHECKING:
     from tetractl.film.fit_cell import CellSummary
@@ -82,8 +82,8 @@ def _write(
     from tetractl.film.film_tables import pose_table, summary_table
 
     files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
-    with TableFiles(files, "csv") as tables:
-        tables.add("cells", summary_table(cells))
-        tables.add("poses", pose_table(found))
+    with table_files(files, "csv") as add:
+        add("cells", summary_table(cells), "")
+        add("poses", pose_table(found), "")
     write_log(out / "track.mcap", pictures, found)
     write_overlay(out / "overlay.mp4", pictures, found)

@@ -10,7 +10,7 @@ import numpy as np
 
 from tetractl.core.clock import MILLISECOND
 from tetractl.core.table.table import Column, Table
-from tetractl.core.table.table_files import TableFiles
+from tetractl.core.table.table_files import table_files
 from tetractl.log.read.rows import SIMULATED, Row
 from tetractl.log.read.trial_log import Origin
 from tetractl.results.estimate import Distribution, distributions
@@ -60,10 +60,10 @@ def write_tables(loaded: LoadedStudy, store: Store) -> list[Path]:
         repeats = {key: value for key, value in found.items() if key not in HOST_COLUMNS}
         trials.append(head | {"controller": arm.controller} | swept | repeats | tail)
         times.append(head | {key: found[key] for key in HOST_COLUMNS} | _times(row))
-    with TableFiles(paths, "csv") as files:
+    with table_files(paths, "csv") as add:
         if trials:
-            files.add("trials", Table.of_records("trials", trials))
-            files.add("times", Table.of_records("times", times))
+            add("trials", Table.of_records("trials", trials), "")
+            add("times", Table.of_records("times", times), "")
     return list(paths.values())
 
 

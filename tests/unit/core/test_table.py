@@ -15,7 +15,7 @@ from support.paths import ROOT
 
 from tetractl.core.errors import UsageError
 from tetractl.core.table.table import Column, Table, fixed
-from tetractl.core.table.table_files import TableFiles, csv_text, flat, json_text, read_csv
+from tetractl.core.table.table_files import csv_text, flat, json_text, read_csv, table_files
 from tetractl.core.table.terminal_table import TEXTS, WIDTH, html, print_tables
 
 LONG = "words " * 60
@@ -60,9 +60,9 @@ def test_a_data_file_has_the_values_and_the_unit_in_the_name():
 @pytest.mark.parametrize("kind", ["csv", "parquet"])
 def test_a_file_grows_by_the_rows_of_one_table_after_another(tmp_path, kind):
     path = tmp_path / f"speeds.{kind}"
-    with TableFiles({"speeds": path}, kind) as files:
-        files.add("speeds", TABLE)
-        files.add("speeds", TABLE)
+    with table_files({"speeds": path}, kind) as add:
+        add("speeds", TABLE, "a.mcap")
+        add("speeds", TABLE, "b.mcap")
         assert not path.exists()
     read = pandas.read_csv if kind == "csv" else pandas.read_parquet
     found = read(path)
@@ -79,10 +79,10 @@ def test_other_columns_are_refused_and_leave_no_file(tmp_path):
         pytest.raises(
             UsageError, match=r"b\.mcap: the columns of speeds differ from earlier ones: other"
         ),
-        TableFiles({"speeds": path}, "csv") as files,
+        table_files({"speeds": path}, "csv") as add,
     ):
-        files.add("speeds", TABLE)
-        files.add("speeds", TABLE.with_first(other=1), "b.mcap")
+        add("speeds", TABLE, "a.mcap")
+        add("speeds", TABLE.with_first(other=1), "b.mcap")
     assert list(tmp_path.iterdir()) == []
 
 

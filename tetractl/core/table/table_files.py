@@ -4,13 +4,14 @@ import csv
 import io
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, is_dataclass
 from functools import partial
 from importlib.util import find_spec
 from itertools import chain, repeat
 from pathlib import Path
-from typing import Any, Protocol, Self, TextIO
+from typing import Any, TextIO
 
 from tetractl.core.errors import LogError, UsageError, cell
 from tetractl.core.table.table import Array, Column, Table
@@ -20,35 +21,6 @@ CSV_BYTES, CSV_ROWS, CSV_LINE = 1 << 28, 2_000_000, 1 << 16
 """Largest size of a CSV file to read, its largest number of rows, and their largest length."""
 UNSIGNED = ("seed",)
 """Columns of integers from 0 to 2**64 - 1."""
-
-
-class TableFile(Protocol):
-    """A file of one table to which rows are added."""
-
-    def add(self, table: Table) -> None:
-        """Add rows, with the same columns as in the first call."""
-        ...
-
-    def close(self) -> None:
-        """Write the rows that are not written yet, and close the file."""
-        ...
-
-
-class CsvFile:
-    """A table as CSV: UTF-8, a header, empty cells for unknown values."""
-
-    def __init__(self, path: Path) -> None:
-        self._file = path.open("w", encoding="utf-8", newline="")
-        self._headed = False
-
-    def add(self, table: Table) -> None:
-        """Add rows."""
-        _write_csv(table, self._file, header=not self._headed)
-        self._headed = True
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
 
 
 def csv_text(table: Table) -> str:
@@ -105,31 +77,6 @@ def read_csv(path: Path) -> Iterator[dict[str, str]]:
         raise UsageError(f"{path}: is not a CSV file: {error}") from None
 
 
-class ParquetFile:
-    """A table as Parquet, one row group per call of `add`."""
-
-    def __init__(self, path: Path) -> None:
-        self._path, self._writer = path, None
-
-    def add(self, table: Table) -> None:
-        """Add rows; the first call determines the type of each column."""
-        import pyarrow
-        import pyarrow.parquet
-
-        if self._writer is None:
-            found = pyarrow.table({column.key: _typed(column) for column in table.columns})
-            self._writer = pyarrow.parquet.ParquetWriter(self._path, found.schema)
-        else:
-            known = {column.key: column.known for column in table.columns}
-            found = pyarrow.table(known, schema=self._writer.schema)
-        self._writer.write_table(found)
-
-    def close(self) -> None:
-        """Write the file's footer."""
-        if self._writer is not None:
-            self._writer.close()
-
-
 def _typed(column: Column) -> Any:
     """Return a column as a pyarrow array. If no value is known, the array's type is text for a
     column of words, otherwise float."""
@@ -143,7 +90,41 @@ def _typed(column: Column) -> Any:
     return pyarrow.array(values, pyarrow.string() if column.words else pyarrow.float64())
 
 
-FORMATS = {"csv": CsvFile, "parquet": ParquetFile}
+AddRows = Callable[[Table], None]
+
+
+@contextmanager
+def _csv_file(path: Path) -> Iterator[AddRows]:
+    """Write a table as CSV: UTF-8, a header, empty cells for unknown values."""
+    with path.open("w", encoding="utf-8", newline="") as file:
+        yield lambda table: _write_csv(table, file, header=not file.tell())
+
+
+@contextmanager
+def _parquet_file(path: Path) -> Iterator[AddRows]:
+    """Write a table as Parquet, a row group for each addition; the first determines the types."""
+    from pyarrow import parquet, table
+
+    writer: Any = None
+
+    def add(rows: Table) -> None:
+        nonlocal writer
+        if writer is None:
+            found = table({column.key: _typed(column) for column in rows.columns})
+            writer = parquet.ParquetWriter(path, found.schema)
+        else:
+            known = {column.key: column.known for column in rows.columns}
+            found = table(known, schema=writer.schema)
+        writer.write_table(found)
+
+    try:
+        yield add
+    finally:
+        if writer is not None:
+            writer.close()
+
+
+FORMATS = {"csv": _csv_file, "parquet": _parquet_file}
 
 
 def check_format(name: str) -> None:
@@ -157,64 +138,47 @@ def check_format(name: str) -> None:
         )
 
 
-class TableFiles:
-    """The files of several tables. Each is written as NAME.part, and renamed at the end of the
-    `with` block unless there was an error.
+@contextmanager
+def table_files(
+    paths: Mapping[str, Path], format_name: str
+) -> Iterator[Callable[[str, Table, str], None]]:
+    """Write the files of several tables; yields the function that adds rows to one of them.
+
+    It is called with the name of a file, the rows, and their source for messages; it raises
+    UsageError if the columns differ from those of earlier rows. Each file is written as NAME.part,
+    and renamed at the end of the `with` block unless there was an error.
     """
+    parts = {name: path.with_name(path.name + PART) for name, path in paths.items()}
+    keys: dict[str, list[str]] = {}
+    files: dict[str, AddRows] = {}
 
-    def __init__(self, paths: Mapping[str, Path], format_name: str) -> None:
-        self._paths = dict(paths)
-        self._kind = FORMATS[format_name]
-        self._files: dict[str, TableFile] = {}
-        self._keys: dict[str, list[str]] = {}
-
-    def __enter__(self) -> Self:
-        try:
-            for name, path in self._paths.items():
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self._files[name] = self._kind(_part(path))
-        except OSError as error:
-            raise _refused(error) from error
-        return self
-
-    def add(self, name: str, table: Table, source: str = "") -> None:
-        """Add rows to the file `name`; `source` names their origin.
-
-        Raises UsageError if the columns differ from those of earlier rows.
-        """
-        keys = [column.key for column in table.columns]
-        known = self._keys.setdefault(name, keys)
-        if keys != known:
-            odd = sorted(set(keys) ^ set(known))
+    def add(name: str, table: Table, source: str) -> None:
+        now = [column.key for column in table.columns]
+        known = keys.setdefault(name, now)
+        if now != known:
+            odd = sorted(set(now) ^ set(known))
             raise UsageError(
                 f"{source}: the columns of {name} differ from earlier ones: {', '.join(odd[:4])}",
                 "export the logs of each experiment separately",
             )
+        files[name](table)
+
+    try:
         try:
-            self._files[name].add(table)
-        except OSError as error:
-            raise _refused(error) from error
-
-    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
-        try:
-            for file in self._files.values():
-                file.close()
-            for path in self._paths.values():
-                part = _part(path)
-                if kind is None and part.exists():
-                    part.replace(path)
-                else:
-                    part.unlink(missing_ok=True)
-        except OSError as failure:
-            raise _refused(failure) from failure
-
-
-def _part(path: Path) -> Path:
-    return path.with_name(path.name + PART)
-
-
-def _refused(error: OSError) -> LogError:
-    return LogError(f"{error.filename or 'table'}: cannot write the table: {error.strerror}")
+            with ExitStack() as stack:
+                for name, part in parts.items():
+                    part.parent.mkdir(parents=True, exist_ok=True)
+                    files[name] = stack.enter_context(FORMATS[format_name](part))
+                yield add
+            for name, part in parts.items():
+                if part.exists():
+                    part.replace(paths[name])
+        finally:
+            for part in parts.values():
+                part.unlink(missing_ok=True)
+    except OSError as error:
+        where = error.filename or "table"
+        raise LogError(f"{where}: cannot write the table: {error.strerror}") from error
 
 
 def json_text(value: Any, indent: int | None = 2) -> str:

@@ -16,8 +16,6 @@ if TYPE_CHECKING:
     from tetractl.experiment.experiment import Experiment
     from tetractl.lab.rig import Rig
 
-NORMAL = 1.96  # half width of a 95 % interval, in standard deviations
-
 
 def survey(
     spec: ui.Spec,
@@ -122,12 +120,14 @@ def _print_cells(
     """Print each cell with 95 % intervals, and the pairs of cells whose turning rates a are too
     similar to tell the cells apart.
     """
+    from tetractl.results.estimate import Z
+
     for cell in cells:
         magnet = "" if cell.magnetised else ", does not respond to the field"
         near = "" if cell.free else ", was near the edge: its turning rate a is unreliable"
         print(
-            f"cell {cell.number}: a {cell.a:.2f} ± {NORMAL * cell.a_sd:.2f} rad/s, speed "
-            f"{cell.speed:.0f} ± {NORMAL * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
+            f"cell {cell.number}: a {cell.a:.2f} ± {Z * cell.a_sd:.2f} rad/s, speed "
+            f"{cell.speed:.0f} ± {Z * cell.speed_sd:.0f} {unit}/s{magnet}{near}"
         )
     for one, two in pairs:
         print(f"cells {one.number} and {two.number} cannot be distinguished after they meet")

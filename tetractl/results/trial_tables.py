@@ -7,6 +7,7 @@ as mm and mm/s. Times count from the first direction sent. `log` and `trial` are
 """
 
 from collections.abc import Callable, Container, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -67,16 +68,12 @@ def steps(log: TrialLog) -> Table:
     }
     for i, name in enumerate(setup.names):
         columns[f"delivered_{name}"] = [step.command.delivered[i] for step in found]
-    if setup.wheel_radius is not None:
-        wheels = {
-            "left": [step.command.left for step in found],
-            "right": [step.command.right for step in found],
-        }
-        for i, name in enumerate(setup.names):
-            for side, speeds in wheels.items():
-                columns[f"{side}_{name}_{setup.unit}_s"] = [
-                    None if one is None else float(one[i]) for one in speeds
-                ]
+    for i, name in enumerate(setup.names if setup.wheel_radius is not None else ()):
+        for side in ("left", "right"):
+            speeds = [step.command.left if side == "left" else step.command.right for step in found]
+            columns[f"{side}_{name}_{setup.unit}_s"] = [
+                None if one is None else float(one[i]) for one in speeds
+            ]
     return _table("steps", columns)
 
 
@@ -133,13 +130,8 @@ def estimates(log: TrialLog) -> Table:
 
 def events(log: TrialLog) -> Table:
     """Return one row per event, such as a lost command, lost tracking, or the end of the trial."""
-    found = log.events
-    columns = {
-        "time_s": [event.time_s for event in found],
-        "level": [event.level for event in found],
-        "text": [event.text for event in found],
-    }
-    return _table("events", columns)
+    keys = ("time_s", "level", "text")
+    return _table("events", {key: [asdict(one)[key] for one in log.events] for key in keys})
 
 
 OF_TRIAL: Mapping[str, Callable[[TrialLog], Table]] = {
@@ -159,7 +151,10 @@ def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
     found: dict[str, Table] = {}
     if "trials" in names:
         result = read_result(path)
-        found["trials"] = trial(result).with_first(log=str(path), trial=result.trial)
+        every = trials_table(Batch.of([result]))
+        left_out = ("path", "trial")  # `log` and `trial` are added
+        kept = tuple(column for column in every.columns if column.name not in left_out)
+        found["trials"] = Table("trials", kept).with_first(log=str(path), trial=result.trial)
     if any(name in names for name in OF_TRIAL):
         log = read_trial(path)
         found |= {
@@ -168,13 +163,6 @@ def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
             if name in names
         }
     return found
-
-
-def trial(result: ResultSummary) -> Table:
-    """Return the one row of a trial: its plant, errors, outcome and statistics."""
-    found = trials_table(Batch.of([result]))
-    left_out = ("path", "trial")  # `of_log` adds `log` and `trial`
-    return Table("trials", tuple(c for c in found.columns if c.name not in left_out))
 
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:

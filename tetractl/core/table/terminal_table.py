@@ -108,29 +108,20 @@ def latex(tables: Sequence[Table]) -> str:
     parts = [r"% needs \usepackage{booktabs,graphicx,tabularx}"]
     for table in tables:
         parts.append(f"% {printable(' '.join([table.title, table.note]).strip())}")
-        parts += _latex_words(table) if table.words else _latex_numbers(table)
-        parts.append("")
+        header, *rows = (
+            " & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)
+        )
+        body = [r"\toprule", header, r"\midrule", *rows, r"\bottomrule"]
+        width = len(table.columns)
+        if table.words:
+            begin = rf"\begin{{tabularx}}{{\linewidth}}{{{_WORDS * width}}}"
+            parts += [begin, *body, r"\end{tabularx}", ""]
+        else:
+            note = _escaped(". ".join(filter(None, (table.title, table.note))))
+            last = rf"\multicolumn{{{width}}}{{l}}{{\footnotesize {note}}} \\"
+            begin = rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}"
+            parts += [_FITTED, begin, *body, last, r"\end{tabular}}", ""]
     return "\n".join(parts)
-
-
-def _latex_numbers(table: Table) -> list[str]:
-    width = len(table.columns)
-    note = ". ".join(filter(None, (table.title, table.note)))
-    last = rf"\multicolumn{{{width}}}{{l}}{{\footnotesize {_escaped(note)}}} \\"
-    begin = rf"\begin{{tabular}}{{l{'r' * (width - 1)}}}"
-    return [_FITTED, begin, *_latex_body(table), last, r"\end{tabular}}"]
-
-
-def _latex_words(table: Table) -> list[str]:
-    begin = rf"\begin{{tabularx}}{{\linewidth}}{{{_WORDS * len(table.columns)}}}"
-    return [begin, *_latex_body(table), r"\end{tabularx}"]
-
-
-def _latex_body(table: Table) -> list[str]:
-    header, *rows = (
-        " & ".join(map(_latex_cell, row)) + r" \\" for row in (table.header, *table.rows)
-    )
-    return [r"\toprule", header, r"\midrule", *rows, r"\bottomrule"]
 
 
 def _latex_cell(text: str) -> str:

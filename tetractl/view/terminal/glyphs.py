@@ -13,59 +13,30 @@ from tetractl.core.poses import Floats
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """A set of characters; `arrows` are eight directions, anticlockwise from +x."""
+    """A set of characters, by default in Unicode."""
 
-    ascii: bool
-    arrows: str
-    start: str
-    target: str
-    box: str  # corners from top left clockwise, then horizontal and vertical
-    bar: str  # characters for the done and the open part of a bar
-    spark: str  # characters of a sparkline, from low to high
-    rest: str  # character for values to come in a sparkline
-    degree: str
-    play: str
-    pause: str
-    times: str
-    plus_minus: str
-    left_right: str
-    to: str
+    ascii: bool = False
+    arrows: str = "→↗↑↖←↙↓↘"  # eight directions, anticlockwise from +x
+    start: str = "○"
+    target: str = "□"
+    box: str = "┌┐┘└─│"  # corners from top left clockwise, then horizontal and vertical
+    bar: str = "━─"  # characters for the done and the open part of a bar
+    spark: str = "▁▂▃▄▅▆▇█"  # characters of a sparkline, from low to high
+    rest: str = "·"  # character for values to come in a sparkline
+    degree: str = "°"
+    play: str = "▶"
+    pause: str = "‖"
+    times: str = "×"
+    plus_minus: str = "±"
+    left_right: str = "←→"
+    to: str = "→"
 
 
-UNICODE = Glyphs(
-    ascii=False,
-    arrows="→↗↑↖←↙↓↘",
-    start="○",
-    target="□",
-    box="┌┐┘└─│",
-    bar="━─",
-    spark="▁▂▃▄▅▆▇█",
-    rest="·",
-    degree="°",
-    play="▶",
-    pause="‖",
-    times="×",
-    plus_minus="±",
-    left_right="←→",
-    to="→",
-)
+UNICODE = Glyphs()
 ASCII = Glyphs(
-    ascii=True,
-    arrows=">/^\\</v\\",
-    start="o",
-    target="+",
-    box="++++-|",
-    bar="=-",
-    spark="_.-~=*%#",
-    rest=".",
-    degree=" deg",
-    play=">",
-    pause="=",
-    times="x",
-    plus_minus="+/-",
-    left_right="arrows",
-    to="->",
-)
+    True, ">/^\\</v\\", "o", "+", "++++-|", "=-", "_.-~=*%#", ".", " deg", ">", "=", "x", "+/-",
+    "arrows", "->",
+)  # fmt: skip
 
 
 def glyphs_for(console: Console) -> Glyphs:

@@ -65,8 +65,7 @@ def test_a_kill_costs_little(tmp_path, seed):
 
 
 def test_verify_says_which_of_the_two_it_did(logs):
-    done = tetractl(logs, "verify .")
-    assert done.returncode == 0
+    done = tetractl(logs, "verify .").ok()
     assert done.stdout.count("ok: ") == done.stdout.count("re-computed, bit-identical") == 2
     found = json.loads(tetractl(logs, "verify . --json").stdout)
     assert [(log["ok"], log["problems"]) for log in found["logs"]] == [(True, [])] * 2
@@ -80,8 +79,7 @@ def test_verify_fails_on_what_it_cannot_read(logs):
 
 
 def test_a_trial_is_repeated_from_its_log(logs):
-    done = tetractl(logs, "rerun trial-001.mcap --out again --quiet")
-    assert done.returncode == 0
+    done = tetractl(logs, "rerun trial-001.mcap --out again --quiet").ok()
     assert "the content digests agree: " in done.stderr
     assert [path.name for path in (logs / "again").iterdir()] == ["trial-001.mcap"]
     assert tetractl(logs, "rerun trial-001.mcap --seed 3").returncode == 2

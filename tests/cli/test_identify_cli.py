@@ -8,8 +8,7 @@ from support.cli import tetractl
 
 
 def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
-    done = tetractl(folder, "identify", "logs", "-o", "found.yaml")
-    assert done.returncode == 0, done.stderr
+    done = tetractl(folder, "identify", "logs", "-o", "found.yaml").ok()
     assert "2 logs" in done.stdout and "disturbed simulation" in done.stdout
     found = yaml.safe_load((folder / "found.yaml").read_text())
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.01)
@@ -45,12 +44,10 @@ def test_exported_tables_say_the_same(folder):
 
 def test_a_design_is_proposed_as_a_spec_and_driven(folder):
     words = ("design", "quick.yaml", "--seconds", "6")
-    done = tetractl(folder, *words, "-o", "motion.yaml")
-    assert done.returncode == 0, done.stderr
+    done = tetractl(folder, *words, "-o", "motion.yaml").ok()
     assert "predicted standard deviations" in done.stdout
     assert tetractl(folder, "validate", "motion.yaml").returncode == 0
-    driven = tetractl(folder, *words, "--plant", "sim", "--logs", "design", "--json")
-    assert driven.returncode == 0, driven.stderr
+    driven = tetractl(folder, *words, "--plant", "sim", "--logs", "design", "--json").ok()
     found = json.loads(driven.stdout)
     assert found["dead_time"]["value"] == pytest.approx(0.1, abs=0.005)
     assert tetractl(folder, "verify", "design").returncode == 0
@@ -58,8 +55,7 @@ def test_a_design_is_proposed_as_a_spec_and_driven(folder):
 
 def test_what_if_predicts_and_says_so(folder):
     log = "logs/trial-000.mcap"
-    done = tetractl(folder, "what-if", log, "--set", "controller.dead_time=0.1")
-    assert done.returncode == 0, done.stderr
+    done = tetractl(folder, "what-if", log, "--set", "controller.dead_time=0.1").ok()
     assert "a prediction on the recorded observations, not closed loop" in done.stdout
     assert "steps would have sent another direction" in done.stdout
     words = ("what-if", log, "--set", "controller.dead_time=0", "--json")
@@ -73,8 +69,7 @@ def test_what_if_predicts_and_says_so(folder):
 def test_commands_are_driven_again_through_the_simulation(folder):
     log = "logs/trial-000.mcap"
     words = ("redrive", log, "--plant", "sim", "-o", "again", "--plot", "again.svg")
-    done = tetractl(folder, *words)
-    assert done.returncode == 0, done.stderr
+    done = tetractl(folder, *words).ok()
     assert "open loop" in done.stdout
     most = next(line for line in done.stdout.splitlines() if line.startswith(" at most"))
     assert [float(cell) for cell in most.split()[2:]] == [0, 0]  # the same seed, the same world

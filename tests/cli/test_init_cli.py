@@ -32,8 +32,7 @@ def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit,
     assert checked.stdout.startswith("first.yaml: ok: name first, robots 2")
     experiment = load_spec(tmp_path / "first.yaml").experiment
     assert (experiment.units.length, experiment.lab is not None) == (unit, lab)
-    done = tetractl("run", "first.yaml", "--trials", 2, "--json")
-    assert done.returncode == 0, done.stderr
+    done = tetractl("run", "first.yaml", "--trials", 2, "--json").ok()
     result = json.loads(done.stdout)
     assert (result["n_counted"], result["obstacle_violations"]) == (2, 0)
     assert result["total_error"]["max"] < (50 if unit == "um" else 1)
@@ -41,8 +40,7 @@ def test_a_new_spec_is_sound_and_runs_at_once(tetractl, tmp_path, options, unit,
 
 def test_the_lab_of_a_new_spec_can_be_used(tetractl):
     tetractl("init", "first", "--lab")
-    done = tetractl("run", "first.yaml", "--plant", "lab", "--dry-run", "--strict")
-    assert done.returncode == 0, done.stderr
+    done = tetractl("run", "first.yaml", "--plant", "lab", "--dry-run", "--strict").ok()
     assert "cameras" in done.stdout.partition("# Limits")[2]
 
 
@@ -53,8 +51,7 @@ def test_names_that_yaml_reads_otherwise_are_quoted(tetractl, tmp_path, name):
 
 
 def test_an_example_is_written_with_what_it_names(tetractl, tmp_path):
-    done = tetractl("init", "--example", "studies/dead_time")
-    assert done.returncode == 0
+    done = tetractl("init", "--example", "studies/dead_time").ok()
     assert done.stdout == "experiments/studies/dead_time.yaml\nexperiments/three_m3pi.yaml\n"
     assert len(load_study(tmp_path / "experiments/studies/dead_time.yaml").arms) > 1
     again = tetractl("init", "--example", "experiments/three_m3pi.yaml")

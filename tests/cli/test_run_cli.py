@@ -45,8 +45,7 @@ def batch(tmp_path_factory):
     """The quick batch of three trials, run once; what it printed."""
     folder = tmp_path_factory.mktemp("batch")
     (folder / "quick.yaml").write_text(QUICK)
-    done = run("quick.yaml", "--out", "logs", "--json", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = run("quick.yaml", "--out", "logs", "--json", cwd=folder).ok()
     return folder, done
 
 
@@ -61,8 +60,7 @@ def work(tmp_path, batch):
 def test_every_shipped_experiment_brings_its_robots_near_their_targets(path, tmp_path):
     # cells that stay at their targets circle there: where one trial ends is chance
     trials = 1 if load_spec(path).experiment.hold is None else 10
-    done = run(path, "--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    run(path, "--trials", trials, "--plant", "sim", "--out", "logs", "--quiet", cwd=tmp_path).ok()
     results = [read_result(tmp_path / "logs" / f"trial-00{i}.mcap") for i in range(trials)]
     assert all(found.outcome.complete and not found.recovered for found in results)
     errors = zip(*(found.result.robot_errors for found in results), strict=True)
@@ -88,8 +86,7 @@ def test_a_run_writes_a_log_a_trial_and_says_where(batch):
 
 def test_logs_go_to_a_folder_named_after_spec_and_hour(tmp_path):
     (tmp_path / "quick.yaml").write_text(QUICK)
-    done = run("quick.yaml", "--trials", 1, "--quiet", cwd=tmp_path)
-    assert done.returncode == 0
+    done = run("quick.yaml", "--trials", 1, "--quiet", cwd=tmp_path).ok()
     (folder,) = (tmp_path / "logs").iterdir()
     assert folder.name.startswith("quick-2")
     assert [path.name for path in folder.iterdir()] == ["trial-000.mcap"]
@@ -110,14 +107,12 @@ def test_the_same_spec_and_seed_give_the_same_logs_whatever_the_jobs(batch, tmp_
     )
     late = ["--set", f"controller={control}", "--trials", 2]
     for jobs in (1, 2):
-        done = run(folder / "quick.yaml", *late, "--jobs", jobs, "--out", f"l{jobs}", cwd=tmp_path)
-        assert done.returncode == 0
+        run(folder / "quick.yaml", *late, "--jobs", jobs, "--out", f"l{jobs}", cwd=tmp_path).ok()
     assert digests(tmp_path / "l1") == digests(tmp_path / "l2")
     steps = read_trial(tmp_path / "l1" / "trial-000.mcap").steps
     assert "deadline" in [search.stopped for step in steps for search in step.plan.searches]
     args = ["--seed", 8, "--trials", 1]
-    other = run(folder / "quick.yaml", *args, "--out", "other", cwd=tmp_path)
-    assert other.returncode == 0
+    run(folder / "quick.yaml", *args, "--out", "other", cwd=tmp_path).ok()
     assert not set(digests(tmp_path / "other").values()) & set(first.values())
 
 
@@ -141,8 +136,7 @@ def test_a_dry_run_sends_a_terminal_nothing_that_it_obeys(batch, tmp_path):
     """Regression: a description turned the writing direction of the operator's terminal."""
     text = (batch[0] / "quick.yaml").read_text("utf-8") + 'description: "three \\u202e robots"\n'
     (tmp_path / "turned.yaml").write_text(text, encoding="utf-8")
-    done = run("turned.yaml", "--dry-run", cwd=tmp_path)
-    assert done.returncode == 0
+    done = run("turned.yaml", "--dry-run", cwd=tmp_path).ok()
     assert all(line.isprintable() for line in done.stdout.splitlines())
     assert "u202" in done.stdout.lower()
 
@@ -168,8 +162,7 @@ def test_resuming_runs_what_is_missing_and_sets_the_unfinished_aside(work):
     assert "logs: holds logs already" in refused.stderr
     dry = run("quick.yaml", "--out", "logs", "--resume", "--dry-run", cwd=work)
     assert "# Trials to run: 2 of 3" in dry.stdout
-    done = run("quick.yaml", "--out", "logs", "--resume", cwd=work)
-    assert done.returncode == 0
+    done = run("quick.yaml", "--out", "logs", "--resume", cwd=work).ok()
     assert digests(logs) == before
     assert (logs / "trial-000.mcap").stat().st_mtime_ns == kept
     assert (logs / "trial-002.attempt-1.mcap.part").exists()

@@ -27,8 +27,7 @@ def whole(tmp_path_factory):
     """The quick study, run in one go with all logs."""
     folder = tmp_path_factory.mktemp("whole")
     write(folder)
-    done = study("study.yaml", "--out", "out", "--jobs", 1, cwd=folder)
-    assert done.returncode == 0, done.stderr
+    done = study("study.yaml", "--out", "out", "--jobs", 1, cwd=folder).ok()
     return folder, done
 
 
@@ -71,8 +70,7 @@ def test_a_study_killed_and_run_again_gives_the_same_table(whole, tmp_path):
         assert not (out / "trials.csv").exists()
     torn = next(out.glob("*/trials.jsonl"))
     torn.write_bytes(torn.read_bytes()[:-20])  # as a power cut may leave a line
-    done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = study("study.yaml", "--out", "out", "--jobs", 2, cwd=tmp_path).ok()
     assert "40 of 40 to run" not in done.stderr
     assert results(out) == results(whole[0] / "out")
 
@@ -96,13 +94,11 @@ def test_a_study_interrupted_is_gone_on_with(whole, tmp_path):
 def test_shares_run_by_themselves_and_merged_give_the_same_table(whole, tmp_path):
     write(tmp_path)
     for i in (1, 2, 3):
-        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1, "-q", cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        done = study("study.yaml", "--shard", f"{i}/3", "--jobs", 1, "-q", cwd=tmp_path).ok()
     shares = sorted((tmp_path / "logs").iterdir())
     assert [path.name for path in shares] == [f"quick-shard-{i}-of-3" for i in (1, 2, 3)]
     assert [rows(path) for path in shares] == [14, 13, 13]
-    done = study("study.yaml", "--merge", *shares, "--out", "out", cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
+    done = study("study.yaml", "--merge", *shares, "--out", "out", cwd=tmp_path).ok()
     assert "40 trials added" in done.stderr
     assert results(tmp_path / "out") == results(whole[0] / "out")
     for row in table(tmp_path / "out")[::11]:
@@ -134,8 +130,9 @@ def test_shares_of_one_arm_are_one_batch(tmp_path):
 def test_the_job_script_runs_every_share_and_says_how_to_merge(tmp_path):
     """Its commands, as bash runs them for the jobs of an array, taken down and run here."""
     write(tmp_path, SMALL)
-    script = study("study.yaml", "--slurm", 2, "--logs", "none", "--out", "my out", cwd=tmp_path)
-    assert script.returncode == 0
+    script = study(
+        "study.yaml", "--slurm", 2, "--logs", "none", "--out", "my out", cwd=tmp_path
+    ).ok()
     (tmp_path / "job.sh").write_text(script.stdout)
     shim = 'tetractl() { for word; do printf "%s\\n" "$word"; done > ran; cat ran >> all; }\n'
     (tmp_path / "env.sh").write_text(shim)

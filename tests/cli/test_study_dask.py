@@ -61,8 +61,7 @@ def here(tmp_path_factory):
     """The folder of the longer study run in this process."""
     folder = tmp_path_factory.mktemp("here")
     write(folder, LONGER)
-    done = tetractl("study", "study.yaml", "--out", "here", "--jobs", 1, "-q", cwd=folder)
-    assert done.returncode == 0, done.stderr
+    tetractl("study", "study.yaml", "--out", "here", "--jobs", 1, "-q", cwd=folder).ok()
     return folder / "here"
 
 
@@ -99,8 +98,7 @@ def test_a_scheduler_that_goes_in_mid_study_fails_no_trial_and_the_same_command_
     assert 10 <= rows(out) < 96
     with cluster(tmp_path) as (address, _, _):
         args = ("--out", out, "--cluster", address, "-q")
-        done = tetractl("study", "study.yaml", *args, cwd=tmp_path)
-        assert done.returncode == 0, done.stderr
+        tetractl("study", "study.yaml", *args, cwd=tmp_path).ok()
     assert rows(out) == 96
     assert results(out) == results(here)
 
@@ -138,8 +136,9 @@ def test_a_cluster_with_tls_takes_only_who_has_a_certificate(tmp_path, monkeypat
         tls = "DASK_DISTRIBUTED__COMM__TLS__"
         for name, file in (("CA_FILE", ca), ("CLIENT__CERT", own), ("CLIENT__KEY", key)):
             monkeypatch.setenv(tls + name, file)
-        done = process(tmp_path, "study", *args, address)  # Dask reads them when it is imported
-        assert done.returncode == 0, done.stderr
+        done = process(
+            tmp_path, "study", *args, address
+        ).ok()  # Dask reads them when it is imported
         assert rows(tmp_path / "there") == 6
 
 

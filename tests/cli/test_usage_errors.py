@@ -259,8 +259,7 @@ def test_help_names_no_types_of_python(folder, words):
 
 
 def test_warm_compiles_what_specs_and_studies_name(folder):
-    done = tetractl(folder, "warm", "spec.yaml", "study.yaml")
-    assert done.returncode == 0
+    done = tetractl(folder, "warm", "spec.yaml", "study.yaml").ok()
     kinds, seconds = done.stdout.split(": ")
     assert kinds == "pso-mpc, pso, euler"
     assert float(seconds.removesuffix(" s\n")) >= 0

@@ -35,8 +35,7 @@ def tetractl(tmp_path):
 
 def test_good_specs_are_ok(tetractl):
     specs = sorted(EXPERIMENTS.glob("*.yaml"))
-    result = tetractl("validate", *specs)
-    assert result.returncode == 0
+    result = tetractl("validate", *specs).ok()
     assert result.stderr == ""
     lines = result.stdout.splitlines()
     assert len(lines) == len(specs)
@@ -84,8 +83,7 @@ def test_json_holds_summaries_and_problems(tetractl, tmp_path):
 
 
 def test_schema_is_printed_or_written(tetractl, tmp_path):
-    printed = tetractl("schema")
-    assert printed.returncode == 0
+    printed = tetractl("schema").ok()
     assert json.loads(printed.stdout)["title"] == "Experiment"
     assert tetractl("schema", "-o", "new.json").returncode == 0
     assert (tmp_path / "new.json").read_text("utf-8") == printed.stdout
@@ -112,8 +110,7 @@ def test_json_holds_warnings_and_the_least_error(tetractl):
     "words", ["validate alike.yaml", "run alike.yaml --out logs", "run alike.yaml --dry-run"]
 )
 def test_warnings_are_a_line_each_and_stop_nothing(tetractl, words):
-    result = tetractl(*words.split())
-    assert result.returncode == 0
+    result = tetractl(*words.split()).ok()
     assert warned(result) == WARNINGS
 
 

@@ -57,8 +57,7 @@ def test_a_trial_finds_cells_learns_them_and_brings_them_to_targets(tmp_path):
     assert setup.a == pytest.approx(cells.a[who], rel=0.15)  # before any plan
     assert setup.speed == pytest.approx(cells.speed[who], rel=0.05)
     assert not running
-    checked = tetractl(tmp_path, "verify", tmp_path / "trial-000.mcap")
-    assert checked.returncode == 0, checked.stdout
+    tetractl(tmp_path, "verify", tmp_path / "trial-000.mcap").ok()
 
 
 @pytest.mark.parametrize(
@@ -121,11 +120,11 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
     with virtual_dish(tmp_path, 1, SMALL, FEW) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words)
-        assert done.returncode == 0, done.stderr
+        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words).ok()
         magnets = np.sort(dish.cells.a[dish.cells.a > 0])
-        again = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words)
-        assert again.returncode == 0, again.stderr
+        again = tetractl(
+            tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words
+        ).ok()
     items = json.loads(again.stdout)
     assert items["unit"] == "um"
     assert sum(cell["magnetised"] for cell in items["cells"]) >= len(items["choices"][0]["cells"])

@@ -28,25 +28,21 @@ def digests(folder):
 @needs_compiler
 def test_a_seed_repeats_in_any_number_of_processes_and_nobody_is_asked(tmp_path):
     for out, jobs in (("one", "1"), ("two", "2")):
-        done = run(tmp_path, out, "--trials", "2", "--jobs", jobs, *SMALL)
-        assert done.returncode == 0, done.stderr
+        done = run(tmp_path, out, "--trials", "2", "--jobs", jobs, *SMALL).ok()
     first, second = digests(tmp_path / "one"), digests(tmp_path / "two")
     assert first == second
     assert len(set(first)) == 2  # each trial has noise of its own
     log = read_trial(tmp_path / "one" / "trial-000.mcap")
     assert (log.start.plant.kind, log.origin.value) == ("emulated", "emulated lab")
     again = ("rerun", "one/trial-001.mcap", "--plant", "emulated", "--out", "again")
-    done = tetractl(tmp_path, *again)
-    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, *again).ok()
     assert f"the content digests agree: {first[1]}" in done.stderr
-    done = tetractl(tmp_path, "verify", "one")
-    assert done.returncode == 0, done.stdout
+    done = tetractl(tmp_path, "verify", "one").ok()
 
 
 @needs_compiler
 def test_a_lab_of_multicast_cameras_is_checked_without_a_port_or_an_address(tmp_path):
-    done = tetractl(tmp_path, "lab", "check", SPEC, "--plant", "emulated", "--json")
-    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, "lab", "check", SPEC, "--plant", "emulated", "--json").ok()
     found = json.loads(done.stdout)
     assert found["ready"]
     assert all(robot["answers"] for robot in found["robots"])
@@ -92,11 +88,9 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
         )
     )
     words = ("lab", "survey", DISH, "--plant", "emulated", "--plans", "1", "-o", "found.yaml")
-    done = tetractl(tmp_path, *words, *small)
-    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, *words, *small).ok()
     for out in ("one", "two"):
-        done = run(tmp_path, out, "--trials", "1", spec="found.yaml")
-        assert done.returncode == 0, done.stderr
+        done = run(tmp_path, out, "--trials", "1", spec="found.yaml").ok()
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
     wanted = read_trial(tmp_path / "one" / "trial-000.mcap").experiment
     for robot, cell in zip(wanted.robots, wanted.chosen.wanted, strict=True):

@@ -44,8 +44,7 @@ def lab(tmp_path):
 def test_check_says_ready_and_moves_nothing(lab, tmp_path):
     emulated = lab()
     settings = emulated.settings
-    done = tetractl(tmp_path, "lab", "check", str(SPEC), "--json", *flags(settings))
-    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, "lab", "check", str(SPEC), "--json", *flags(settings)).ok()
     found = json.loads(done.stdout)
     assert found["ready"]
     assert [robot["name"] for robot in found["robots"]] == ["green", "blue", "red"]
@@ -67,8 +66,7 @@ def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
     says = "the module (HV 7F44, VR 10EC) is not in tetractl's list: does it run"
     assert says in done.stdout
     assert "questions not answered: add --yes if there is no terminal" in done.stderr
-    done = tetractl(tmp_path, *command, "--yes")
-    assert done.returncode == 0, done.stdout
+    done = tetractl(tmp_path, *command, "--yes").ok()
     assert f"warning: {tmp_path / 'radio'}: the module" in done.stdout
 
 
@@ -106,8 +104,7 @@ def test_a_robot_not_on_its_start_is_not_driven(lab, tmp_path):
 
 def test_stop_latches_every_robot_by_port_alone(lab, tmp_path):
     settings = lab().settings
-    done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
-    assert done.returncode == 0, done.stderr
+    done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio")).ok()
     assert done.stdout.startswith("sent 10 stops on ")
     done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags(settings))
     assert done.returncode == 1
@@ -146,15 +143,13 @@ def test_robots_move_only_where_that_is_asked_for(lab, tmp_path):
     assert run("run", SPEC, "--plant", "lab", "--yes", "--out", "first", *sets).returncode == 0
 
     log = ("rerun", "first/trial-000.mcap", "--out")
-    again = run(*log, "simulated")
-    assert again.returncode == 0, again.stderr
+    again = run(*log, "simulated").ok()
     assert "the log is of the lab, the new one simulated" in again.stderr
     assert read_trial(tmp_path / "simulated" / "trial-000.mcap").start.plant.simulated
     refused = run(*log, "lab", "--plant", "lab")
     assert (refused.returncode, refused.stdout) == (2, "")
     started = 2
-    again = run(*log, "lab", "--plant", "lab", "--yes")
-    assert again.returncode == 0, again.stderr
+    again = run(*log, "lab", "--plant", "lab", "--yes").ok()
     assert "the log is of the lab, the new one of the lab" in again.stderr
 
 
@@ -170,10 +165,9 @@ def test_a_person_at_a_terminal_is_asked_before_robots_are_calibrated(lab, tmp_p
 
 def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tmp_path):
     settings = lab(UNEVEN, replace_after=4).settings
-    done = tetractl(
+    tetractl(
         tmp_path, "lab", "calibrate", str(SPEC), "--robot", "green", "--yes", *flags(settings)
-    )
-    assert done.returncode == 0, done.stderr
+    ).ok()
     text = (tmp_path / "calibration.yaml").read_text()
     lab = calibrated(on_plant(load_spec(SPEC), "lab").experiment, text, "calibration.yaml").plant
     green = lab.actuator.robot("green")
@@ -193,8 +187,7 @@ def test_calibrate_finds_what_the_robot_truly_is_and_the_log_attaches_it(lab, tm
             "controller.steps_max=3",
         )
     )
-    done = tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets)
-    assert done.returncode == 0, done.stderr
+    tetractl(tmp_path, "run", str(SPEC), "--plant", "lab", "--yes", "--out", "logs", *sets).ok()
     trial = read_trial(tmp_path / "logs" / "trial-000.mcap")
     assert trial.experiment.plant.actuator.robots[0].radius_mm == green.radius_mm
     assert attachment(tmp_path / "logs" / "trial-000.mcap", "calibration.yaml") == text

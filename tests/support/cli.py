@@ -22,6 +22,11 @@ class Done(NamedTuple):
     stdout: str
     stderr: str
 
+    def ok(self) -> "Done":
+        """This, if the exit code is 0."""
+        assert self.returncode == 0, self.stderr
+        return self
+
 
 def tetractl(folder, *words, env=None, stdin="") -> Done:
     """Run a command in a folder as a shell does, without a terminal; an unforeseen error is raised.

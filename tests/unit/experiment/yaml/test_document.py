@@ -58,20 +58,13 @@ def test_keys_are_text(key):
     assert "a key must be text" in line
 
 
-@pytest.mark.parametrize(
-    "value",
-    [
-        "!!python/object/apply:os.system [ls]",
-        "!!binary aGVsbG8=",
-        "!!timestamp 2020-01-01",
-        "!!set {a, b}",
-        "!mine 5",
-        "!!int five",
-        "!!seq text",
-        "!!map [1]",
-        "!!omap [a: 1]",
-    ],
-)
+TAGS = (
+    "!!python/object/apply:os.system [ls]", "!!binary aGVsbG8=", "!!timestamp 2020-01-01",
+    "!!set {a, b}", "!mine 5", "!!int five", "!!seq text", "!!map [1]", "!!omap [a: 1]",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("value", TAGS)
 def test_tags_that_are_not_core_or_do_not_fit_are_refused(value):
     (line,) = lines(f"a: {value}\n")
     assert line.startswith("s.yaml:1:4: a: the tag !")

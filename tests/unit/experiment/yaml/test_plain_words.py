@@ -7,7 +7,7 @@ from tetractl.emulate.script import Script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.yaml.explain import KINDS, LIMITS
-from tetractl.experiment.yaml.problems import InvalidSpecError, did_you_mean
+from tetractl.experiment.yaml.problems import InvalidSpecError
 
 ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     "int": {"int_type", "int_from_float", *LIMITS} - {"string_too_short", "string_too_long"},
@@ -22,22 +22,10 @@ ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
     "literal": {"literal_error"},
 }
 SILENT = {  # can cause no error, or one that is raised with words of its own
-    "any",
-    "default",
-    "definition-ref",
-    "definitions",
-    "function-after",
-    "function-before",
-    "function-plain",
-    "function-wrap",
-    "is-instance",
-    "model-field",
-    "nullable",
-    "no-info",
-    "tagged-union",  # the errors of a `type` are explained apart
-    "union",
-    "with-info",
-}
+    "any", "default", "definition-ref", "definitions", "function-after", "function-before",
+    "function-plain", "function-wrap", "is-instance", "model-field", "nullable", "no-info",
+    "tagged-union", "union", "with-info",
+}  # fmt: skip
 
 
 def kinds_of(schema):
@@ -84,7 +72,3 @@ def test_an_unknown_colour_is_told_what_is_known():
     assert "known are #rrggbb and aliceblue, antiquewhite, " in said
     for color in ("teal", "green", "'#00ff00'"):
         parse_spec(SPEC, "x.yaml", [f"robots.r.color={color}"])
-
-
-def test_a_guess_may_be_wrong_by_case():
-    assert did_you_mean("MM", ["um", "mm"]) == "; did you mean 'mm'?"

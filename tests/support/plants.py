@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import yaml
 from support.labs import CAMERA_HZ, fake_lab
 from support.trials import experiment
 
@@ -39,7 +40,7 @@ def sim_rig(seed: int, **plant: Any) -> Rig:
     clock = VirtualClock()
     noise = plant.get("measurement_noise", {}).get("position", 0.0)
     disturbed = bool(plant.keys() - {"motion", "camera_rate", "truth_rate", "dead_time"})
-    disturbed &= plant != WHEELS
+    disturbed &= plant != DISTURBANCES["wheels"]
     rate = plant.get("camera_rate", 120.0)
     return Rig(sim(spec, seed, clock), clock, spec, 8 * noise, "sim", rate, disturbed)
 
@@ -50,75 +51,46 @@ def lab_rig(seed: int) -> Rig:
     return Rig(lab.plant, lab.clock, spec, 0.0, "lab", CAMERA_HZ, disturbed=False)
 
 
-DISTURBANCES: dict[str, dict[str, Any]] = {
-    "undisturbed": {},
-    "arc": {"motion": "arc"},
-    "euler": {"motion": "euler"},
-    "measurement noise": {"measurement_noise": {"position": 2.0, "heading": 0.02}},
-    "heading noise": {"heading_noise": 0.2},
-    "dead time": {"dead_time": 0.13},
-    "lost commands": {"lost_commands": 0.3},
-    "wrong a": {"a_error": 0.2},
-    "wrong speed": {"speed_error": 0.2},
-    "slow camera": {"camera_rate": 7.0, "truth_rate": 100.0},
-    "everything": {
-        "motion": "arc",
-        "measurement_noise": {"position": 2.0, "heading": 0.02},
-        "heading_noise": 0.2,
-        "dead_time": 0.1,
-        "lost_commands": 0.3,
-        "a_error": 0.2,
-        "speed_error": 0.2,
-    },
-}
-
-WHEELS: dict[str, Any] = {"drive": {"rate": 40}}
-WIRES: dict[str, Any] = {
-    "camera_rate": 100.0,
-    "measurement_noise": {"position": 1.0, "heading": 0.01},
-    "heading_noise": 0.05,
-    "a_error": 0.1,
-    "drive": {
-        "rate": 40,
-        "lead": 0.007,
-        "count": 7.874,
-        "dead_zone": 6,
-        "dead_zone_error": 1,
-        "gain_error": 0.02,
-        "radius_error": 0.02,
-        "lag": 0.04,
-    },
-    "disturbances": [
-        {"type": "camera-latency", "mean": 0.006, "deviation": 0.001, "late_share": 0.01},
-        {"type": "planning-time", "least": 0.002, "spread": 0.004},
-        {"type": "radio", "delay": 0.007, "jitter": 0.001, "loss": 0.1},
-    ],
-}
-DISHES: dict[str, Any] = {
-    "camera_rate": 30.0,
-    "heading_noise": 0.05,
-    "disturbances": [
-        {"type": "wobble", "radius": 8, "frequency": 1.5},
-        {"type": "flow", "speed": 10},
-        {"type": "heading-drift", "rate": 0.1},
-    ],
-}
-HURTING: dict[str, Any] = {
-    "disturbances": [
-        {"type": "wander", "a": 0.1, "speed": 0.05},
-        {"type": "battery", "speed": 0.1, "over": 2},
-        {"type": "sticking", "every": 0.3, "duration": 0.1},
-        {"type": "silent-radio", "duration": 0.1, "between": [0, 1]},
-        {"type": "radio", "spread": 0.05},
-    ]
-}
-DISTURBANCES |= {
-    "hurting": HURTING,
-    "wheels": WHEELS,
-    "wheels, radio and camera": WIRES,
-    "dish": DISHES,
-}
-
+DISTURBANCES: dict[str, dict[str, Any]] = yaml.safe_load("""
+undisturbed: {}
+arc: {motion: arc}
+euler: {motion: euler}
+measurement noise: {measurement_noise: {position: 2.0, heading: 0.02}}
+heading noise: {heading_noise: 0.2}
+dead time: {dead_time: 0.13}
+lost commands: {lost_commands: 0.3}
+wrong a: {a_error: 0.2}
+wrong speed: {speed_error: 0.2}
+slow camera: {camera_rate: 7.0, truth_rate: 100.0}
+everything: {motion: arc, measurement_noise: {position: 2.0, heading: 0.02}, heading_noise: 0.2,
+  dead_time: 0.1, lost_commands: 0.3, a_error: 0.2, speed_error: 0.2}
+hurting:
+  disturbances:
+    - {type: wander, a: 0.1, speed: 0.05}
+    - {type: battery, speed: 0.1, over: 2}
+    - {type: sticking, every: 0.3, duration: 0.1}
+    - {type: silent-radio, duration: 0.1, between: [0, 1]}
+    - {type: radio, spread: 0.05}
+wheels: {drive: {rate: 40}}
+wheels, radio and camera:
+  camera_rate: 100.0
+  measurement_noise: {position: 1.0, heading: 0.01}
+  heading_noise: 0.05
+  a_error: 0.1
+  drive: {rate: 40, lead: 0.007, count: 7.874, dead_zone: 6, dead_zone_error: 1, gain_error: 0.02,
+    radius_error: 0.02, lag: 0.04}
+  disturbances:
+    - {type: camera-latency, mean: 0.006, deviation: 0.001, late_share: 0.01}
+    - {type: planning-time, least: 0.002, spread: 0.004}
+    - {type: radio, delay: 0.007, jitter: 0.001, loss: 0.1}
+dish:
+  camera_rate: 30.0
+  heading_noise: 0.05
+  disturbances:
+    - {type: wobble, radius: 8, frequency: 1.5}
+    - {type: flow, speed: 10}
+    - {type: heading-drift, rate: 0.1}
+""")
 RIGS: dict[str, Callable[[int], Rig]] = {
     f"sim, {name}": lambda seed, plant=plant: sim_rig(seed, **plant)
     for name, plant in DISTURBANCES.items()

@@ -106,10 +106,10 @@ def rig_of(experiment: "Experiment") -> "Rig":
     """Return the rig of an experiment's lab, real or emulated, before its first trial."""
     from numpy.random import SeedSequence
 
-    from tetractl.plant.lab_plant import LabPlantSection
+    from tetractl.plant.lab_plant import RigSection
 
     lab = experiment.plant
-    assert isinstance(lab, LabPlantSection), "`on_plant` has chosen a lab"
+    assert isinstance(lab, RigSection), "`on_plant` has chosen a lab"
     seed = SeedSequence(experiment.trials.seed)
     return lab.rig(experiment.setup, lab.clock(), seed, chosen=experiment.open)
 

@@ -14,13 +14,13 @@ import numpy as np
 from tetractl.core.clock import Clock
 from tetractl.core.setup import Setup
 from tetractl.lab.rig import Rig
-from tetractl.plant.lab_plant import LabPlantSection
+from tetractl.plant.lab_plant import RigSection
 
 
-class EmulatedPlantSection(LabPlantSection):
+class EmulatedPlantSection(RigSection):
     """A lab that is emulated in virtual time; no device is used."""
 
-    type: Literal["emulated"] = "emulated"  # type: ignore[assignment]
+    type: Literal["emulated"] = "emulated"
 
     @property
     def real_time(self) -> bool:

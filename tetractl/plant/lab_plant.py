@@ -43,10 +43,8 @@ KEPT = 100_000
 RECENT = 600  # number of newest frames that are kept, those of some seconds
 
 
-class LabPlantSection(LabSection):
-    """A lab with real robots: a camera, an actuator and limits."""
-
-    type: Literal["lab"] = "lab"
+class RigSection(LabSection):
+    """A lab whose camera and actuator, real or emulated, work together in a rig."""
 
     def clock(self) -> Clock:
         """Return the host's monotonic clock."""
@@ -97,6 +95,12 @@ class LabPlantSection(LabSection):
             rig.close()
             raise
         return FoundRobots(cells, build, rig.close)
+
+
+class LabPlantSection(RigSection):
+    """A lab with real robots: a camera, an actuator and limits."""
+
+    type: Literal["lab"] = "lab"
 
 
 class LabPlant:

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.kernels import filter as kernel
-from tetractl.control.kernels.filter import (
+from tetractl.control.kernels import filter_state as kernel
+from tetractl.control.kernels.filter_state import (
+    ASSUMED,
     BIAS,
     COSINE,
     FLOW_X,
@@ -22,7 +23,6 @@ from tetractl.control.kernels.filter import (
     PACE,
     SINE,
     SIZE,
-    STILL,
     SWING,
     X,
     Y,
@@ -73,11 +73,11 @@ class RobotFilter:
             seconds, one.u = seconds - driven, math.nan
         one.left -= seconds
         stands = math.isnan(one.u)
-        if stands and (self.lag == 0 or one.z[PACE] < STILL):
+        if stands and (self.lag == 0 or one.z[PACE] < ASSUMED.still):
             one.z[[SWING, PACE]] = 0.0
         while seconds > 0 and (not stands or one.z[PACE] > 0):
-            t, z = min(seconds, kernel.SUBSTEP_S), one.z
-            seconds -= kernel.SUBSTEP_S
+            t, z = min(seconds, ASSUMED.substep_s), one.z
+            seconds -= ASSUMED.substep_s
             a, v = self.a * math.exp(z[LN_A]), self.v * math.exp(z[LN_V])
             rest = z[HEADING] + self.lag * a * z[SWING]
             wish = 0.0 if stands else math.sin(one.u + z[BIAS] - rest)
@@ -142,8 +142,8 @@ class RobotFilter:
         sure = np.diag(h @ one.cov @ h.T) + var
         squares = off**2 / sure
         means = np.array([squares[:2].mean(), squares[2]])
-        if squares.sum() > kernel.GATE:
-            return -(kernel.GATE + np.log(sure).sum()) / 2, means
+        if squares.sum() > ASSUMED.gate:
+            return -(ASSUMED.gate + np.log(sure).sum()) / 2, means
         total, before = 0.0, one.z[:SIZE].copy()
         for j in range(3):  # each number with the slopes of before the first
             miss = off[j] - h[j] @ (one.z[:SIZE] - before)
@@ -167,11 +167,11 @@ class RobotFilter:
         total = float(weights.max() + math.log(np.exp(weights - weights.max()).sum()))
         for i in known:
             one = self.slots[i]
-            one.ln_weight = max(one.ln_weight - total, kernel.LEAST_WEIGHT)
-        if 2 * means[best][0] + means[best][1] <= kernel.GATE:
-            capped = np.minimum(means[best], 4.0) / kernel.MEAN_CAPPED
-            scale = self.scale * (1 + (capped - 1) / kernel.SCALE_MEMORY)
-            self.scale = np.clip(scale, kernel.SCALE_LEAST, kernel.SCALE_MOST)
+            one.ln_weight = max(one.ln_weight - total, ASSUMED.least_weight)
+        if 2 * means[best][0] + means[best][1] <= ASSUMED.gate:
+            capped = np.minimum(means[best], 4.0) / ASSUMED.mean_capped
+            scale = self.scale * (1 + (capped - 1) / ASSUMED.scale_memory)
+            self.scale = np.clip(scale, ASSUMED.scale_least, ASSUMED.scale_most)
         return total
 
     def best(self) -> int:
@@ -189,12 +189,12 @@ class RobotFilter:
         """Let a command act that no hypothesis follows yet: it was heard, or not."""
         best = self.best()
         before = self.slots[best]
-        new = self.copy(best, u, before.ln_weight + math.log(1 - kernel.LOST))
+        new = self.copy(best, u, before.ln_weight + math.log(1 - ASSUMED.lost))
         new.left = self.watchdog
         lns = [-math.inf if s is None else s.ln_weight for s in self.slots[: kernel.FOLLOWS]]
         place = int(np.argmin(lns))
         for one in filter(None, self.slots[: kernel.FOLLOWS]):
-            one.ln_weight += math.log(kernel.LOST)
+            one.ln_weight += math.log(ASSUMED.lost)
 
         def rate(direction: float) -> float:
             if math.isnan(direction):
@@ -215,9 +215,9 @@ class RobotFilter:
         if math.isnan(moving.u):
             self.slots[kernel.STUCK] = None
             return
-        share = min(0.5, seconds / kernel.STUCK_FOR_S)
+        share = min(0.5, seconds / ASSUMED.stuck_for_s)
         weight = -math.inf if stuck is None else stuck.ln_weight
-        sticks = moving.ln_weight + math.log(min(0.5, seconds / kernel.STUCK_EVERY_S))
+        sticks = moving.ln_weight + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
         if weight + math.log(share) > moving.ln_weight:
             free = self.copy(kernel.STUCK, moving.u, weight + math.log(share))
             free.left = moving.left

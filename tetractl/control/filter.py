@@ -43,30 +43,57 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tetractl.control.kernels.filter_state import (
+    BIAS,
+    COSINE,
+    FLOW_X,
+    FLOW_Y,
+    GRID,
+    LN_A,
+    LN_V,
+    LN_W,
+    MARKER,
+    SINE,
+    SIZE,
+    STATE,
+    Bank,
+    FilterModel,
+)
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import Estimate
 from tetractl.core.poses import Floats, Observation, Poses
 
-GRID_STEP_S = 0.02  # initial spacing of the grid of dead times [s]
-REACH = 3.0  # half width of the grid of dead times, in standard deviations of the prior
-OWN = 0.1  # probability that a robot's dead time differs from the others'
-OWN_S = 0.06  # standard deviation of such a difference [s]
-KEPT = 64  # number of commands kept after they have acted
-POSITION_NOISE_S = 0.005  # default deviation of a measured position, over the speed [s]
-HEADING_NOISE = 0.01  # default deviation of a measured heading [rad]
-SLIP = 0.02  # random walk of the position, over the speed [sqrt(s)]
-WALK = 0.1  # initial random walk of the heading [rad/sqrt(s)]
-DRIFT = 0.01, 0.005, 0.005, 0.002  # random walks of ln a, ln v, turn and marker bias [1/sqrt(s)]
+Ints = NDArray[np.int64]
+
+PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
+"""Frequencies of the helix to start from, over the usual one."""
 SPACING_S = 0.03  # least time between two frames used [s]
-FLOW_DRIFT = 0.05  # random walk of the flow, over its prior deviation [1/sqrt(s)]
-HELIX_DRIFT = 0.1  # random walk of the helix's sine and cosine, over its radius [1/sqrt(s)]
-PITCHES = 0.5, 0.75, 1.0, 1.4  # frequencies of the helix to start from, over the usual one
-PITCH_STD, PITCH_DRIFT = 0.15, 0.01  # deviation of ln of each, and its random walk [1/sqrt(s)]
 LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
 SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
+
+
+class Usual(NamedTuple):
+    """The usual noise of a camera, and the random walks of a robot's states, per sqrt(s)."""
+
+    position_noise_s: float = 0.005  # deviation of a measured position, over the speed [s]
+    heading_noise: float = 0.01  # deviation of a measured heading [rad]
+    slip: float = 0.02  # of the position, over the speed [s]
+    walk: float = 0.1  # of the heading at first [rad]
+    ln_a: float = 0.01
+    ln_speed: float = 0.005
+    turn_bias: float = 0.005
+    marker_bias: float = 0.002
+    flow: float = 0.05  # over its prior deviation
+    helix: float = 0.1  # of the helix's sine and cosine, over its radius
+    pitch: float = 0.01  # of ln of the helix's frequency
+    pitch_std: float = 0.15  # prior deviation of ln of each of PITCHES
+
+
+USUAL = Usual()
 
 
 def _kernel() -> Any:
@@ -104,67 +131,48 @@ class FilterBank:
     """
 
     def __init__(self, prior: Prior, drive_first: bool = False) -> None:
-        kernel = _kernel()
         self.prior = prior
         count, helix = len(prior.a), prior.helix_radius > 0
         noise = np.empty((3, count))
-        noise[:2] = prior.position_noise or POSITION_NOISE_S * np.maximum(prior.speed, 1e-9)
-        noise[2] = prior.heading_noise or HEADING_NOISE
-        self._std, walk = np.zeros((2, kernel.SIZE, count))
-        walk[:2], walk[2] = SLIP * prior.speed, WALK
+        noise[:2] = prior.position_noise or USUAL.position_noise_s * np.maximum(prior.speed, 1e-9)
+        noise[2] = prior.heading_noise or USUAL.heading_noise
+        self._std, walk = np.zeros((2, SIZE, count))
+        walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
         for k, std, drift in (
-            (kernel.LN_A, prior.a_std, DRIFT[0]),
-            (kernel.LN_V, prior.speed_std, DRIFT[1]),
-            (kernel.BIAS, prior.heading_bias_std, DRIFT[2]),
-            (kernel.MARKER, prior.marker_bias_std, DRIFT[3]),
-            (kernel.FLOW_X, prior.flow_std, FLOW_DRIFT * prior.flow_std),
-            (kernel.FLOW_Y, prior.flow_std, FLOW_DRIFT * prior.flow_std),
-            (kernel.SINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
-            (kernel.COSINE, prior.helix_radius / math.sqrt(2), HELIX_DRIFT * prior.helix_radius),
-            (kernel.LN_W, PITCH_STD * helix, PITCH_DRIFT),
+            (LN_A, prior.a_std, USUAL.ln_a),
+            (LN_V, prior.speed_std, USUAL.ln_speed),
+            (BIAS, prior.heading_bias_std, USUAL.turn_bias),
+            (MARKER, prior.marker_bias_std, USUAL.marker_bias),
+            (FLOW_X, prior.flow_std, USUAL.flow * prior.flow_std),
+            (FLOW_Y, prior.flow_std, USUAL.flow * prior.flow_std),
+            (SINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
+            (COSINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
+            (LN_W, USUAL.pitch_std * helix, USUAL.pitch),
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
         times = turns, prior.lag, prior.watchdog
-        self._model = kernel.FilterModel(prior.a, prior.speed, noise, walk, *times)
+        self._model = FilterModel(prior.a, prior.speed, noise, walk, *times)
         self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
         self._last: Observation | None = None  # the last frame used
         # time at which the filters start [ns]; None if it depends on the first direction
         self._from_ns: int | None = None if drive_first else 0
         self._turning = False  # whether robots have turned on the spot since the last direction
         self._noisy = False  # whether standing robots were measured at different poses
-        reach = REACH * prior.dead_time_std
+        reach = GRID.reach * prior.dead_time_std
         low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
-        self._tau = np.arange(low, high + 1e-9, GRID_STEP_S)  # dead times to start from [s]
-        self._steps = np.full(count, GRID_STEP_S)  # spacing of each robot's dead times [s]
+        self._tau = np.arange(low, high + 1e-9, GRID.step_s)  # dead times to start from [s]
+        self._steps = np.full(count, GRID.step_s)  # spacing of each robot's dead times [s]
         self._bank = self._first_bank()
         self._share()
 
-    def _first_bank(self) -> Any:
-        kernel, count, tau = _kernel(), len(self.prior.a), self._tau
+    def _first_bank(self) -> Bank:
+        tau, count = self._tau, len(self.prior.a)
         pitches = np.log(PITCHES) if self._model.helix > 0 else np.zeros(1)
         pitch = np.repeat(np.arange(len(pitches)), len(tau))
-        total = len(pitch)
-        state = np.zeros((total, count, kernel.SLOTS, kernel.STATE))
-        state[..., kernel.LN_W] = pitches[pitch, None, None]
-        cov = np.zeros((total, count, kernel.SLOTS, kernel.SIZE, kernel.SIZE))
-        cov[..., range(kernel.SIZE), range(kernel.SIZE)] = self._std.T[:, None] ** 2
-        weight = np.full((total, count, kernel.SLOTS), -np.inf)
-        weight[..., 0] = 0.0
-        return kernel.Bank(
-            state,
-            cov,
-            np.full(weight.shape, np.nan),
-            np.full(weight.shape, np.inf),
-            weight,
-            np.ones((total, count, 2)),
-            np.zeros((total, count)),
-            np.zeros((total, count, 2, 4)),
-            np.tile(tau, len(pitches))[:, None].repeat(count, 1),
-            np.zeros((total, count)),
-            np.zeros((total, count), dtype=np.int64),
-            pitch[:, None].repeat(count, 1),
-        )
+        mean = np.zeros((len(pitch), count, STATE))
+        mean[..., LN_W] = pitches[pitch, None]
+        return Bank.start(np.tile(tau, len(pitches)), mean, self._std.T, pitch)
 
     def sent(self, command: Command) -> None:
         """Add a direction or a stop with the time at which it was sent."""
@@ -174,12 +182,12 @@ class FilterBank:
             self._turning = isinstance(command.action, Turn)
         when = command.sent_ns / SECOND
         if self._from_ns is None:
-            settled = self.prior.dead_time + REACH * self.prior.dead_time_std
+            settled = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
             self._from_ns = command.sent_ns + round(settled * SECOND)
         self._when = np.append(self._when, when)
         self._u = np.append(self._u, np.nan if command.direction is None else command.direction)
         done = int(self._bank.next.min())
-        if done > KEPT:
+        if done > 64:  # some commands are kept after they have acted
             self._when, self._u = self._when[done:].copy(), self._u[done:].copy()
             self._bank.next[:] -= done
 
@@ -207,13 +215,13 @@ class FilterBank:
             assert self._last is not None, "a robot can be replaced only after a frame"
             fresh, (count, all_robots) = self._first_bank(), self._bank.tau.shape
             rows = np.arange(max(count, len(fresh.tau)))[:, None].repeat(all_robots, axis=1)
-            self._bank = _of_filters(self._bank, np.minimum(rows, count - 1))
+            self._bank = self._bank.part(np.minimum(rows, count - 1))
             self._bank.score[count:] = -np.inf
-            first = _of_filters(fresh, np.minimum(rows, len(fresh.tau) - 1))
+            first = fresh.part(np.minimum(rows, len(fresh.tau) - 1))
             first.score[len(fresh.tau) :] = -np.inf
             for column, new in zip(self._bank, first, strict=True):
                 column[:, replaced] = new[:, replaced]
-            self._steps[replaced] = GRID_STEP_S
+            self._steps[replaced] = GRID.step_s
             self._place(self._last, replaced)
             self._share()
 
@@ -257,11 +265,11 @@ class FilterBank:
     def _share(self) -> None:
         """Compute the ln of each filter's probability (B, N), up to a constant, by its own frames
         and by what those of the other robots tell of the common dead time."""
-        bank, prior, finest = self._bank, self.prior, _bank_kernel().FINEST_S
+        bank, prior, finest = self._bank, self.prior, GRID.finest_s
         times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
         gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
-        near = (1 - OWN) * np.exp(-((gaps / width) ** 2) / 2) / width
-        near += OWN * np.exp(-((gaps / OWN_S) ** 2) / 2) / OWN_S
+        near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
+        near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
         ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
         every = ln.sum(axis=1)
         every -= ((times - prior.dead_time) / (prior.dead_time_std or 1.0)) ** 2 / 2
@@ -286,7 +294,7 @@ class FilterBank:
             there, robots = which >= 0, np.arange(size[1])
             last = there.sum(axis=0) - 1
             rows = np.minimum(np.arange(last.max() + 1)[:, None], last)  # the last fills the rest
-            self._bank = _of_filters(self._bank, which[rows, robots])
+            self._bank = self._bank.part(which[rows, robots])
             self._bank.tau[:] = tau[rows, robots]
             self._bank.score[:] = np.where(there[: len(rows)], own[rows, robots], -np.inf)
             self._share()
@@ -297,7 +305,7 @@ class FilterBank:
             return self._bank.tau[0], np.zeros(len(self.prior.a))
         return self._dead_times
 
-    def _likely(self) -> tuple[tuple[Any, Any], tuple[Any, Any, Any]]:
+    def _likely(self) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints, Ints]]:
         """Return the indices of each robot's likeliest filter, and of its likeliest hypothesis."""
         best = np.argmax(self._score, axis=0), np.arange(len(self.prior.a))
         return best, (*best, np.argmax(self._bank.weight[best], axis=1))
@@ -305,23 +313,23 @@ class FilterBank:
     def estimate(self) -> Estimate:
         """Return the parameters of the robots and their standard deviations, which grow by what the
         test of the innovations finds."""
-        k, (best, each) = _kernel(), self._likely()
+        best, each = self._likely()
         z, cov = self._bank.state[each], self._bank.cov[each]
         blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
         more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
         var = np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)
         std = np.sqrt(var) * more.max(axis=1)[:, None]
-        a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
+        a, speed = self.prior.a * np.exp(z[:, LN_A]), self.prior.speed * np.exp(z[:, LN_V])
         tau, tau_std = self.dead_times()
-        of_bias = (cov[:, k.BIAS] + cov[:, k.MARKER])[:, [k.BIAS, k.MARKER]].sum(axis=1)
+        of_bias = (cov[:, BIAS] + cov[:, MARKER])[:, [BIAS, MARKER]].sum(axis=1)
         part = 2 / (9 * np.maximum(blocks, LEAST_BLOCKS))
         limit = np.maximum(blocks, LEAST_BLOCKS) * (1 - part + SURE * np.sqrt(part)) ** 3
         return Estimate(
             a=a,
-            a_std=a * std[:, k.LN_A],
+            a_std=a * std[:, LN_A],
             speed=speed,
-            speed_std=speed * std[:, k.LN_V],
-            heading_bias=z[:, k.BIAS] + z[:, k.MARKER],
+            speed_std=speed * std[:, LN_V],
+            heading_bias=z[:, BIAS] + z[:, MARKER],
             heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more.max(axis=1),
             dead_time=float(tau.mean()),
             dead_time_std=math.sqrt(np.mean((tau_std * more.max(axis=1)) ** 2) + np.var(tau)),
@@ -331,26 +339,20 @@ class FilterBank:
     def course(self) -> tuple[Poses, Floats, Floats]:
         """Return position and heading of each robot's course at the last frame, the turn biases
         (N,) [rad] and the flow (N, 2) [length unit/s]."""
-        k, z = _kernel(), self._bank.state[self._likely()[1]]
-        return Poses.of(z[:, :3]), z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]]
+        z = self._bank.state[self._likely()[1]]
+        return Poses.of(z[:, :3]), z[:, BIAS], z[:, [FLOW_X, FLOW_Y]]
 
     def ahead(self, sent: int) -> Ahead:
         """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
         assert self._last is not None
-        k, (_, (best, _, slots)) = _kernel(), self._likely()
-        z, held = np.empty((len(best), k.STATE)), np.empty(len(best))
+        _, (best, _, slots) = self._likely()
+        z, held = np.empty((len(best), STATE)), np.empty(len(best))
         begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
         moments = tau, begin, sent / SECOND
         commands = self._when, self._u
         _bank_kernel().ahead(self._bank, self._model, best, slots, *commands, *moments, z, held)
-        a, speed = self.prior.a * np.exp(z[:, k.LN_A]), self.prior.speed * np.exp(z[:, k.LN_V])
-        return Ahead(Poses.of(z[:, :3]), a, speed, z[:, k.BIAS], z[:, [k.FLOW_X, k.FLOW_Y]], held)
-
-
-def _of_filters(bank: Any, which: Any) -> Any:
-    """Return a bank of each robot's filters `which` (B, N)."""
-    robots = np.arange(which.shape[1])
-    return bank._make(column[which, robots] for column in bank)
+        a, speed = self.prior.a * np.exp(z[:, LN_A]), self.prior.speed * np.exp(z[:, LN_V])
+        return Ahead(Poses.of(z[:, :3]), a, speed, z[:, BIAS], z[:, [FLOW_X, FLOW_Y]], held)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

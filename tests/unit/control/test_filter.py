@@ -11,6 +11,7 @@ from support.paths import ROOT
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
+from tetractl.control.kernels.filter_state import HEADING, MARKER
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -292,7 +293,7 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
         used = filters._bank.weight > -np.inf
         cov = filters._bank.cov[used]
         assert np.diagonal(cov, axis1=1, axis2=2).min() >= 0
-        heading, marker = kernel.HEADING, kernel.MARKER
+        heading, marker = HEADING, MARKER
         both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
         assert both.min() >= 0
         assert np.isfinite(filters._bank.score).all()

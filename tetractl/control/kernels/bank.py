@@ -7,7 +7,9 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.filter import (
+from tetractl.control.kernels.filter import advance
+from tetractl.control.kernels.filter_state import (
+    GRID,
     HEADING,
     LN_A,
     LN_V,
@@ -18,14 +20,8 @@ from tetractl.control.kernels.filter import (
     SWING,
     X,
     Y,
-    advance,
 )
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
-
-AT_ONCE_S = 1e-9  # a command that acts so much later still counts [s]
-FINEST_S = 0.005  # a grid with this spacing or less is not refined further [s]
-UNLIKELY = 25.0  # a dead time is dropped if its ln likelihood is below the best by more than this
-SAME_PITCH = 0.05  # distance of ln frequencies below which they are the same
 
 
 @compiled(**ENTRY_FAST)
@@ -54,7 +50,7 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
             t = end
             if c < when.size and acts > begin and s != STUCK:
                 now, stops = u[c], acts + model.watchdog
-                if acts <= until + AT_ONCE_S:
+                if acts <= until + 1e-9:
                     held[i] = now if stops > until else math.nan
         turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
         half = 0.5 * turn
@@ -83,7 +79,7 @@ def select(bank, score, steps, begun, which, tau, own):
         while count < size and bank.score[count, i] > -math.inf:
             best = count if score[count, i] > score[best, i] else best
             count += 1
-        least, pitches = score[best, i] - UNLIKELY, 0
+        least, pitches = score[best, i] - GRID.unlikely, 0
         for b in range(count):
             keep[b] = False
             pitches = max(pitches, bank.pitch[b, i] + 1)
@@ -96,7 +92,7 @@ def select(bank, score, steps, begun, which, tau, own):
                         top = b
                     if score[b, i] >= least:
                         first, last = b if first < 0 else first, b
-            same = abs(_reached(bank, max(top, 0), i) - _reached(bank, best, i)) < SAME_PITCH
+            same = abs(_reached(bank, max(top, 0), i) - _reached(bank, best, i)) < GRID.same_pitch
             if first < 0 or (p != bank.pitch[best, i] and same):
                 continue
             for b in range(max(begins, min(first, top - 1)), min(ends, max(last, top + 1)) + 1):
@@ -117,7 +113,7 @@ def select(bank, score, steps, begun, which, tau, own):
         at = 0
         while grid[at] < bank.tau[best, i]:
             at += 1
-        if steps[i] > FINEST_S and m == 3:
+        if steps[i] > GRID.finest_s and m == 3:
             steps[i] /= 2
         elif 0 < at < m - 1 or (at == 0 and grid[0] == 0 and m > 1):
             continue

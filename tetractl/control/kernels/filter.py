@@ -1,74 +1,37 @@
-"""The compiled part of `tetractl.control.filter`; `tests/oracles/filter.py` is its readable twin.
-
-The state of a robot is, in the order of the indices below: x, y, heading of its course, helix as
-sine and cosine; ln of a and of the speed over the spec's, turn bias, marker bias, flow along x and
-y, and ln of the helix's frequency over the usual one. The first MOVED change with time, the others
-only by their random walk.
-"""
+"""The compiled part of `tetractl.control.filter`, whose readable twin is
+`tests/oracles/filter.py`."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.filter_state import (
+    ASSUMED,
+    BIAS,
+    COSINE,
+    FLOW_X,
+    FLOW_Y,
+    FOLLOWS,
+    HEADING,
+    LN_A,
+    LN_V,
+    LN_W,
+    MARKER,
+    MOVED,
+    PACE,
+    SINE,
+    SIZE,
+    SLOTS,
+    STUCK,
+    SWING,
+    X,
+    Y,
+)
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
-from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import wrap
 
-X, Y, HEADING, SINE, COSINE = range(5)
-LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, LN_W = range(5, 12)
-MOVED, SIZE = 5, 12  # number of state variables that move, and of all with a covariance
-SWING, PACE = 12, 13  # turning rate / a and speed / v of lagging wheels, without variance
-STATE = 14  # number of state variables
-STILL = 1e-3  # pace below which a stopped robot counts as standing
-FOLLOWS = 3  # number of latest commands that a robot may follow
-STUCK = FOLLOWS  # slot of the hypothesis that a robot stands although it was sent a direction
-SLOTS = FOLLOWS + 1
-SUBSTEP_S = 0.025  # longest step of the prediction
-LOST = 0.05  # probability that a command does not arrive
-STUCK_EVERY_S, STUCK_FOR_S = 30.0, 0.5  # mean time until a robot gets stuck, and mean duration
-GATE = 30.0  # squared deviation above which a measurement is an outlier
-LEAST_WEIGHT = -25.0  # least ln of a hypothesis's weight
-LOST_TRACK_S = 0.3  # time without a fitting hypothesis after which the camera's pose is used [s]
-SCALE_MEMORY = 400.0  # number of frames over which the noise is averaged
-FORGET_S = 10.0  # time constant with which scores of dead times decay
-SCALE_LEAST, SCALE_MOST = 1e-3, 10.0  # range of the ratio of observed to expected variances
-MEAN_CAPPED = 0.8  # mean of the square of a standard normal number, capped at 4
-BLOCK, MOST_SQUARE = 8, 25.0  # frames of a block of innovations; largest square of their sum
 _wrap = inlined(wrap)
-
-
-class FilterModel(NamedTuple):
-    """The prior on N robots; `noise` and `walk` are standard deviations."""
-
-    a: Floats  # (N,) rad/s
-    speed: Floats  # (N,) length unit/s
-    noise: Floats  # (3, N) of measured x, y [length unit] and heading [rad]
-    walk: Floats  # (SIZE, N) deviation of the state's random walk [1/sqrt(s)]
-    helix: float  # its angular frequency [rad/s], 0 if there is none
-    lag: float  # time constant with which turning rate and speed follow a direction [s]
-    watchdog: float  # time without a command after which a robot stops, or inf [s]
-
-
-class Bank(NamedTuple):
-    """B filters of each of N robots, each with its own dead time and SLOTS hypotheses."""
-
-    state: Floats  # (B, N, SLOTS, STATE)
-    cov: Floats  # (B, N, SLOTS, SIZE, SIZE)
-    u: Floats  # (B, N, SLOTS) direction followed [rad], NaN for a robot that stands
-    until: Floats  # (B, N, SLOTS) time at which its watchdog stops a robot that follows u [s]
-    weight: Floats  # (B, N, SLOTS) ln of the probability, -inf if there is none
-    scale: Floats  # (B, N, 2) ratio of observed to expected variances of positions and headings
-    unfit: Floats  # (B, N) time since a hypothesis fitted [s]
-    # (B, N, 2, 4) innovations along and across the course and of the heading, over their
-    # deviations, and 1: sums over the present block; then sums of the former blocks' mean squares
-    white: Floats
-    tau: Floats  # (B, N) dead time [s]
-    score: Floats  # (B, N) ln of the likelihood, up to a constant; -inf for no filter
-    next: NDArray[np.int64]  # (B, N) index of the command that acts next
-    pitch: NDArray[np.int64]  # (B, N) which frequency of the helix the filter started from
 
 
 @compiled(**INLINE_FAST)
@@ -80,12 +43,12 @@ def advance(model, i, z, cov, u, scale, seconds):
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0
-    if not drives and (lag == 0 or z[PACE] < STILL):
+    if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
         z[SWING] = z[PACE] = 0.0
     slopes = np.zeros((MOVED, SIZE))  # of the change of the moved states
     while left > 0 and (drives or z[PACE] > 0):
-        t = min(left, SUBSTEP_S)
-        left -= SUBSTEP_S
+        t = min(left, ASSUMED.substep_s)
+        left -= ASSUMED.substep_s
         a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
         early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
         late = early * early
@@ -209,8 +172,8 @@ def _measure(model, i, z, cov, scale, pose, found):
     east, north = off[0] / math.sqrt(sure[0]), off[1] / math.sqrt(sure[1])
     found[0], found[1] = c * east + s * north, c * north - s * east
     found[2] = off[2] / math.sqrt(sure[2])
-    if not d2 <= GATE:
-        return -0.5 * (GATE + lns)
+    if not d2 <= ASSUMED.gate:
+        return -0.5 * (ASSUMED.gate + lns)
     ln = 0.0
     for j in range(3):
         miss = off[j]
@@ -243,7 +206,7 @@ def _switch(bank, model, b, i, u, step, now):
     """
     weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
     best, place = np.argmax(weight[:FOLLOWS]), np.argmin(weight[:FOLLOWS])
-    heard = weight[best] + math.log(1 - LOST)
+    heard = weight[best] + math.log(1 - ASSUMED.lost)
     for s in range(FOLLOWS):
         if held[s] == u and weight[s] > -math.inf:  # the direction is the same as before
             if weight[s] < heard:
@@ -252,7 +215,7 @@ def _switch(bank, model, b, i, u, step, now):
             until[s] = now + model.watchdog
             return
     _copy(bank, b, i, best, place)
-    weight[:FOLLOWS] += math.log(LOST)
+    weight[:FOLLOWS] += math.log(ASSUMED.lost)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
     before = held[best] if now < until[best] else math.nan
     changes = _rate(model, i, z, u) - _rate(model, i, z, before)
@@ -272,9 +235,9 @@ def _stick(bank, b, i, seconds, now):
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
         weight[STUCK] = -math.inf
         return
-    share = min(0.5, seconds / STUCK_FOR_S)
+    share = min(0.5, seconds / ASSUMED.stuck_for_s)
     stays, free = weight[STUCK] + math.log(1 - share), weight[STUCK] + math.log(share)
-    sticks = weight[best] + math.log(min(0.5, seconds / STUCK_EVERY_S))
+    sticks = weight[best] + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
     if free > weight[best]:
         _copy(bank, b, i, STUCK, best)
         weight[best] = free
@@ -298,17 +261,20 @@ def _weigh(bank, b, i, model, pose, seconds):
     total = most + math.log(np.exp(weight - most).sum())
     for s in range(SLOTS):
         if weight[s] > -math.inf:
-            weight[s] = max(weight[s] - total, LEAST_WEIGHT)
+            weight[s] = max(weight[s] - total, ASSUMED.least_weight)
     places, turns = best[0] ** 2 + best[1] ** 2, best[2] ** 2
-    if places + turns <= GATE:
+    if places + turns <= ASSUMED.gate:
         bank.unfit[b, i] = 0.0
         for k in range(2):
-            change = min(turns if k else 0.5 * places, 4.0) / MEAN_CAPPED - 1
-            scale[k] = min(max(scale[k] * (1 + change / SCALE_MEMORY), SCALE_LEAST), SCALE_MOST)
+            change = min(turns if k else 0.5 * places, 4.0) / ASSUMED.mean_capped - 1
+            scale[k] = min(
+                max(scale[k] * (1 + change / ASSUMED.scale_memory), ASSUMED.scale_least),
+                ASSUMED.scale_most,
+            )
         _test(bank.white[b, i], best)
     else:
         bank.unfit[b, i] += seconds
-        if bank.unfit[b, i] > LOST_TRACK_S:
+        if bank.unfit[b, i] > ASSUMED.lost_track_s:
             place(bank, b, i, model, pose)
     return total
 
@@ -322,9 +288,9 @@ def _test(white, found):
     """
     white[0, :3] += found
     white[0, 3] += 1
-    if white[0, 3] >= BLOCK:
+    if white[0, 3] >= ASSUMED.block:
         for j in range(3):
-            white[1, j] += min(white[0, j] ** 2 / BLOCK, MOST_SQUARE)
+            white[1, j] += min(white[0, j] ** 2 / ASSUMED.block, ASSUMED.most_square)
         white[1, 3] += 1
         white[0] = 0.0
 
@@ -375,5 +341,5 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                 bank.score[b, i] += found[b, i]
             _stick(bank, b, i, until - since, until)
         scores = bank.score[:, i]
-        scores[:] = (scores - scores.max()) * math.exp(-(until - since) / FORGET_S)
+        scores[:] = (scores - scores.max()) * math.exp(-(until - since) / ASSUMED.forget_s)
     return found

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.filter import POSITION_NOISE_S, SLIP
+from tetractl.control.filter import USUAL
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
@@ -28,7 +28,7 @@ from tetractl.replay.identification.tracks import Track
 
 HOLD_S = 0.4  # least time for which a direction is held
 # noise of positions over the speed [s] and of headings [rad], and their random walks, over sqrt(s)
-NOISE = (POSITION_NOISE_S, 0.01), (SLIP, 0.03)
+NOISE = (USUAL.position_noise_s, USUAL.heading_noise), (USUAL.slip, 0.03)
 APART_S = 0.0005  # spacing of the dead times from which the accuracy of theirs is predicted [s]
 CANDIDATES, CHANGES = 60, 120
 # most draws per direction; after a failed draw, probability to go back, and by how many directions

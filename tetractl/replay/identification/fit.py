@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from tetractl.control.filter import HEADING_NOISE, POSITION_NOISE_S, SLIP, WALK
+from tetractl.control.filter import USUAL
 from tetractl.core.poses import Floats
 from tetractl.replay.identification.newton import newton_step
 from tetractl.replay.identification.passes import (
@@ -102,8 +102,10 @@ class _Fit:
         self, frames: list[TrackFrames], a: Floats, speed: Floats, dead_time: float
     ) -> None:
         self.frames, count = frames, len(a)
-        usual = POSITION_NOISE_S * speed, SLIP * speed
-        self._unit = np.column_stack([*usual, np.tile((HEADING_NOISE, WALK), (count, 1))])
+        usual = USUAL.position_noise_s * speed, USUAL.slip * speed
+        self._unit = np.column_stack(
+            [*usual, np.tile((USUAL.heading_noise, USUAL.walk), (count, 1))]
+        )
         self.noise = np.tile((0.0, 1.0, 0.0, 1.0), (count, 1))
         self.noise_std = np.ones_like(self.noise)
         self.std = np.tile(FIRST / WIDER, (count, 1))

@@ -13,6 +13,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tetractl.control.kernels.filter_state import (
+    BIAS,
+    FOLLOWS,
+    LN_A,
+    LN_V,
+    SIZE,
+    STATE,
+    Bank,
+    FilterModel,
+)
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats, wrap
 from tetractl.replay.identification.tracks import Track
@@ -24,6 +34,7 @@ UNSEEN_S = 0.3  # time without a pose after which a row restarts from the camera
 POINTS = np.arange(-2.0, 3.0)  # dead times of a parabola, in standard deviations
 UNKNOWN_S = 0.3  # standard deviation from which a dead time counts as unknown [s]
 GROWTH = 0.2, 5.0  # range of the new standard deviation of the dead time over the one before
+STATES = [LN_A, LN_V, BIAS]  # the filter's states of a `Belief`
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,8 +141,7 @@ def run(
     """
     from tetractl.control.kernels import filter as kernel
 
-    model, bank = _bank(kernel, belief, tau)
-    states = _states(kernel)
+    model, bank = _start(belief, tau)
     each, middle = np.arange(len(rows)), len(tau) // 2
     likelihood, lost = np.zeros((len(tau), len(rows))), np.zeros(len(rows))
     residuals = []
@@ -155,13 +165,13 @@ def run(
                 z = bank.state[middle, each, weight.argmax(axis=1)]
                 residuals.append(np.where(seen[:, None], _residual(pose, z), np.nan))
                 others = np.exp(weight) * (bank.u[middle] != track.u[latest][:, None])
-                missed[latest, each] = others[:, : kernel.FOLLOWS].sum(axis=1)
+                missed[latest, each] = others[:, :FOLLOWS].sum(axis=1)
         lost += missed.sum(axis=0)
         best = bank.weight.argmax(axis=2)[..., None, None]
         bank.state[...] = np.take_along_axis(bank.state, best, axis=2)
         bank.cov[...] = np.take_along_axis(bank.cov, best[..., None], axis=2)
-    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., states]
-    mean, std = bank.state[:, :, 0, states], np.sqrt(np.maximum(variance, 0.0))
+    variance = np.diagonal(bank.cov[:, :, 0], axis1=2, axis2=3)[..., STATES]
+    mean, std = bank.state[:, :, 0, STATES], np.sqrt(np.maximum(variance, 0.0))
     return Passed(likelihood, mean, std, np.array(residuals), lost)
 
 
@@ -187,39 +197,16 @@ def marginal(
     return tau + best * tau_std, std, (middle + best * rise).reshape(shape), deviation, found
 
 
-def _states(kernel) -> list[int]:
-    """Return the indices of ln a, ln of the speed and heading bias among the filter's states."""
-    return [kernel.LN_A, kernel.LN_V, kernel.BIAS]
-
-
-def _bank(kernel, belief: Belief, tau: Floats):
-    """Return the compiled filter's model and its bank at the start."""
-    count, size, slots = len(belief.mean), kernel.SIZE, kernel.SLOTS
-    noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((size, count))
+def _start(belief: Belief, tau: Floats) -> tuple[FilterModel, Bank]:
+    """Return the filter's model and its bank at the start."""
+    count = len(belief.mean)
+    noise, walk = np.repeat(belief.noise, (2, 1), axis=1).T, np.zeros((SIZE, count))
     walk[:3] = np.repeat(belief.walk, (2, 1), axis=1).T
-    one = np.ones(count)
-    state = np.zeros((len(tau), count, slots, kernel.STATE))
-    states = _states(kernel)
-    state[..., states] = belief.mean[:, None]
-    cov = np.zeros((len(tau), count, slots, size, size))
-    cov[..., states, states] = belief.std[:, None] ** 2
-    per_row = (len(tau), count)
-    bank = kernel.Bank(
-        state,
-        cov,
-        np.full((*per_row, slots), np.nan),
-        np.full((*per_row, slots), np.inf),
-        np.zeros((*per_row, slots)),
-        np.ones((*per_row, 2)),
-        np.zeros(per_row),
-        np.zeros((*per_row, 2, 4)),
-        np.repeat(tau[:, None], count, axis=1),
-        np.zeros(per_row),
-        np.zeros(per_row, dtype=np.int64),
-        np.zeros(per_row, dtype=np.int64),
-    )
+    mean, std, one = np.zeros((len(tau), count, STATE)), np.zeros((count, SIZE)), np.ones(count)
+    mean[..., STATES], std[:, STATES] = belief.mean, belief.std
+    bank = Bank.start(tau, mean, std, np.zeros(len(tau), dtype=np.int64))
     noise = np.ascontiguousarray(noise)
-    return kernel.FilterModel(one, one, noise, walk, 0.0, 0.0, np.inf), bank
+    return FilterModel(one, one, noise, walk, 0.0, 0.0, np.inf), bank
 
 
 def _residual(pose: Floats, z: Floats) -> Floats:

@@ -3,6 +3,7 @@ along a way with more room, or turn on the spot first if that gives such a way.
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,25 +13,34 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.model.motion.exact import step as exact
 
-OUT_SIGNALS = 8  # number of signals of a way out of a corner
-OUT_ROOM_S, OUT_SHARE = 0.1, 0.8  # clearance kept on a way out, see `way_out`
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
 TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
-TURN_S = 1.5  # time of turning after which robots must have a way out [s]
-PARTS = 4  # number of moments of a signal at which the clearance is computed
-FINAL_ROOM = 0.2  # weight of the final clearance relative to the least clearance on the path
+
+
+class WayOut(NamedTuple):
+    """What is tried and asked of a way out of a corner."""
+
+    signals: int = 8
+    room_s: float = 0.1  # clearance kept, as a time of driving, see `way_out`
+    share: float = 0.8  # and at most as a fraction of the present clearance
+    turn_s: float = 1.5  # time of turning after which robots must have a way out
+    parts: int = 4  # number of moments of a signal at which the clearance is computed
+    final: float = 0.2  # weight of the final clearance relative to the least on the path
+
+
+OUT = WayOut()
 
 
 def way_out(
-    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT_ROOM_S
+    problem: Problem, margins: Margins, apart: float, keep_s: float = OUT.room_s
 ) -> Floats | None:
-    """Return signals (OUT_SIGNALS,) that lead standing robots away from obstacles and walls, with
+    """Return signals (OUT.signals,) that lead standing robots away from obstacles and walls, with
     at least the distance `apart` between two robots; None if none was found.
 
     Sequences whose direction changes at a constant rate are tried; targets are ignored. The
     clearance is at least the way that the fastest robot drives in `keep_s` [s], or the fraction
-    OUT_SHARE of the present clearance if that is less.
+    OUT.share of the present clearance if that is less.
     """
     signals, least, _ = _roomiest(problem, margins, apart, keep_s)
     return signals if least > -np.inf else None
@@ -48,14 +58,14 @@ def away(problem: Problem, margins: Margins, apart: float) -> tuple[Floats | Non
 
 def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
     """Return the direction [rad] towards which standing robots turn on the spot so that they have a
-    way out after TURN_S; None if no direction gives one.
+    way out after OUT.turn_s; None if no direction gives one.
     """
     x, y, heading = problem.poses.x, problem.poses.y, problem.poses.heading
     bias, found = 0.0 if problem.bias is None else problem.bias, []
     for facing in TURN_TO.tolist():
         towards = facing + bias + np.zeros_like(heading)
-        turned = Poses(x, y, exact(x, y, heading, towards, problem.a, problem.speed, TURN_S)[2])
-        _, *room = _roomiest(replace(problem, poses=turned), margins, apart, OUT_ROOM_S)
+        turned = Poses(x, y, exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2])
+        _, *room = _roomiest(replace(problem, poses=turned), margins, apart, OUT.room_s)
         found.append((*room, facing))
     least, _, facing = max(found)
     return facing if least > -np.inf else None
@@ -65,17 +75,17 @@ def _roomiest(
     problem: Problem, margins: Margins, apart: float, keep_s: float
 ) -> tuple[Floats, float, float]:
     """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
-    for an unsafe path; and that clearance plus FINAL_ROOM times the clearance at the path's end."""
+    for an unsafe path; and that clearance plus OUT.final times the clearance at the path's end."""
     start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
-    signals = wrap(start + rate * problem.period * np.arange(OUT_SIGNALS))
-    part = problem.period / PARTS  # a robot that turns comes nearest within a signal
+    signals = wrap(start + rate * problem.period * np.arange(OUT.signals))
+    part = problem.period / OUT.parts  # a robot that turns comes nearest within a signal
     finer = replace(problem, period=part, first_period=part)
-    path = predict(finer, np.repeat(signals, PARTS, axis=1))
-    # moment by moment, whose arrays stay in the processor's cache: (PARTS OUT_SIGNALS + 1, B)
+    path = predict(finer, np.repeat(signals, OUT.parts, axis=1))
+    # moment by moment, whose arrays stay in the processor's cache: (OUT.parts OUT.signals + 1, B)
     room = np.array([margins.room(at[..., 0], at[..., 1], apart) for at in path])
     least = room.min(axis=0)
-    total = least + FINAL_ROOM * room[-1]
+    total = least + OUT.final * room[-1]
     best = int(np.argmax(total))
     now = float(room[0, best])  # below 0 inside an obstacle: robots must not go deeper
-    safe = least[best] >= (min(keep_s * problem.speed.max(), OUT_SHARE * now) if now > 0 else now)
+    safe = least[best] >= (min(keep_s * problem.speed.max(), OUT.share * now) if now > 0 else now)
     return signals[best], float(least[best]) if safe else -np.inf, float(total[best])

@@ -13,8 +13,6 @@ from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.registries import MOTIONS
 
-MOMENTS = 40  # number of moments of the coming control period that are tried for the stop
-
 
 @dataclass(frozen=True, slots=True)
 class StopForecast:
@@ -58,13 +56,16 @@ def make_plan(
     )
 
 
-def best_stop(problem: Problem, direction: Floats, period_s: float) -> StopForecast:
-    """Return the stop within the coming control period that leaves the least sum of distances.
+def best_stop(
+    problem: Problem, direction: Floats, period_s: float, moments: int = 40
+) -> StopForecast:
+    """Return the stop, of `moments` in the coming control period, that leaves the least sum of
+    distances.
 
     The problem's poses are those at which a stop sent now acts. Until a later stop acts, robots
     follow `direction` (N,) [rad], NaN for a robot that stands still.
     """
-    delays = np.arange(MOMENTS, dtype=np.float64) * (period_s / MOMENTS)
+    delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
     x, y, _ = driven(problem, problem.poses, direction, delays[:, None])
     targets = problem.targets
     errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)

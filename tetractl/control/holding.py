@@ -8,7 +8,7 @@ signal to signal, half accumulate along the sequence. Each round's changes are s
 """
 
 import math
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -19,13 +19,9 @@ from tetractl.core.plan import Limits, Problem, Search
 from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.controller import OptimizerSection
 
-AHEAD_S = 4.0  # duration of the plan: one or two circles
 PHASES = np.linspace(-np.pi, np.pi, 16, endpoint=False)  # first directions of rotations [rad]
 # angular velocities of rotations, in units of the least a
 RATES = np.array([-1.25, -0.95, -0.75, 0.75, 0.95, 1.25])
-SAMPLES, ROUNDS = 128, 6
-SPREAD, SHRINK = 0.6, 0.8  # initial deviation of a step [rad], and its ratio from round to round
-ADDING = 0.4  # spread of cumulative steps relative to independent ones
 
 
 class CircleSearch(OptimizerSection):
@@ -33,17 +29,29 @@ class CircleSearch(OptimizerSection):
     possible."""
 
     type: Literal["circle"] = "circle"
+    ahead_s: ClassVar[float] = 4.0
+    """Duration of the plan: one or two circles."""
+    samples: ClassVar[int] = 128
+    """Number of random sequences of a round."""
+    rounds: ClassVar[int] = 6
+    """Number of rounds of samples in one search."""
+    spread: ClassVar[float] = 0.6
+    """Initial standard deviation of a step [rad]."""
+    shrink: ClassVar[float] = 0.8
+    """Ratio of that deviation from round to round."""
+    adding: ClassVar[float] = 0.4
+    """Spread of cumulative steps relative to independent ones."""
 
     @property
     def iterations_max(self) -> int:
         """Number of rounds of samples in one search."""
-        return ROUNDS
+        return self.rounds
 
     @property
     def evaluations_min(self) -> int:
         """Least number of cost evaluations of a search: those of all rotations, of the
         previous plan and of one round."""
-        return len(PHASES) * len(RATES) + 1 + SAMPLES
+        return len(PHASES) * len(RATES) + 1 + self.samples
 
     def search(
         self, problem: Problem, length: int, warm: Floats | None, key: int, limits: Limits
@@ -59,16 +67,18 @@ class CircleSearch(OptimizerSection):
             known = np.vstack([np.append(warm, further)[:length], known])
         known = wrap(known)
         progress.add(known.T, evaluate(problem, known).total)
-        for z in range(ROUNDS):
-            if not progress.affords(SAMPLES):
+        for z in range(self.rounds):
+            if not progress.affords(self.samples):
                 break
-            steps = normal(key, z * length * SAMPLES, length * SAMPLES).reshape(SAMPLES, length)
-            steps[::2] = np.cumsum(ADDING * steps[::2], axis=1)
-            tried = wrap(progress.best + SPREAD * SHRINK**z * steps)
+            steps = normal(key, z * length * self.samples, length * self.samples).reshape(
+                self.samples, length
+            )
+            steps[::2] = np.cumsum(self.adding * steps[::2], axis=1)
+            tried = wrap(progress.best + self.spread * self.shrink**z * steps)
             progress.add(tried.T, evaluate(problem, tried).total)
         return progress.search()
 
 
 def signals_ahead(period: float) -> int:
     """Return the number of signals of a plan, each held for `period` [s]."""
-    return max(2, math.ceil(AHEAD_S / period))
+    return max(2, math.ceil(CircleSearch.ahead_s / period))

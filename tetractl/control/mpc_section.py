@@ -24,11 +24,6 @@ from tetractl.model.obstacles import Obstacles
 from tetractl.model.swimmers import HELIX_HZ, HELIX_UM
 
 SIGNAL_S = 0.2  # time for which a plan holds each signal: the paper's control period [s]
-LONGEST_S = 160.0  # longest trial [s]
-ACCEPTED = 0.45
-"""Accepted error, as a fraction of the path that all robots together drive in a control period."""
-FLOW = 0.05  # default standard deviation of a component of the flow, over the mean speed
-DEADLINE = 0.8  # default deadline of a control step's searches, as a fraction of its period
 _PSO, _MULTISTART = (KindSection(OPTIMIZERS, default=name) for name in ("pso", "multistart"))
 
 
@@ -62,10 +57,6 @@ class Collision(Model):
     """
 
 
-MARKER_BIAS = 0.05
-"""Prior standard deviation of the angle between the measured heading and the course [rad]."""
-
-
 class PriorSection(Model):
     """Prior standard deviations of the motion's values in the spec."""
 
@@ -86,6 +77,9 @@ class PriorSection(Model):
     heading_noise: NonNegative = 0.0
     """Standard deviation of a measured heading [rad]; 0 if unknown."""
 
+    marker_bias: ClassVar[float] = 0.05
+    """Standard deviation of the angle between the measured heading and the course [rad]."""
+
     def of(self, problem: Problem, dead_time: float, setup: Setup) -> Prior:
         """Return the prior of a problem's robots; those without wheels are taken for cells."""
         return Prior(
@@ -96,8 +90,8 @@ class PriorSection(Model):
             speed_std=self.speed,
             dead_time_std=self.dead_time,
             heading_bias_std=self.heading_bias,
-            marker_bias_std=MARKER_BIAS,
-            flow_std=FLOW * float(problem.speed.mean()) if self.flow is None else self.flow,
+            marker_bias_std=self.marker_bias,
+            flow_std=0.05 * float(problem.speed.mean()) if self.flow is None else self.flow,
             position_noise=self.position_noise,
             heading_noise=self.heading_noise,
             helix_frequency=HELIX_HZ[0],
@@ -163,7 +157,8 @@ class SearchFields(PlainSection):
 
 @defaults(
     period=0.05,
-    steps_max=lambda given: max(1, round(LONGEST_S / given.get("period", SIGNAL_S))),
+    # 160 s
+    steps_max=lambda given: max(1, round(160.0 / given.get("period", SIGNAL_S))),
     motion="exact",
 )
 class RecommendedMpc(SearchFields):
@@ -178,9 +173,7 @@ class RecommendedMpc(SearchFields):
     )
     """Number of control periods for which a plan holds each signal. The plan's time grid is so many
     times coarser than the control's, and a signal can still be changed at each control step."""
-    deadline: Positive = Field(
-        default_factory=lambda given: DEADLINE * given.get("period", SIGNAL_S)
-    )
+    deadline: Positive = Field(default_factory=lambda given: 0.8 * given.get("period", SIGNAL_S))
     """Time after which the searches of a control step end and the best sequence so far is used [s];
     a plan for standing robots has no deadline. The default is 80 % of the control period. In
     virtual time the searches' work is counted, so that a simulation depends only on its seed."""
@@ -212,7 +205,7 @@ class RecommendedMpc(SearchFields):
         """Return the section with the defaults for robots of the given summed speed."""
         fitting: dict[str, Any] = {}
         if "accept_error" not in self.model_fields_set:
-            fitting["accept_error"] = float(f"{ACCEPTED * self.period * speed:.2g}")
+            fitting["accept_error"] = float(f"{0.45 * self.period * speed:.2g}")
         if not stands:
             off = {"stop_before_collision": False, "silence": 0.0}
             left = {k: v for k, v in off.items() if k not in self.collision.model_fields_set}

@@ -12,7 +12,7 @@ Source of the tree: LaValle, "Rapidly-exploring random trees: a new tool for pat
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Literal
+from typing import ClassVar, Literal
 
 import numpy as np
 
@@ -28,15 +28,6 @@ from tetractl.experiment.controller import ALONE, Host
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.model.obstacles import Obstacles
 
-SHARES = 3  # random numbers per draw: the choice of the target, and a point of the arena
-HEADING_FOR = 0.7  # a robot heads for a target if the cosine of the angle to it is at least this
-
-
-GOAL_BIAS = 0.1  # fraction of the draws that give the target instead of a random point
-DRAWS = 5000
-"""Largest number of points drawn to grow one tree. If the tree does not reach the target, the robot
-drives straight to it."""
-
 
 class RrtSection(PlainSection):
     """A rapidly-exploring random tree with feedback, for one robot: the field points at the next
@@ -51,9 +42,17 @@ class RrtSection(PlainSection):
     margin: NonNegative = 0.0
     """Obstacles and walls are grown by this much for the tree [length unit]."""
 
+    goal_bias: ClassVar[float] = 0.1
+    """Fraction of the draws that give the target instead of a random point."""
+    draws: ClassVar[int] = 5000
+    """Largest number of points drawn to grow one tree. If the tree does not reach the target, the
+    robot drives straight to it."""
+    ahead: ClassVar[float] = 0.7
+    """A robot heads for a target if the cosine of the angle to it is at least this."""
+
     def bounds(self) -> dict[str, str]:
         """Return the largest size of a tree, for display: {name: text}."""
-        return {"nodes of a tree": f"at most {DRAWS}"}
+        return {"nodes of a tree": f"at most {self.draws}"}
 
     def contradictions(self, setup: Setup) -> Iterator[tuple[Loc, str]]:
         """Yield an error if there are several robots, or if the robot cannot move."""
@@ -106,13 +105,13 @@ class Rrt(PlainController):
         blocked = bool(region.cross(here[0], here[1], self._path[0, 0], self._path[0, 1]))
         if blocked and not region.contain(here[0], here[1]):
             target = problem.targets[0]
-            draws = uniform(key, 0, SHARES * DRAWS).reshape(-1, SHARES)
+            draws = uniform(key, 0, 3 * self.section.draws).reshape(-1, 3)
             found = grow(region, self._arena, here, target, self._edge, draws)
             self._path = target[None] if found is None else found
         corner = self._path[0] - here
         u, heading = float(np.arctan2(corner[1], corner[0])), float(problem.poses.heading[0])
         beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
-        return heading if beside and np.cos(u - heading) < HEADING_FOR else u
+        return heading if beside and np.cos(u - heading) < self.section.ahead else u
 
     def _passing(
         self, problem: Problem, observation: Observation, signals: Floats, gap: float
@@ -121,7 +120,7 @@ class Rrt(PlainController):
         does not happen in this step.
         """
         off = signals[0] - problem.poses.heading[0]
-        if len(self._path) > 1 or gap > self._reach or np.cos(off) < HEADING_FOR:
+        if len(self._path) > 1 or gap > self._reach or np.cos(off) < self.section.ahead:
             return None
         stopping = best_stop(problem, self.estimator.held_at_action, self.section.period)
         if stopping.error > evaluate(problem, signals[None]).target[0]:
@@ -140,7 +139,8 @@ def grow(
 ) -> Floats | None:
     """Grow a tree from `start` (2,); return the corners (M, 2) of a path to `target` (2,) or None.
 
-    Each row of `draws` (D, SHARES) holds numbers uniform in [0, 1) for one draw. `edge` is in the
+    Each row of `draws` (D, 3) holds numbers uniform in [0, 1) for one draw: the choice of the
+    target, and a point of the arena. `edge` is in the
     length unit.
     """
     nodes = np.empty((len(draws) + 1, 2))
@@ -148,7 +148,7 @@ def grow(
     nodes[0], count = start, 1
     low, size = np.array([arena.left, arena.bottom]), np.array([arena.width, arena.height])
     for share, *at in draws.tolist():
-        point = target if share < GOAL_BIAS else low + size * at
+        point = target if share < RrtSection.goal_bias else low + size * at
         ways = point - nodes[:count]
         far = np.hypot(ways[:, 0], ways[:, 1])
         nearest = int(np.argmin(far))

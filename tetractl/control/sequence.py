@@ -1,6 +1,6 @@
 """A controller that sends a given sequence of directions, open loop."""
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from pydantic import Field
@@ -14,8 +14,6 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.base import Finite, NonNegative
 from tetractl.experiment.controller import ALONE, Host
 
-AHEAD = 50  # number of signals for which each step predicts the path
-
 
 class SequenceSection(PlainSection):
     """A given sequence of directions, one per control step, without a search."""
@@ -25,6 +23,9 @@ class SequenceSection(PlainSection):
     """The direction of each control step [rad]; the robots are stopped after the last one."""
     remainder: NonNegative = 0.0
     """Time for which the last direction is held in addition to one control period [s]."""
+
+    ahead: ClassVar[int] = 50
+    """Number of signals for which each step predicts the path."""
 
     def bounds(self) -> dict[str, str]:
         """Return the number of directions, for display: {name: text}."""
@@ -45,7 +46,7 @@ class SequenceController(PlainController):
     def decided(
         self, problem: Problem, observation: Observation, gaps: Floats, step_key: int
     ) -> Plan | Outcome | End:
-        """Return the plan of the next direction, with the path predicted for up to AHEAD
+        """Return the plan of the next direction, with the path predicted for up to `ahead`
         directions.
         """
         section = self.section
@@ -53,5 +54,5 @@ class SequenceController(PlainController):
             delay_ns = round(section.remainder * SECOND)
             done = Outcome.SEQUENCE_COMPLETED
             return End(done, delay_ns) if delay_ns else done
-        signals = np.array(section.directions[self.k : self.k + AHEAD])
+        signals = np.array(section.directions[self.k : self.k + section.ahead])
         return make_plan(problem, [given_search(problem, signals)], 0, step_key)

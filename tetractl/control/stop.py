@@ -11,8 +11,6 @@ from tetractl.experiment.base import Model, Positive
 
 WINDOW = 10
 """Number z of iterations up to which no search stops early, and over which J has to fall."""
-DECREASE = 0.01
-"""Least decrease of J over WINDOW iterations that keeps the search going, as a fraction of J."""
 
 
 class PaperStop(Model):
@@ -62,7 +60,7 @@ def stopped(history: Floats, stop: StopCriterion) -> StopReason | None:
             if len(history) <= WINDOW + 1:
                 return None
             before = history[-1 - WINDOW]
-            stops = before - history[-1] <= DECREASE * abs(before)
+            stops = before - history[-1] <= 0.01 * abs(before)
             return StopReason.CRITERION if stops else None
         case PaperStop():
             return StopReason.CRITERION if paper_criterion(history) else None
@@ -79,7 +77,7 @@ def paper_criterion(history: Floats) -> bool:
     z = len(history) - 1
     if z <= WINDOW:
         return False
-    last = history[z - 10 :]
+    last = history[z - WINDOW :]
     with np.errstate(divide="ignore"):
         c = np.log(last).sum() / 2
         delta = np.log(last[:-1] - last[1:]).sum()

@@ -6,8 +6,8 @@ The value of a candidate is an error [length unit], the less the better:
 
     J        predicted total error at the candidate's end, f of the paper's (8)
     attempt  what disturbances make of a new attempt, in other words of a plan that leads the robots
-             away from the plan under way: `accept` at first. It doubles every PATIENCE_S, because a
-             trial that lasts long is disturbed much. 0 for the plan under way and for a stop
+             away from the plan under way: `accept` at first. It doubles every `patience_s`, because
+             a trial that lasts long is disturbed much. 0 for the plan under way and for a stop
     price t  the price of the time t until the robots stand at the end
     caution  if the path touches a margin, or if robots that receive nothing might touch something
 
@@ -15,10 +15,7 @@ The value of a candidate is an error [length unit], the less the better:
 """
 
 from dataclasses import dataclass
-
-PATIENCE_S = 80.0  # time in which `attempt` doubles
-PRICE = 0.02  # price of a second, in units of `accept`
-TOUCHES, UNHEARD = 2.0, 1.5  # caution, in units of `accept`
+from typing import ClassVar
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,16 +27,20 @@ class Worth:
     accept: float
     spent_s: float
     period_s: float
+    patience_s: ClassVar[float] = 80.0  # time in which `attempt` doubles
+    price: ClassVar[float] = 0.02  # of a second, in units of `accept`
+    touch: ClassVar[float] = 2.0  # caution if a path touches a margin, in units of `accept`
+    unheard: ClassVar[float] = 1.5  # caution if robots that receive nothing might touch something
 
     def plan(
         self, error: float, length: int, new: bool, touches: bool = False, unheard: bool = False
     ) -> float:
         """Return the value of a plan of `length` signals that ends with the total `error`."""
-        attempt = 2 ** (self.spent_s / PATIENCE_S) if new else 0.0
-        caution = TOUCHES * touches + UNHEARD * unheard
-        return error + self.accept * (attempt + PRICE * self.period_s * length + caution)
+        attempt = 2 ** (self.spent_s / self.patience_s) if new else 0.0
+        caution = self.touch * touches + self.unheard * unheard
+        return error + self.accept * (attempt + self.price * self.period_s * length + caution)
 
     def rest(self, length: int, wait_s: float) -> float:
         """Return the value of a rest that ends with a plan of `length` signals in `wait_s`; whether
         robots of that plan keep clear is not known."""
-        return self.plan(0.0, length, True, unheard=True) + self.accept * PRICE * wait_s
+        return self.plan(0.0, length, True, unheard=True) + self.accept * self.price * wait_s

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.trials import experiment
 
-from tetractl.control.corners import TURN_S, away, turn_away, way_out
+from tetractl.control.corners import OUT, away, turn_away, way_out
 from tetractl.control.cost import predict
 from tetractl.control.fixed_sequence import driven
 from tetractl.control.margins import Margins
@@ -62,7 +62,7 @@ def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
     assert facing is not None
     assert facing < 0  # away from the upper edge
     still = replace(problem, speed=np.zeros(3))
-    turned = Poses(*driven(still, problem.poses, np.full(3, facing), TURN_S))
+    turned = Poses(*driven(still, problem.poses, np.full(3, facing), OUT.turn_s))
     assert way_out(replace(problem, poses=turned), margins, 95.0) is not None
 
 

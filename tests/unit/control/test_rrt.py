@@ -9,7 +9,7 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.build import build_controller
 from tetractl.control.rng import uniform
-from tetractl.control.rrt import SHARES, grow
+from tetractl.control.rrt import grow
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import End, Outcome
 from tetractl.experiment.load import parse_spec
@@ -24,7 +24,7 @@ START, TARGET = np.array([900.0, 1200]), np.array([1700.0, 1200])
 def path(key, margin=30.0, draws=3000):
     setup = experiment().setup
     region = Obstacles.of(setup.obstacles, margin, setup.arena)
-    rows = uniform(key, 0, SHARES * draws).reshape(-1, SHARES)
+    rows = uniform(key, 0, 3 * draws).reshape(-1, 3)
     return region, grow(region, setup.arena, START, TARGET, 120.0, rows)
 
 
@@ -42,7 +42,7 @@ def test_there_may_be_no_path():
     setup = experiment().setup
     wall = Circle(type="circle", center=(1700, 1200), radius=150).shape()
     region = Obstacles.of([wall])
-    rows = uniform(1, 0, SHARES * 500).reshape(-1, SHARES)
+    rows = uniform(1, 0, 3 * 500).reshape(-1, 3)
     assert grow(region, setup.arena, START, TARGET, 120.0, rows) is None
 
 

@@ -2,18 +2,18 @@
 
 import pytest
 
-from tetractl.control.value import PATIENCE_S, PRICE, TOUCHES, UNHEARD, Worth
+from tetractl.control.value import Worth
 
 AT_FIRST = Worth(10.0, 0.0, 0.2)
 
 
 def test_a_plan_under_way_is_worth_its_error_and_the_price_of_its_time():
-    assert AT_FIRST.plan(3.0, 5, new=False) == pytest.approx(3 + 10 * PRICE)
+    assert AT_FIRST.plan(3.0, 5, new=False) == pytest.approx(3 + 10 * Worth.price)
 
 
 def test_a_new_attempt_is_worth_the_accepted_error_which_doubles():
-    late = Worth(10.0, 2 * PATIENCE_S, 0.2)
-    time = 10 * PRICE
+    late = Worth(10.0, 2 * Worth.patience_s, 0.2)
+    time = 10 * Worth.price
     assert AT_FIRST.plan(0.0, 5, new=True) == pytest.approx(10 + time)
     assert late.plan(0.0, 5, new=True) == pytest.approx(40 + time)
     assert late.plan(0.0, 5, new=False) == pytest.approx(time)
@@ -21,8 +21,8 @@ def test_a_new_attempt_is_worth_the_accepted_error_which_doubles():
 
 def test_caution_costs_as_much_as_errors_in_units_of_the_accepted_one():
     plain = AT_FIRST.plan(3.0, 5, new=False)
-    assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(plain + 10 * TOUCHES)
-    assert AT_FIRST.plan(3.0, 5, False, unheard=True) == pytest.approx(plain + 10 * UNHEARD)
+    assert AT_FIRST.plan(3.0, 5, False, touches=True) == pytest.approx(plain + 10 * Worth.touch)
+    assert AT_FIRST.plan(3.0, 5, False, unheard=True) == pytest.approx(plain + 10 * Worth.unheard)
 
 
 def test_a_rest_is_no_better_than_the_plan_that_follows_it():

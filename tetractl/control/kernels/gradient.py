@@ -26,7 +26,7 @@ from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 
 EAST_H, NORTH_H, EAST_U, NORTH_U, KEEP = range(5)
-VECTOR = 8  # float64 numbers in the widest vector of any processor
+VECTOR = 8  # float64 numbers in the widest vector of any processor, and in a cache line
 
 _sincos, _wrap = inlined(sincos), inlined(wrap)
 

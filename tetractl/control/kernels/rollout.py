@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.gradient import VECTOR
 from tetractl.control.kernels.motion import advance, constants
 from tetractl.control.kernels.obstacles import count_hits
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
@@ -16,7 +17,6 @@ from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos
 
-LINE = 64  # bytes in a cache line
 _sincos = inlined(sincos)
 
 
@@ -43,7 +43,7 @@ class Rollout(NamedTuple):
 
 def aligned(shape: tuple[int, ...]) -> Floats:
     """Return an array aligned to cache lines: a vector across two lines takes twice the time."""
-    size, line = math.prod(shape), LINE // 8
+    size, line = math.prod(shape), VECTOR
     raw = np.empty(size + line)
     first = -raw.ctypes.data // raw.itemsize % line
     return raw[first : first + size].reshape(shape)

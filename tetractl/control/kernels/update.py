@@ -6,13 +6,13 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.control.rng import GOLDEN
+from tetractl.model.motion.polynomials import TURN
 
-GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+_GOLDEN = np.uint64(GOLDEN)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
 LOW_31 = np.uint64(0x7FFF_FFFF)
-UNIT_31 = 2.0**-31
-SPAN = 2 * math.pi  # |ub - lb|, (15)
 
 
 @compiled(**INLINE_FAST)
@@ -27,14 +27,14 @@ def mixed(z):
 def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
     """Apply (14)-(17) to u and v (L, P) in place, with the draws of iteration z."""
     length, particles = u.shape
-    c1, c2 = cognitive * UNIT_31, social * UNIT_31  # r1, r2 are integers of 31 bits
+    c1, c2 = cognitive * 2.0**-31, social * 2.0**-31  # r1, r2 are integers of 31 bits
     for j in range(length):
-        base = key + np.uint64((z * length + j) * particles + 1) * GOLDEN
+        base = key + np.uint64((z * length + j) * particles + 1) * _GOLDEN
         for n in range(particles):
-            draw = mixed(base + np.uint64(n) * GOLDEN)
+            draw = mixed(base + np.uint64(n) * _GOLDEN)
             r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
             at = u[j, n]
             velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)
-            velocity = max(-SPAN, min(velocity, SPAN))
+            velocity = max(-TURN, min(velocity, TURN))  # |ub - lb|, (15)
             v[j, n] = velocity
             u[j, n] = max(-math.pi, min(at + velocity, math.pi))

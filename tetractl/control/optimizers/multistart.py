@@ -16,7 +16,7 @@ other robots, and hops from nearly good sequences find good ones.
 
 import math
 from collections.abc import Callable
-from typing import Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from pydantic import Field
@@ -31,18 +31,21 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
-SLACK = 0.01  # clearance of a path pushed out of an obstacle, per step of the fastest robot
-HOPS = 1000  # hops of a thorough search for up to 3 robots; for N robots times (N / 3)^2
-HOP_WORK = 1e9  # limit of evaluations x signals x robots in a thorough search: some seconds
-POOL = 6  # number of sequences from which hops start
-STEPS, PATIENCE = 40, 6
-"""Most Levenberg-Marquardt iterations of a start; it ends if PATIENCE bring no fall by a fifth."""
-# the same for a hop
-HOP_STEPS, HOP_PATIENCE = 60, 12
-HOP_LEAST, HOP_MOST = 0.15, 1.5  # smallest and largest change of signals in a hop [rad]
-# cost of a position left in an obstacle by a hop, as a fraction of the fastest robot's step
-HIT = 0.25
-NO_LIMIT = 2**62
+
+class Hops(NamedTuple):
+    """A thorough search: how it hops, and how each hop is polished."""
+
+    most: int = 1000  # number of hops for up to 3 robots; for N robots times (N / 3)^2
+    work: float = 1e9  # limit of evaluations x signals x robots: some seconds
+    pool: int = 6  # number of sequences from which hops start
+    steps: int = 60  # as `Multistart.steps`
+    patience: int = 12  # as `Multistart.patience`
+    least_change: float = 0.15  # smallest change of signals [rad]
+    most_change: float = 1.5  # largest change [rad]
+    hit: float = 0.25  # cost of a position left in an obstacle, over the fastest robot's step
+
+
+HOPS = Hops()
 
 
 class Multistart(OptimizerSection):
@@ -71,10 +74,17 @@ class Multistart(OptimizerSection):
     tolerance: Positive = 0.001
     """Cost J at which a sequence is good enough and the search ends [length unit]."""
 
+    slack: ClassVar[float] = 0.01
+    """Clearance of a path pushed out of an obstacle, per step of the fastest robot."""
+    steps: ClassVar[int] = 40
+    """Most Levenberg-Marquardt iterations of a start."""
+    patience: ClassVar[int] = 6
+    """A polish ends if so many iterations bring no fall by a fifth."""
+
     @property
     def iterations_max(self) -> int:
         """Largest number of Levenberg-Marquardt iterations for one start."""
-        return STEPS
+        return self.steps
 
     @property
     def evaluations_min(self) -> int:
@@ -87,7 +97,7 @@ class Multistart(OptimizerSection):
         return self.tolerance
 
     def growth(self, problem: Problem) -> float:
-        """Return the factor by which `knots`, STEPS and PATIENCE are multiplied."""
+        """Return the factor by which `knots`, `steps` and `patience` are multiplied."""
         return max(1.0, (len(problem.a) / 3) ** 2) if self.grows else 1.0
 
     def search(
@@ -141,14 +151,14 @@ class _PolishedProgress(Progress):
         self.many: Callable[[Floats], Floats] | None = None
         self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
-        self.slack = SLACK * float(problem.speed.max()) * problem.period
+        self.slack = section.slack * float(problem.speed.max()) * problem.period
         rows, growth = len(self.work.residual), section.growth(problem)
         self.factor = np.empty((rows, rows))
-        self.patience = round(PATIENCE * growth)
-        steps = round(STEPS * growth)
+        self.patience = round(section.patience * growth)
+        steps = round(section.steps * growth)
         if limits.thorough:
-            self.patience, steps = HOP_PATIENCE, HOP_STEPS
-            self.hops = round(HOPS * max(1.0, (len(problem.a) / 3) ** 2))
+            self.patience, steps = HOPS.patience, HOPS.steps
+            self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
         self.polished = multistart.workspace(section.polished, length, steps)
 
     def select(self, key: int) -> Floats:
@@ -194,7 +204,7 @@ class _PolishedProgress(Progress):
             first += self._polish_some(starts[first:last])
 
     def hop(self, key: int) -> None:
-        """Polish randomly changed copies of the best POOL sequences until one is good enough.
+        """Polish randomly changed copies of the best sequences until one is good enough.
 
         A change ("hop") adds a random curve to all signals or to a span of them, or removes one
         signal and inserts another elsewhere. The pool is ordered by each sequence's merit after
@@ -203,26 +213,26 @@ class _PolishedProgress(Progress):
         """
         pool: list[tuple[float, Floats]] = []
         found, length = self.polished, self.length
-        middle, step = bearing(self.problem), self.slack / SLACK
+        middle, step = bearing(self.problem), self.slack / self.section.slack
         for number in range(self.hops):
             work = self.evaluations * length * len(self.problem.a)
-            if self.ended or work > HOP_WORK or (self.history and not self.affords(2)):
+            if self.ended or work > HOPS.work or (self.history and not self.affords(2)):
                 break
             draws = uniform(mix(key, number), 0, length + 8)
             start = _moved(pool, draws, length, middle)
             if number == 0 and self.warm is not None:
                 start = self.warm
-            self.slack = SLACK * step * 30 ** draws[7]
+            self.slack = self.section.slack * step * 30 ** draws[7]
             self._polish_some(start[None])
             hits = found.costs[0] // self.problem.obstacle_weight
-            merit = found.merits[0, found.steps[0]] + HIT * step * hits
+            merit = found.merits[0, found.steps[0]] + HOPS.hit * step * hits
             pool.append((float(merit), found.signals[0].copy()))
             pool.sort(key=lambda one: one[0])
-            del pool[POOL:]
+            del pool[HOPS.pool :]
 
     def _polish_some(self, starts: Floats) -> int:
         """Polish sequences within the limit of evaluations; return how many were polished."""
-        most = NO_LIMIT if self.limits.evaluations is None else self.limits.evaluations
+        most = 2**62 if self.limits.evaluations is None else self.limits.evaluations
         found, expired = self.polished, self._expired if self.limits.timed else never
         done = self.kernels.polish_each(
             self.work,
@@ -262,11 +272,11 @@ def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle:
     """Return a randomly changed copy of a sequence of the pool; see `_PolishedProgress.hop`."""
     which, way, size, count, first, second = draws[:6]
     knots = 2 * draws[8:] - 1
-    if len(pool) < POOL:
+    if len(pool) < HOPS.pool:
         curve = interpolate(knots[: 2 + int(count * (length - 2)), None], length)[:, 0]
         return wrap(middle + np.pi * curve)
     base = pool[int(which * len(pool))][1]
-    size = HOP_LEAST * (HOP_MOST / HOP_LEAST) ** size
+    size = HOPS.least_change * (HOPS.most_change / HOPS.least_change) ** size
     curve = size * interpolate(knots[: 2 + int(count * length / 3), None], length)[:, 0]
     one, other = int(first * length), int(second * length)
     if way < 1 / 3:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.cost import predict
+from tetractl.control.evaluate import compiled_branches
 from tetractl.control.margins import Margins
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats, Poses, wrap
@@ -76,13 +76,15 @@ def _roomiest(
 ) -> tuple[Floats, float, float]:
     """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
     for an unsafe path; and that clearance plus OUT.final times the clearance at the path's end."""
-    start, rate = (column.reshape(-1, 1) for column in np.meshgrid(OUT_STARTS, OUT_RATES))
-    signals = wrap(start + rate * problem.period * np.arange(OUT.signals))
+    turns = problem.period * OUT_RATES[:, None] * np.arange(OUT.signals)
     part = problem.period / OUT.parts  # a robot that turns comes nearest within a signal
-    finer = replace(problem, period=part, first_period=part)
-    path = predict(finer, np.repeat(signals, OUT.parts, axis=1))
-    # moment by moment, whose arrays stay in the processor's cache: (OUT.parts OUT.signals + 1, B)
-    room = np.array([margins.room(at[..., 0], at[..., 1], apart) for at in path])
+    stand = problem.poses.array()[None].repeat(len(OUT_STARTS), axis=0)
+    rooms = []
+    for each in np.repeat(turns, OUT.parts, axis=1):
+        path = compiled_branches(problem, stand, OUT_STARTS, each, part)
+        rooms.append(margins.room(path[..., 0], path[..., 1], apart))
+    room = np.concatenate(rooms, axis=1)  # (OUT.parts OUT.signals + 1, B)
+    signals = wrap(turns[:, None] + OUT_STARTS[:, None]).reshape(-1, OUT.signals)
     least = room.min(axis=0)
     total = least + OUT.final * room[-1]
     best = int(np.argmax(total))

@@ -28,6 +28,27 @@ def compiled_costs(problem: Problem, count: int) -> Callable[[Floats], Floats]:
     return evaluate
 
 
+def compiled_branches(
+    problem: Problem, start: Floats, towards: Floats, turns: Floats, seconds: float
+) -> Floats:
+    """Return the poses (L + 1, B, N, 3) of B copies of the robots, from start (B, N, 3).
+
+    Copy b is steered towards towards[b] + turns[j] [rad], each for `seconds`; turns (L,).
+    """
+    from tetractl.control.kernels.motion import constants
+    from tetractl.control.kernels.prediction import predict
+
+    copies, robots = len(towards), len(problem.a)
+    path, drift = np.empty((len(turns) + 1, copies * robots, 3)), np.tile(problem.drift, copies)
+    path[0] = start.reshape(-1, 3)
+    bias = np.zeros(robots) if problem.bias is None else problem.bias
+    each = (towards[:, None] + bias).ravel()
+    drift[:2] = np.cos(each), np.sin(each)
+    a, speed = np.tile(problem.a, copies), np.tile(problem.speed, copies)
+    predict(turns, a, speed, drift, seconds, seconds, constants(problem)[1], path)
+    return path.reshape(-1, *start.shape)
+
+
 def compiled_path(problem: Problem, signals: Floats) -> Floats:
     """Return the poses (L + 1, N, 3) under a sequence (L,), as `cost.predict` but compiled."""
     from tetractl.control.kernels.motion import constants
@@ -50,9 +71,9 @@ def compiled_path(problem: Problem, signals: Floats) -> Floats:
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
-    from tetractl.control.kernels.rollout import costs, lay_out
+    from tetractl.control.kernels.rollout import costs, of_one
 
-    rollout, total = lay_out(problem, 1), np.empty(1)
+    rollout, total = of_one(problem), np.empty(1)
     costs(rollout, np.ascontiguousarray(signals[:, None]), total)
     require_finite(total)
     path = compiled_path(problem, signals)

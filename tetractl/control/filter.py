@@ -207,7 +207,6 @@ class FilterBank:
             self._last = frame
         if not certain:
             self._select()
-            self._share()
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""

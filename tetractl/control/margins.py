@@ -25,6 +25,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from tetractl.control.evaluate import compiled_branches
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
@@ -60,6 +61,7 @@ class Margins:
     ) -> None:
         from tetractl.control.kernels import clearance
 
+        self._unheard: tuple[Problem, Obstacles] | None = None
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
         x, y = self._target_xy = targets[:, 0].copy(), targets[:, 1].copy()
@@ -137,20 +139,12 @@ class Margins:
         that is less, and `apart` from each other, or the problem's separation if that is less.
         """
         from tetractl.control.kernels import clearance
-        from tetractl.control.kernels.motion import constants
-        from tetractl.control.kernels.prediction import predict
 
-        count, steps = len(signals), max(1, math.ceil(seconds / SAMPLE_S))
-        ways, drift = np.empty((steps + 1, path[..., 0].size, 3)), np.tile(problem.drift, count)
-        ways[0] = path.reshape(-1, 3)
-        # one virtual robot for each signal and robot: each holds its own direction
-        towards = signals[:, None] + (0.0 if problem.bias is None else problem.bias)
-        each = (towards + np.zeros(len(problem.a))).ravel()
-        drift[:2] = np.cos(each), np.sin(each)
-        t, a, speed = seconds / steps, np.tile(problem.a, count), np.tile(problem.speed, count)
-        predict(np.zeros(steps), a, speed, drift, t, t, constants(problem)[1], ways)
-        shapes, least = self.obstacles(problem.poses, margin), min(apart, problem.separation)
-        ways = ways.reshape(steps + 1, *path.shape)
+        steps = max(1, math.ceil(seconds / SAMPLE_S))
+        ways = compiled_branches(problem, path, signals, np.zeros(steps), seconds / steps)
+        if self._unheard is None or self._unheard[0] is not problem:
+            self._unheard = problem, self.obstacles(problem.poses, margin)
+        shapes, least = self._unheard[1], min(apart, problem.separation)
         return clearance.clear(shapes.rows, shapes.walls, least, ways)
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:

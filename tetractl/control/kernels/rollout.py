@@ -4,6 +4,7 @@ All particles are simulated together, signal by signal.
 """
 
 import math
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -67,6 +68,12 @@ def lay_out(problem: Problem, particles: int) -> Rollout:
         lanes=aligned((5, problem.a.size, particles)),
         scratch=aligned((8, particles)),
     )
+
+
+@lru_cache(maxsize=2)  # of a step's problem many single sequences are evaluated
+def of_one(problem: Problem) -> Rollout:
+    """Return a problem laid out for one particle; every call returns the same arrays."""
+    return lay_out(problem, 1)
 
 
 def _drift(problem: Problem) -> Floats:

@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from support import problems
 
 from tetractl.control.cost import evaluate, foresee
-from tetractl.control.evaluate import compiled_costs, compiled_foresee
+from tetractl.control.evaluate import compiled_branches, compiled_costs, compiled_foresee
 from tetractl.core.errors import ControlError
+from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 
@@ -89,3 +90,16 @@ def test_a_pose_that_is_no_number_is_told():
     problem.poses.x[0] = np.nan
     with pytest.raises(ControlError, match="not finite"):
         compiled_foresee(problem, np.zeros(3))
+
+
+@given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())
+def test_branches_are_the_readable_predictions_of_their_directions(seed, robots, drifts):
+    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 0, "exact")
+    problem = problems.problem(world, 0.0, drifts)
+    start, towards, turns = rng.uniform(0, 3, (2, robots, 3)), rng.uniform(-3, 3, 2), rng.random(5)
+    path = compiled_branches(problem, start, towards, turns, 0.1)
+    for b in range(2):
+        poses = Poses.of(start[b])
+        each = replace(problem, poses=poses, first_period=0.1, period=0.1)
+        expected = foresee(each, towards[b] + turns).path
+        assert path[:, b] == pytest.approx(expected, rel=1e-9, abs=1e-9)

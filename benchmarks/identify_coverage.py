@@ -19,7 +19,7 @@ import numpy as np
 from tetractl import api
 from tetractl.replay.identification.identify import identify
 from tetractl.replay.identification.tracks import track_of
-from tetractl.replay.redrive import sequence_spec
+from tetractl.replay.open_loop import sequence_spec
 from tetractl.results.estimate import proportion_interval
 
 SPEC = Path(__file__).parent.parent / "experiments" / "three_m3pi.yaml"

@@ -83,19 +83,3 @@ def test_a_trial_is_repeated_from_its_log(logs):
     assert "the content digests agree: " in done.stderr
     assert [path.name for path in (logs / "again").iterdir()] == ["trial-001.mcap"]
     assert tetractl(logs, "rerun trial-001.mcap --seed 3").returncode == 2
-
-
-@pytest.mark.skipif(shutil.which("ssh-keygen") is None, reason="needs OpenSSH")
-def test_a_log_is_signed_as_the_docs_say(logs):
-    def keys(command, log=b""):
-        words = ["ssh-keygen", *shlex.split(command)]
-        return subprocess.run(words, cwd=logs, input=log, capture_output=True).returncode
-
-    check = "-Y verify -n tetractl -f signers -I the-lab -s trial-001.mcap.sig"
-    assert keys("-q -t ed25519 -N '' -f lab-key") == 0
-    assert keys("-Y sign -n tetractl -f lab-key trial-000.mcap trial-001.mcap") == 0
-    (logs / "signers").write_text(f"the-lab {(logs / 'lab-key.pub').read_text()}")
-    log = (logs / "trial-001.mcap").read_bytes()
-    assert keys(check, log) == 0
-    assert keys(check, log[:-9] + bytes([log[-9] ^ 1]) + log[-8:]) != 0
-    assert tetractl(logs, "stats .").returncode == 0

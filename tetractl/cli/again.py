@@ -20,8 +20,7 @@ from tetractl.log.read.find import find_log, find_logs
 if TYPE_CHECKING:
     from tetractl.experiment.load import LoadedSpec
     from tetractl.log.read.trial_log import TrialLog
-    from tetractl.replay.redrive import Apart
-    from tetractl.replay.what_if import WhatIf
+    from tetractl.replay.open_loop import Apart, WhatIf
 
 DISTANCES = 12  # number of times in the table of distances
 PREDICTION = (
@@ -98,19 +97,19 @@ def _recorded(trial: "TrialLog", plant: ui.PlantChoice) -> "LoadedSpec":
 def _compare(log: Path, again: Path) -> int:
     """Print whether two logs of a trial have the same content; return FAILED if they differ."""
     from tetractl.log.format.channels import RESOLVED_SPEC
-    from tetractl.log.read.reader import read_result, trial_of
+    from tetractl.log.read.reader import result_of, trial_of
     from tetractl.log.read.salvage import scan
     from tetractl.replay.comparison import log_difference
     from tetractl.replay.verify import host_differences
 
-    first, second = read_result(log), read_result(again)
+    was, is_now = scan(log), scan(again)
+    first, second = result_of(was), result_of(is_now)
     plants = [one.experiment.plant for one in (first, second)]
     if plants[0].type != plants[1].type or plants[0].real_time:
         names = {"sim": "simulated", "lab": "of the lab"}
         one, two = (names.get(plant.type, plant.type) for plant in plants)
         ui.tell(f"the log is {one}, the new one {two}: the two are not compared")
         return Exit.DONE
-    was, is_now = scan(log), scan(again)
     one, two = was.digests.content, is_now.digests.content
     if one == two:
         ui.tell(f"the content digests agree: {one}")
@@ -146,7 +145,7 @@ def redrive(
       out DIR: Folder for the log of the new trial.
       picture FILE: File of a figure of both paths: .png, .svg or .pdf.
     """
-    from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
+    from tetractl.replay.open_loop import paths_apart, recorded_directions, sequence_spec
     from tetractl.run.store import default_folder
     from tetractl.view.figures.trajectory import redriven_figure
     from tetractl.view.style import file_format, save
@@ -206,14 +205,14 @@ def what_if(
       sets PATH=VALUE: Replace a value of the controller, as field=value; may be repeated.
     """
     from tetractl.log.read.reader import read_trial
-    from tetractl.replay import what_if as replay
+    from tetractl.replay import open_loop
 
     done: list[dict[str, Any]] = []
     for path in find_logs(logs):
         log = read_trial(path)
-        other = replay.other_experiment(log, sets)
+        other = open_loop.other_experiment(log, sets)
         other.controller.warm_up(other.setup)
-        found = replay.what_if(log, other)
+        found = open_loop.what_if(log, other)
         if as_json:
             items = {**asdict(found), "changed": found.changed}
             done.append({"path": str(path), "origin": log.origin.value, **items})

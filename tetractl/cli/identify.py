@@ -50,7 +50,7 @@ def design(
     from tetractl.replay.identification.design import propose
     from tetractl.replay.identification.identify import identify as found_in
     from tetractl.replay.identification.tracks import track_of
-    from tetractl.replay.redrive import sequence_spec
+    from tetractl.replay.open_loop import sequence_spec
     from tetractl.run.store import default_folder
 
     if plant is None and (logs is not None or yes):

@@ -32,8 +32,7 @@ from tetractl.replay.difference import (
     TooLongError,
     first_difference,
 )
-from tetractl.replay.film_check import film_differences
-from tetractl.replay.lab_checks import lab_differences
+from tetractl.replay.lab_checks import film_differences, lab_differences
 from tetractl.replay.recompute import TOLERANCE, first_steps, recompute
 from tetractl.replay.repeat import Repetition, give_again, simulate, too_large
 

@@ -2,8 +2,9 @@
 
 import itertools
 import time
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 
 from tetractl.core.clock import SECOND, Clock, seconds
@@ -164,23 +165,17 @@ class Trial:
         """Compute the first plan while the robots stand; in the lab, also record frames."""
         if info.virtual:
             return self._plan(observation)
-        pool = ThreadPoolExecutor(1)
-        try:
-            planning = pool.submit(self._timed_plan, observation)
+        with self._planning(observation) as planning:
             while not planning.done():
                 with self.interrupt.breakable():
                     wait([planning], timeout=self.start.setup.period_s)
                 self._pass_samples()
             return planning.result()
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
 
     def _plan_driving(self, observation: Observation, info: PlantInfo, square: Square) -> Decision:
         """Compute the first plan while the robots drive squares (section IV-B.1 of the paper)."""
         side = round(square.side * SECOND)
-        pool = ThreadPoolExecutor(1)
-        try:
-            planning = pool.submit(self._timed_plan, observation)
+        with self._planning(observation) as planning:
             if info.virtual:  # virtual time must not depend on this host's speed
                 with self.interrupt.breakable():
                     wait([planning])
@@ -190,6 +185,13 @@ class Trial:
                     self._drive_side(direction, self.clock.now() + side)
                 driven = True
             return planning.result()
+
+    @contextmanager
+    def _planning(self, observation: Observation) -> Iterator[Future[Decision]]:
+        """Compute the first plan in a thread of its own."""
+        pool = ThreadPoolExecutor(1)
+        try:
+            yield pool.submit(self._timed_plan, observation)
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 

@@ -8,6 +8,7 @@ import pickle
 import re
 import shlex
 from dataclasses import dataclass, replace
+from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
@@ -91,35 +92,6 @@ def lacking(
     return sorted(tasks, key=lambda task: task.trial), kept
 
 
-SCRIPT = """\
-#!/bin/bash
-# {name} in {shares} shares. Set the time and the options that your cluster requires, such as a
-# partition, then:
-#   sbatch THIS-FILE
-# A share that reaches its time limit is stopped after its control step, queued again and continued.
-# In the end, on any machine:
-#   {merge}
-#SBATCH --job-name={name}
-#SBATCH --array=1-{shares}
-#SBATCH --time=04:00:00
-#SBATCH --ntasks=1
-#SBATCH --cpus-per-task=1
-#SBATCH --signal=B:TERM@60
-#SBATCH --requeue
-#SBATCH --open-mode=append
-#SBATCH --output=slurm-%A_%a.out
-
-export OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1  # one thread per process
-export TETRACTL_CACHE_DIR=/tmp/tetractl-$USER  # on the node: a shared home folder is slow
-
-tetractl warm {study} || exit
-
-{run} &
-trap 'kill -TERM $!; wait $!; scontrol requeue "$SLURM_ARRAY_JOB_ID"_"$SLURM_ARRAY_TASK_ID"' TERM
-wait $!
-"""
-
-
 def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> str:
     """Return the script of a Slurm job array that runs the shares of a study; each share has its
     own folder next to `folder`."""
@@ -130,7 +102,8 @@ def job_script(study: Path, name: str, shares: int, folder: Path, logs: str) -> 
     file, out = shlex.quote(str(study)), shlex.quote(str(folder))
     task = "$SLURM_ARRAY_TASK_ID"
     run = f'tetractl study {file} --shard "{task}/{shares}" --jobs 1 --quiet --logs {logs}'
-    return SCRIPT.format(
+    script = (files("tetractl.study") / "job.sh").read_text()
+    return script.format(
         name=name,
         shares=shares,
         study=file,

@@ -14,10 +14,9 @@ from tetractl.core.errors import UsageError
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.identification.tracks import track_of
+from tetractl.replay.open_loop import other_experiment, recorded_directions, what_if
 from tetractl.replay.player import Recording
-from tetractl.replay.redrive import recorded_directions
 from tetractl.replay.verify import verify
-from tetractl.replay.what_if import other_experiment, what_if
 from tetractl.report.trial_data import trial_data
 from tetractl.results.trial_tables import steps
 from tetractl.run.interrupt import Interrupt

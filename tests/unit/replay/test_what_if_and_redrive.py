@@ -8,8 +8,13 @@ from support.trials import cut_short, three_robots
 
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import LoadedSpec
-from tetractl.replay.redrive import paths_apart, recorded_directions, sequence_spec
-from tetractl.replay.what_if import other_experiment, what_if
+from tetractl.replay.open_loop import (
+    other_experiment,
+    paths_apart,
+    recorded_directions,
+    sequence_spec,
+    what_if,
+)
 
 
 def test_the_same_controller_decides_the_same():

@@ -3,12 +3,17 @@ import math
 
 import numpy as np
 import pytest
+from support.paths import ROOT
 from support.plants import sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Steer
 from tetractl.core.errors import SpecError
+from tetractl.experiment.load import load_spec
+from tetractl.experiment.plants import on_plant
+from tetractl.run.interrupt import Interrupt
+from tetractl.run.task import run_trial
 from tetractl.run.trial_limits import check, directions, limits
 
 SQUARE = {"type": "square", "side": 2.0}
@@ -78,3 +83,24 @@ def test_limits_say_what_a_trial_can_do_at_most():
     assert found["duration of a trial"].startswith("at most 2 s")
     assert found["path of a robot"] == "at most 400 mm"
     assert found["before step 0"] == "a square of 8 s"
+
+
+def test_a_dry_run_in_the_lab_says_where_it_would_go_and_what_ends_it():
+    slow = [f"lab.actuator.robots.{i}.limit=20" for i in range(3)]
+    spec = ROOT / "experiments" / "three_m3pi_lab.yaml"
+    found = limits(on_plant(load_spec(spec, slow), "lab").experiment)
+    assert found["cameras"] == "192.168.1.10:1510, multicast"
+    assert found["radio"] == "/dev/ttyUSB0, 40 commands per second"
+    assert found["wheel counts"] == "at most 20 of 127"
+    assert found["all robots stop"].startswith("0.1 s")
+    assert "cameras" not in limits(load_spec(spec).experiment)
+
+
+def test_the_gap_of_the_square_is_not_believed_to_be_motion(tmp_path):
+    """The robots are back at their start after 6 s: the way between is 0, the speed is not."""
+    square = ("first_plan.type=square", "first_plan.side=1.5", "estimate=true")
+    sets = [f"controller.{one}" for one in square]
+    spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", sets)
+    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    assert result.total_error < 1
+    assert not result.entered_obstacle

@@ -9,6 +9,7 @@ variable that FACTOR names raises the limits, for a longer trial.
 
 import math
 import os
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -46,37 +47,29 @@ def factor() -> float:
     return 1.0
 
 
-def file_limit() -> int:
-    """Return the largest number of bytes to read of a file."""
-    return int((1 << 28) * factor())
+def _scaled(base: float) -> Callable[[], int]:
+    """Return a function for a limit of `base`, times `factor`."""
+    return lambda: int(base * factor())
 
 
-def seconds_limit() -> float:
-    """Return the largest processor time for computing the decisions of a log again [s]."""
-    return 15.0 * factor()
+file_limit = _scaled(1 << 28)
+"""Return the largest number of bytes to read of a file."""
+seconds_limit = _scaled(15)
+"""Return the largest processor time for computing the decisions of a log again [s]."""
+swarm_limit = _scaled(2e8)
+"""Return the largest size of one round of an optimiser; a round cannot be interrupted.
 
-
-def swarm_limit() -> float:
-    """Return the largest size of one round of an optimiser; a round cannot be interrupted.
-
-    The size is the number of motions of a robot under one signal, times (1 + number of obstacles);
-    each takes a few nanoseconds and the memory of one coordinate.
-    """
-    return 2e8 * factor()
-
-
-def simulation_limit() -> float:
-    """Return the largest number of positions, times (1 + number of obstacles), for simulating a
-    trial again.
-    """
-    return 5e7 * factor()
-
-
-def path_limit() -> float:
-    """Return the largest number of pairs of a position with an obstacle or another robot for
-    checking a path; a pair takes 20 ns.
-    """
-    return 5e8 * factor()
+The size is the number of motions of a robot under one signal, times (1 + number of obstacles); each
+takes a few nanoseconds and the memory of one coordinate.
+"""
+simulation_limit = _scaled(5e7)
+"""Return the largest number of positions, times (1 + number of obstacles), for simulating a trial
+again.
+"""
+path_limit = _scaled(5e8)
+"""Return the largest number of pairs of a position with an obstacle or another robot for checking a
+path; a pair takes 20 ns.
+"""
 
 
 class TooMuchError(ValueError):

@@ -25,7 +25,7 @@ from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits, validate
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.salvage import peek, scan
+from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 
@@ -103,29 +103,32 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read only the result of a trial, found by the file's index, in about a millisecond.
+    """Read only the result of a trial; raises the errors of `result_of`."""
+    return result_of(scan(Path(path)))
 
-    If index or result is lost, the whole file is read and, if necessary, the result computed from
-    the last poses. Raises LogError as `read_trial` does, and for a log without poses.
+
+def result_of(contents: RawLog) -> ResultSummary:
+    """Return the result of the trial in a scanned file.
+
+    Frames and steps are decoded only if the result is lost: it is then computed from the last
+    poses. Raises LogError as `read_trial` does, and for a log without poses.
     """
-    contents = peek(Path(path))
-    if contents and (result := contents.result):
-        experiment, start = _start(contents)
-        recovered, digest = contents.recovered is not None, contents.stated_digest
-    else:
-        contents = scan(Path(path))
+    experiment, start = _start(contents)
+    result = contents.result
+    recovered = bool(contents.problems or contents.recovered or result is None)
+    if recovered:
         trial = trial_of(contents)
-        experiment, start, digest = trial.experiment, trial.start, trial.digest
-        result, recovered = trial.result or recompute(trial), True
+        result = trial.result or recompute(trial)
+    assert result is not None
     return ResultSummary(
-        path=str(path),
+        path=str(contents.path),
         experiment=experiment,
         seed=start.seed,
         trial=start.trial,
         origin=Origin.of(experiment, start.plant),
         result=result,
         recovered=recovered,
-        digest=digest,
+        digest=contents.stated_digest,
         warnings=contents.warnings,
         processor=provenance.processor(contents.host),
     )

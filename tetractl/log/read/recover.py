@@ -96,22 +96,6 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
 
 def _write(contents: RawLog, damage: Damage, path: Path) -> None:
     sink = Sink(path, PART_SUFFIX)
-    try:
-        _fill(contents, damage, sink)
-        sink.close(complete=True)
-    except BaseException:  # such as a full disk: remove the copy, the source is unchanged
-        sink.discard()
-        raise
-
-
-def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
-    for channel, schema in contents.channels.values():
-        sink.channel(channel, schema)
-    for record in contents.records:
-        if isinstance(record, Attachment):
-            sink.attachment(record.name, record.media_type, record.log_time, record.data)
-        elif record.topic != RECOVERED:
-            sink.messages([record])
     told = Recovered(
         source=contents.path.name,
         source_bytes=contents.size,
@@ -119,8 +103,20 @@ def _fill(contents: RawLog, damage: Damage, sink: Sink) -> None:
         problems=damage.problems,
         lost=damage.lost,
     )
-    last_ns = max((entry.log_ns for entry in contents.entries), default=0)
-    sink.messages([Entry.of(RECOVERED, told, last_ns)])
+    try:
+        for channel, schema in contents.channels.values():
+            sink.channel(channel, schema)
+        for record in contents.records:
+            if isinstance(record, Attachment):
+                sink.attachment(record.name, record.media_type, record.log_time, record.data)
+            elif record.topic != RECOVERED:
+                sink.messages([record])
+        last_ns = max((entry.log_ns for entry in contents.entries), default=0)
+        sink.messages([Entry.of(RECOVERED, told, last_ns)])
+        sink.close(complete=True)
+    except BaseException:  # such as a full disk: remove the copy, the source is unchanged
+        sink.discard()
+        raise
 
 
 def _sha256(path: Path) -> str:

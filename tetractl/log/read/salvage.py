@@ -7,10 +7,9 @@ match, the file is also searched for further records.
 A file may be malicious: the bytes unpacked, copied and kept are subtracted from a budget.
 """
 
+import re
 import struct
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
 
@@ -19,10 +18,8 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
-    AttachmentIndex,
     Channel,
     Chunk,
-    ChunkIndex,
     DataEnd,
     Footer,
     Schema,
@@ -30,7 +27,7 @@ from mcap.records import (
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, SUMMARY, Entry
+from tetractl.log.format.channels import CHANNELS, Entry
 from tetractl.log.read import limits
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog, read_file
@@ -40,7 +37,9 @@ MAGIC = b"\x89MCAP0\r\n"
 _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
 _DATA_END_BODY = 4
-_KIND = b"\x10\0\0\0application/"
+_COMPRESSION = re.compile(b"\x04\0\0\0zstd")
+"""Bytes in each chunk of tetractl: the length of its compression's name, and the name."""
+_KIND = re.compile(b"\x10\0\0\0application/")
 """Bytes with which the media type of each attachment of tetractl begins: its length and first
 word.
 """
@@ -59,25 +58,8 @@ def scan(path: Path) -> RawLog:
 
     Raises LogError if it is not an MCAP file, or needs more memory than `limits` allows.
     """
-    with _named(path):
-        return _Scan(path).contents()
-
-
-def peek(path: Path) -> RawLog | None:
-    """Return only attachments and the chunks with the messages of the run and its result, found by
-    the file's index; None for a damaged file.
-
-    Two checksums are tested, which together cover the whole file: of the data section and of the
-    index.
-    """
-    with _named(path):
-        return _Scan(path).indexed()
-
-
-@contextmanager
-def _named(path: Path) -> Iterator[None]:
     try:
-        yield
+        return _Scan(path).contents()
     except TooMuchError as error:
         raise LogError(f"{path}: {error}") from None
 
@@ -96,8 +78,6 @@ class _Scan:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._read = 0  # number of bytes decoded
-        self._indexed: list[tuple[int, int]] = []  # offsets and opcodes in the index
-        self._summary = 0  # offset of the index
         self._expected: int | None = None  # number of messages stated in the index
 
     def contents(self) -> RawLog:
@@ -114,30 +94,9 @@ class _Scan:
         self._collect()
         return self._result
 
-    def indexed(self) -> RawLog | None:
-        """Read what `peek` returns; None for a damaged file."""
-        self._read_index(channels=False)
-        if self._problems or not self._sealed():
-            return None
-        if any(self._verify(offset, opcode) for offset, opcode in self._indexed):
-            return None
-        self._collect()
-        return self._result
-
-    def _sealed(self) -> bool:
-        """Return whether the data section has a checksum, and the checksum matches."""
-        offset = self._summary - _HEAD - _DATA_END_BODY
-        head = bytes([Opcode.DATA_END]) + _DATA_END_BODY.to_bytes(8, "little")
-        if offset < len(MAGIC) or self._data[offset : offset + _HEAD] != head:
-            return False
-        stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc
-        return stated != 0 and stated == self._crc(0, offset)
-
-    def _read_index(self, channels: bool = True) -> None:
-        """Read the index at the end of the file: the number of messages, and the records' offsets.
-
-        With `channels`, it also reads the channels and schemas that messages need, which takes most
-        of the time.
+    def _read_index(self) -> None:
+        """Read the index at the end of the file: the number of messages, and the channels and
+        schemas that messages need.
         """
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")
@@ -150,25 +109,17 @@ class _Scan:
         if offset > body or self._crc(offset, body + _FOOTER_BODY - 4) != footer.summary_crc:
             self._problems.append("the index at the end of the file is damaged")
             return
-        self._summary = offset
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
             self._spend(limits.RECORD_COST, "very many records in the file's index")
-            if opcode == Opcode.CHANNEL and channels:
+            if opcode == Opcode.CHANNEL:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._channels[channel.id] = channel  # the chunk with this record may be lost
-            elif opcode == Opcode.SCHEMA and channels:
+            elif opcode == Opcode.SCHEMA:
                 schema = Schema.read(self._stream(offset + _HEAD))
                 self._schemas[schema.id] = schema
             elif opcode == Opcode.STATISTICS:
                 self._expected = Statistics.read(self._stream(offset + _HEAD)).message_count
-            elif opcode == Opcode.CHUNK_INDEX and not channels:
-                chunk = ChunkIndex.read(self._stream(offset + _HEAD))
-                if SUMMARY & {_TOPICS.get(number) for number in chunk.message_index_offsets}:
-                    self._indexed.append((chunk.chunk_start_offset, Opcode.CHUNK))
-            elif opcode == Opcode.ATTACHMENT_INDEX:
-                index = AttachmentIndex.read(self._stream(offset + _HEAD))
-                self._indexed.append((index.offset, Opcode.ATTACHMENT))
             offset = end
 
     def _walk(self) -> None:
@@ -193,25 +144,17 @@ class _Scan:
         """Find further records anywhere in the file, by bytes that records of their kind
         contain.
         """
-        for offset, opcode in self._traces():
-            if offset >= 0 and offset not in self._found:  # else bytes that look like a record
-                self._verify(offset, opcode)
-
-    def _traces(self) -> Iterator[tuple[int, int]]:
-        """Yield each offset at which a record may begin, and its opcode."""
-        for at in self._all(b"\x04\0\0\0zstd"):
-            yield at - 28 - _HEAD, Opcode.CHUNK
-        for at in self._all(_KIND):
+        for found in re.finditer(_COMPRESSION, self._data):
+            self._try(found.start() - 28 - _HEAD, Opcode.CHUNK)
+        for found in re.finditer(_KIND, self._data):
             for length in range(1, _NAME_MAX):
-                name = at - length - 4
+                name = found.start() - length - 4
                 if self._data[name : name + 4] == length.to_bytes(4, "little"):
-                    yield name - 16 - _HEAD, Opcode.ATTACHMENT
+                    self._try(name - 16 - _HEAD, Opcode.ATTACHMENT)
 
-    def _all(self, trace: bytes) -> Iterator[int]:
-        at = self._data.find(trace)
-        while at >= 0:
-            yield at
-            at = self._data.find(trace, at + 1)
+    def _try(self, offset: int, opcode: int) -> None:
+        if offset >= 0 and offset not in self._found:  # else bytes that look like a record
+            self._verify(offset, opcode)
 
     def _verify(self, offset: int, opcode: int) -> str:
         """Decode and keep the record at an offset; return the reason if that fails, else ""."""

@@ -21,8 +21,8 @@ from tetractl.core.setup import Bounds, Setup
 from tetractl.core.table.table import lengths
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.dish_pictures import DishPictures
+from tetractl.replay.open_loop import Apart
 from tetractl.replay.player import first_seen, tracked
-from tetractl.replay.redrive import Apart
 from tetractl.view import style
 from tetractl.view.figures.axes import (
     NUMBERED,

@@ -14,7 +14,6 @@ from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
 MEASURED = {"outside": (-2.694, 264.5), "in an obstacle": (250.0, 410.0)}
@@ -28,7 +27,7 @@ def log(request, tmp_path_factory):
     spec = given.model_copy(update={"robots": (moved, *given.robots[1:])})
     vars(spec).pop("setup", None)  # that of the robots where the spec places them
     folder = tmp_path_factory.mktemp("measured")
-    run_trial(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1, (), Interrupt())
+    run_trial(LoadedSpec(spec, SIM, "measured.yaml"), folder, 1)
     return log_path(folder, 1)
 
 

@@ -20,7 +20,6 @@ from tetractl.log.format.channels import CHANNELS, DIGESTS, Entry
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
 SIM = """
@@ -55,7 +54,7 @@ class Tampering:
 
 def sim_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     """Run one small disturbed simulation; return its log."""
-    run_trial(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1, (), Interrupt())
+    run_trial(parse_spec(SIM, "tampered.yaml", list(sets)), folder, 1)
     return log_path(folder, 1)
 
 
@@ -67,7 +66,7 @@ def lab_log(folder: Path, sets: Sequence[str] = ()) -> Path:
     short = ("controller.steps_max=8", "controller.horizon_max=8", "controller.deadline=60")
     loaded, lossy = load_spec(LAB, [*short, *sets]), "emulation: {actuator: {loss: 0.3}}"
     with virtual_lab(None, spec=loaded, script=lossy) as lab:
-        run_trial(lab.spec, folder, 0, (), Interrupt())
+        run_trial(lab.spec, folder)
     return log_path(folder, 0)
 
 

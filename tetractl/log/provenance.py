@@ -36,9 +36,6 @@ TRIAL_CODE = ("core", "experiment", "model", "control", "plant", "run", "log/for
 """The parts of tetractl that determine the content of a simulated trial's log."""
 
 HERE = Path(__file__).parents[1]
-DIFF_LIMIT = 50_000  # largest number of characters of the local changes
-UNTRACKED_LIMIT = 200  # largest number of untracked files listed
-_GIT_TIMEOUT_S = 5.0
 
 
 def now() -> str:
@@ -151,10 +148,11 @@ def environment() -> str:
     if versions().get("git_dirty") == "true":
         diff = _git("diff", "HEAD") or ""
         untracked = _git("ls-files", "--others", "--exclude-standard", ":/") or ""
-        found["git_diff"] = diff[:DIFF_LIMIT]
+        found["git_diff"] = diff[:50_000]  # largest number of characters of the local changes
         found["git_diff_characters"] = len(diff)
         found["git_diff_sha256"] = hashlib.sha256(diff.encode()).hexdigest()
-        found["git_untracked"] = untracked.splitlines()[:UNTRACKED_LIMIT]
+        # largest number of untracked files listed
+        found["git_untracked"] = untracked.splitlines()[:200]
     return json.dumps(found, indent=1) + "\n"
 
 
@@ -175,7 +173,7 @@ def _git(*arguments: str) -> str | None:
             capture_output=True,
             text=True,
             errors="replace",
-            timeout=_GIT_TIMEOUT_S,
+            timeout=5.0,
             check=True,
         )
     except (OSError, subprocess.SubprocessError):

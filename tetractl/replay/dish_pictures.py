@@ -9,9 +9,7 @@ from PIL import Image
 from tetractl.core.poses import Floats, Grey
 from tetractl.log.read.trial_log import TrialLog
 
-SIDE_MAX = 8192  # longest side of a picture [px]
 SHOWN_SIDE = 720  # longer side of a picture as shown [px]
-SHOWN_QUALITY = 60  # JPEG quality, 1 to 100
 PICTURES_MAX = 120  # largest number of pictures per trial in a report
 
 
@@ -49,7 +47,7 @@ class DishPictures:
     def jpeg(self, which: int) -> bytes:
         """Return a picture as a JPEG file."""
         file = io.BytesIO()
-        self._pictures[which].save(file, "JPEG", quality=SHOWN_QUALITY)
+        self._pictures[which].save(file, "JPEG", quality=60)  # JPEG quality, 1 to 100
         return file.getvalue()
 
 
@@ -60,7 +58,7 @@ def _small(data: bytes) -> tuple[Image.Image, tuple[int, int]] | None:
     try:
         picture = Image.open(io.BytesIO(data), formats=["JPEG"])
         size = picture.size
-        if max(size) > SIDE_MAX:
+        if max(size) > 8192:  # longest side of a picture [px]
             return None
         picture.draft("L", (SHOWN_SIDE, SHOWN_SIDE))
         grey = picture.convert("L")

@@ -33,7 +33,6 @@ from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.difference import Difference
 
 DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
-STOP_SENT_S = 1.0  # longest time until a stop is sent on a busy host
 STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last
 LAST_FRAMES = 120  # a lab trial's final poses must be those of one of this many last frames
 SLACK = 2.0  # frames after the guard's last check may exceed the guard's limits by this factor
@@ -144,7 +143,8 @@ def _lasted(log: TrialLog, result: Result, stop: Command) -> Iterator[Difference
     first = min((command.sent_ns for command in log.commands), default=stop.sent_ns)
     opened = int(log.received_ns[0]) if len(log.received_ns) else 0
     least, most = seconds(stop.sent_ns - first), seconds(stop.sent_ns - min(opened, first))
-    if not least - 1e-6 <= result.duration_s <= most + STOP_SENT_S:
+    # longest time until a stop is sent on a busy host
+    if not least - 1e-6 <= result.duration_s <= most + 1.0:
         text = f"states {result.duration_s} s, but the commands give {least} to {most} s"
         yield Difference(None, "result.duration_s", text)
 

@@ -29,8 +29,6 @@ from tetractl.replay.identification.tracks import require_field, stopped_ns
 from tetractl.replay.recompute import first_steps, plan_again
 from tetractl.run.task import trial_seeds
 
-EARLY = 0.25  # a stop may precede the end of a control period by this fraction of the period
-
 
 def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     """Return the direction (C,) [rad] of each control period of a log, and a remainder [s].
@@ -51,7 +49,8 @@ def recorded_directions(log: TrialLog) -> tuple[Floats, float]:
     end = stopped_ns(log)
     end = sent[-1].sent_ns + period if end is None else end
     times = np.array([one.sent_ns - began for one in sent])
-    count = max(1, (end - began + round(EARLY * period)) // period)
+    # a stop may precede the end of a control period by this fraction of the period
+    count = max(1, (end - began + round(0.25 * period)) // period)
     at = np.arange(count) * period + period // 2
     index = np.searchsorted(times, at, side="right") - 1
     directions = np.array([sent[i].direction for i in index], dtype=np.float64)

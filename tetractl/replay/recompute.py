@@ -49,7 +49,6 @@ ROUNDING = 1e-12
 much larger coordinates."""
 
 GOES_ON = "goes on"
-_LONG_AGO = 2**62
 
 
 class NoSearchError(Exception):
@@ -103,7 +102,7 @@ class Rerun:
         """Return the time [ns] for the controller's deadline: 0 while logged searches are left,
         then a time after every deadline.
         """
-        return 0 if self._left else _LONG_AGO
+        return 0 if self._left else 1 << 62
 
     def search(self, asked: Asked) -> Search:
         """Run the next logged search again, or return it; TooLongError beyond the limits."""

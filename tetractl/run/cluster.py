@@ -17,12 +17,8 @@ from tetractl.run.executors import Ended, Ready
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import Finished, Task, log_path, run_task
 
-CONNECT_S = 10.0
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
-LOOK_S = 0.1  # interval between two checks for an interruption [s]
 COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]
-AHEAD = 2  # Dask tasks submitted for each thread of a worker, so that no thread waits for a task
-FEWEST = 8  # least number of Dask tasks submitted at a time, even if there is no worker
 CHUNK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
 MOST = 200  # largest number of trials in a Dask task, whose logs are returned together
 
@@ -60,7 +56,7 @@ class Cluster:
                 )
             self._client: Client = Client(
                 self._address,
-                timeout=CONNECT_S,
+                timeout=10.0,
                 set_as_default=False,
                 name="tetractl-study",
                 security=security,
@@ -95,7 +91,8 @@ class Cluster:
         ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         wall_s, count = 0.0, 0
         while not (self._ended or self._interrupt.requested):
-            window = max(AHEAD * self.workers, FEWEST)
+            # two Dask tasks for each thread, so that none waits, and some without a worker
+            window = max(2 * self.workers, 8)
             while (waiting or alone) and len(running) < window:
                 size = chunk_size(wall_s / count if count else None, len(waiting), window)
                 source, size = (alone, 1) if alone else (waiting, size)
@@ -106,7 +103,8 @@ class Cluster:
             if not running:
                 return
             try:
-                future = ended.get(timeout=LOOK_S)
+                # interval between two checks for an interruption [s]
+                future = ended.get(timeout=0.1)
             except queue.Empty:
                 if not self._connected:
                     raise self._gone() from None

@@ -20,8 +20,6 @@ from tetractl.core.protocols import LabSupervision, Observer
 from tetractl.run.interrupt import SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
-SIGNAL_AGAIN_S = 1.0
-ORPHAN_S = 5.0  # time for a worker to close its log after its parent process has ended [s]
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 
 Ended = tuple[Task, Finished | Exception]
@@ -157,7 +155,7 @@ class Processes:
                 if process.pid:
                     os.kill(process.pid, signal.SIGTERM)
             # sent repeatedly, because an exception raised in a finaliser is lost
-            self._again = time.monotonic() + SIGNAL_AGAIN_S
+            self._again = time.monotonic() + 1.0
 
 
 def _submitted(pool: ProcessPoolExecutor, task: Task, folder: Path) -> "Future[Finished]":
@@ -225,5 +223,5 @@ def _end_with_parent() -> None:
     assert parent is not None
     parent.join()
     os.kill(os.getpid(), signal.SIGTERM)
-    time.sleep(ORPHAN_S)
+    time.sleep(5.0)  # time for a worker to close its log after its parent process has ended [s]
     os._exit(1)

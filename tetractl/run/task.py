@@ -32,9 +32,6 @@ from tetractl.log.write.writer import LogWriter
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
-RELAY_SIZE = 2000  # largest number of queued calls: over two minutes of a trial
-RELAY_PATIENCE_S = 30.0  # time for the last calls after the robots were stopped [s]
-
 
 class Relay:
     """Queues every call for `observer`, in order, until the relay is closed.
@@ -47,9 +44,9 @@ class Relay:
         self._observer = observer
         self._worker = Worker(
             "observer",
-            size=RELAY_SIZE,
+            size=2000,  # largest number of queued calls: over two minutes of a trial
             wait_s=0.0,
-            patience_s=RELAY_PATIENCE_S,
+            patience_s=30.0,  # time for the last calls after the robots were stopped [s]
             too_slow=TetractlError("an observer is too slow for the trial"),
         )
 
@@ -210,13 +207,13 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
 def run_trial(
     spec: LoadedSpec,
     folder: Path,
-    trial: int,
-    observers: Sequence[Observer],
-    interrupt: Interrupt,
+    trial: int = 0,
+    observers: Sequence[Observer] = (),
+    interrupt: Interrupt | None = None,
 ) -> Result:
     """Run one trial and write its log."""
     with _log(spec, folder, trial) as log:
-        return run_with([log], spec, trial, observers, interrupt)
+        return run_with([log], spec, trial, observers, interrupt or Interrupt())
 
 
 def _log(spec: LoadedSpec, folder: Path, trial: int) -> LogWriter:

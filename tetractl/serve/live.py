@@ -41,7 +41,6 @@ BACKLOG = 2048
 """Length of a viewer's queue [messages]: three seconds of a trial with a camera of 120 Hz."""
 CLOSE_S = 0.5
 """Time for the viewers to receive their last messages and to end their connections [s]."""
-REQUEST_BYTES = 1 << 16
 
 _QUIET = logging.getLogger(__name__)
 _QUIET.addHandler(logging.NullHandler())  # otherwise errors of viewers are printed to stderr
@@ -182,7 +181,7 @@ def _upgraded(connection: socket.socket, request: bytes) -> Connection | None:
     """Answer a request for a WebSocket; return the WebSocket, None if the request is refused."""
     protocol = ServerProtocol(
         subprotocols=[Subprotocol(foxglove_protocol.PROTOCOL)],
-        max_size=REQUEST_BYTES,
+        max_size=1 << 16,
         logger=_QUIET,
     )
     protocol.receive_data(request)
@@ -243,9 +242,6 @@ class _Client:
             self._link.close()
 
 
-FRAME_NS = SECOND // 60
-
-
 class ServedReplay:
     """Sends the messages of a log to `viewers` as the time of `player` passes them.
 
@@ -294,7 +290,7 @@ class ServedReplay:
         """Follow the player until it quits."""
         while self.player.state is not Playback.QUIT:
             self.follow()
-            wall.sleep_until(wall.now() + FRAME_NS)
+            wall.sleep_until(wall.now() + SECOND // 60)
 
     def _asked(self, request: Request) -> PlaybackState:
         self._requests.put(request)

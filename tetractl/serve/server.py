@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from tetractl.serve.live import Viewers
 
 ADDRESS = "127.0.0.1"
-TOKEN_BYTES = 12  # 96 random bits; a link fits next to the arena on a terminal of 80 columns
 FOXGLOVE = "https://app.foxglove.dev"
 """Address of Foxglove in the browser."""
 _ANY_PAGE: dict[str, object] = {
@@ -56,7 +55,8 @@ class LoopbackServer:
         live: "Viewers | None" = None,
         viewer: str = "",
     ) -> None:
-        self.token = secrets.token_urlsafe(TOKEN_BYTES)
+        # 96 random bits; a link fits next to the arena on a terminal of 80 columns
+        self.token = secrets.token_urlsafe(12)
         self.page, self.layout, self.logs = page, layout, dict(logs or {})
         self.live, self.viewer = live, viewer
         try:

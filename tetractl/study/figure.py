@@ -18,11 +18,6 @@ from tetractl.study.load_study import LoadedStudy, as_yaml, shown
 from tetractl.study.row_store import Store
 from tetractl.view import style
 
-DECADES = 1.5  # least span of positive values for a logarithmic axis [decades]
-TICKS = 8  # largest number of values for which each value has a tick
-ASIDE_IN = 0.06  # horizontal distance between two controllers at the same value [inches]
-LABEL = 24  # largest length of a value's text [characters]
-CHARACTER_IN = 0.05  # width of a character of an arm's name [inches]
 ARMS = "arms"  # in place of a field: the figure by arm
 
 
@@ -61,7 +56,8 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
         return None
     with style.styled():
         longest = max(len(str(group.value)) for group in every) if by_arm else 0
-        figure = style.figure(style.PAGE_IN, 2.8 + CHARACTER_IN * longest)
+        # width of a character of an arm's name [inches]
+        figure = style.figure(style.PAGE_IN, 2.8 + 0.05 * longest)
         axes = figure.subplots()
         places = _places(axes, every)
         for number, (name, found) in enumerate(curves.items()):
@@ -69,7 +65,8 @@ def error_figure(loaded: LoadedStudy, store: Store, field: str) -> Figure | None
             joined = numeric(every) and _alike(found, len(loaded.paths))
             look = {"color": PALETTE[number % len(PALETTE)], "clip_on": False}
             # shifted sideways, so that no curve hides another
-            aside_in = 0 if by_arm else ASIDE_IN * (number - (len(curves) - 1) / 2)
+            # horizontal distance between two controllers at the same value [inches]
+            aside_in = 0 if by_arm else 0.06 * (number - (len(curves) - 1) / 2)
             look["transform"] = axes.transData + ScaledTranslation(
                 aside_in, 0, figure.dpi_scale_trans
             )
@@ -92,13 +89,15 @@ def _places(axes: Axes, found: Sequence[FieldValue]) -> dict[str, float]:
     """Return the position of each value on the x axis, and label the axis."""
     if not numeric(found):
         labels = {as_yaml(group.value): shown(group.value) for group in found}
-        axes.set_xticks(range(len(labels)), [label[:LABEL] for label in labels.values()])
+        # largest length of a value's text [characters]
+        axes.set_xticks(range(len(labels)), [label[:24] for label in labels.values()])
         axes.set_xlim(-0.5, len(labels) - 0.5)
         return {value: float(place) for place, value in enumerate(labels)}
     values = sorted({float(group.value) for group in found})
-    if min(values) > 0 and max(values) / min(values) >= 10**DECADES:
+    # least span of positive values for a logarithmic axis [decades]
+    if min(values) > 0 and max(values) / min(values) >= 10**1.5:
         axes.set_xscale("log")
-    if len(values) <= TICKS:
+    if len(values) <= 8:  # largest number of values for which each value has a tick
         axes.set_xticks(values, [shown(value) for value in values])
     return {as_yaml(group.value): float(group.value) for group in found}
 

@@ -29,9 +29,6 @@ from tetractl.run.task import code_of
 from tetractl.run.trial_limits import check
 from tetractl.study.sweep import FieldPath, Setting, Sweep
 
-DIGITS = 6  # significant digits of a number in a name or a figure
-NAME_LENGTH = 100  # largest length of a folder's name, far below the limit of file systems
-
 
 @dataclass(frozen=True, slots=True)
 class Arm:
@@ -59,14 +56,15 @@ def arm_name(controller: str, values: Mapping[str, Any]) -> str:
     paths = ends if len(set(ends)) == len(ends) else list(values)
     words = [controller] * bool(controller)
     words += [f"{path}={shown(value)}" for path, value in zip(paths, values.values(), strict=True)]
-    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:NAME_LENGTH]
+    # largest length of a folder's name, far below the limit of file systems
+    name = re.sub(r"[^A-Za-z0-9._=+-]+", "_", "-".join(words))[:100]
     return name.lstrip(".-") or "base"
 
 
 def shown(value: Any) -> str:
     """Return a value as text: numbers with six digits, a list of mappings as its length."""
     if isinstance(value, float):
-        return f"{value:.{DIGITS}g}"
+        return f"{value:.6g}"  # significant digits of a number in a name or a figure
     if isinstance(value, list | tuple) and value and isinstance(value[0], dict):
         return f"{len(value)}"  # the length of a list such as `robots`
     return value if isinstance(value, str) else as_yaml(value)

@@ -19,7 +19,7 @@ from tetractl.log.provenance import host, processor
 from tetractl.log.read.reader import content_digest, read_result
 from tetractl.log.read.rows import Row
 from tetractl.replay.difference import first_difference
-from tetractl.run.interrupt import Interrupt, interrupted_once
+from tetractl.run.interrupt import interrupted_once
 from tetractl.run.store import set_aside
 from tetractl.run.task import Task, log_path, run_trial
 from tetractl.study.load_study import Arm, LoadedStudy, spec_of
@@ -127,7 +127,7 @@ def repeat(loaded: LoadedStudy, store: Store, which: str) -> str:
         )
     folder = store.place(arm.name, row.trial)
     with interrupted_once():
-        result = run_trial(spec_of(arm, row.count), folder, row.trial, (), Interrupt())
+        result = run_trial(spec_of(arm, row.count), folder, row.trial)
     digest = content_digest(path)
     if digest != row.content_digest:
         text = _difference(path, row)

@@ -19,7 +19,6 @@ from tetractl.replay.player import Recording
 from tetractl.replay.verify import verify
 from tetractl.report.trial_data import trial_data
 from tetractl.results.trial_tables import steps
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 from tetractl.view.figures.draw import draw
 from tetractl.view.terminal.replay_screen import step_line
@@ -36,7 +35,7 @@ def path(request, tmp_path_factory):
         "plant": request.param,
         "wheels": {"radius": 40},
     }
-    run_trial(parse_spec(json.dumps(data), "s.yaml"), folder, 0, (), Interrupt())
+    run_trial(parse_spec(json.dumps(data), "s.yaml"), folder)
     return log_path(folder, 0)
 
 
@@ -87,7 +86,7 @@ def test_a_controller_that_switches_the_field_is_no_what_if(tmp_path):
     data = THREE_M3PI | {
         "controller": {"type": "sequence", "directions": [0.1, 0.2], "period": 0.2}
     }
-    run_trial(parse_spec(json.dumps(data), "s.yaml"), tmp_path, 0, (), Interrupt())
+    run_trial(parse_spec(json.dumps(data), "s.yaml"), tmp_path)
     log = read_trial(log_path(tmp_path, 0))
     with pytest.raises(UsageError, match="ensemble switches the field off"):
         what_if(log, other_experiment(log, ["controller={type: ensemble, period: 0.2}"]))

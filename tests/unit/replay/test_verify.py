@@ -82,7 +82,7 @@ SETTINGS = {
 
 def run(folder, sets, trial=1, interrupt=None):
     spec = parse_spec(SPEC, "quick.yaml", sets)
-    run_trial(spec, folder, trial, (), interrupt or Interrupt())
+    run_trial(spec, folder, trial, interrupt=interrupt)
     return log_path(folder, trial)
 
 
@@ -228,9 +228,8 @@ import sys
 from pathlib import Path
 from tetractl.experiment.load import parse_spec
 from tetractl.run.task import run_trial
-from tetractl.run.interrupt import Interrupt
 
-run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1, (), Interrupt())
+run_trial(parse_spec(sys.argv[1], "quick.yaml"), Path(sys.argv[2]), 1)
 """
 
 

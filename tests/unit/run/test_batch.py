@@ -118,7 +118,7 @@ def test_an_interruption_ends_the_run(monkeypatch, tmp_path, outcomes, interrupt
 
 
 def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
-    result = run_trial(SPEC, tmp_path, 2, (), Interrupt())
+    result = run_trial(SPEC, tmp_path, 2)
     assert [path.name for path in tmp_path.iterdir()] == ["trial-002.mcap"]
     log = read_trial(log_path(tmp_path, 2))
     assert log.result == replace(result, verdict=log.result.verdict)
@@ -164,7 +164,7 @@ def test_a_clock_before_1970_is_refused_before_anything_is_opened(monkeypatch, t
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab")
     monkeypatch.setattr(task.time, "time_ns", lambda: -1)
     with pytest.raises(TetractlError, match="this computer's clock is before 1970"):
-        run_trial(lab, tmp_path, 0, (), Interrupt())
+        run_trial(lab, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 

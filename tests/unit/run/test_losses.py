@@ -14,7 +14,6 @@ from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
 from tetractl.results.describe import _notes
 from tetractl.results.outcomes import LOST
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
 REST = """
@@ -62,7 +61,7 @@ def test_a_robot_is_lost_after_a_while_for_good_or_until_another_is_there(
 @pytest.mark.parametrize(("robots", "on_lost"), [(LISTED, "drop"), (CHOSEN, "replace")])
 def test_a_trial_goes_on_counts_who_was_lost_and_can_be_verified(robots, on_lost, tmp_path):
     spec = parse_spec(REST + robots + f"on_lost: {on_lost}\n", "three.yaml")
-    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    result = run_trial(spec, tmp_path)
     path = log_path(tmp_path, 0)
     log = read_trial(path)
     assert sum(result.lost) > 0

@@ -11,7 +11,6 @@ from support.durable import ENDLESS
 
 from tetractl.experiment.load import parse_spec
 from tetractl.log.read.reader import read_trial
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
 
 HANDLES = Path("/proc/self/fd")
@@ -23,10 +22,10 @@ def test_no_trial_leaves_a_thread_or_a_handle_behind(tmp_path):
     if not HANDLES.exists():
         pytest.skip("no /proc here")
     spec = parse_spec(ENDLESS, "short.yaml", SHORT)
-    run_trial(spec, tmp_path, 0, (), Interrupt())
+    run_trial(spec, tmp_path)
     before = len(list(HANDLES.iterdir())), threading.active_count()
     for i in range(1, 40):
-        run_trial(spec, tmp_path, i, (), Interrupt())
+        run_trial(spec, tmp_path, i)
         log = read_trial(log_path(tmp_path, i))
         assert log.damage is None
         assert log.frames.tolist() == list(range(len(log.frames)))

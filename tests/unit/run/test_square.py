@@ -12,7 +12,6 @@ from tetractl.core.commands import Steer
 from tetractl.core.errors import SpecError
 from tetractl.experiment.load import load_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import run_trial
 from tetractl.run.trial_limits import check, directions, limits
 
@@ -101,6 +100,6 @@ def test_the_gap_of_the_square_is_not_believed_to_be_motion(tmp_path):
     square = ("first_plan.type=square", "first_plan.side=1.5", "estimate=true")
     sets = [f"controller.{one}" for one in square]
     spec = load_spec(ROOT / "experiments" / "three_m3pi.yaml", sets)
-    result = run_trial(spec, tmp_path, 0, (), Interrupt())
+    result = run_trial(spec, tmp_path)
     assert result.total_error < 1
     assert not result.entered_obstacle

@@ -63,7 +63,7 @@ def test_a_row_is_that_of_the_trial_run_by_itself(tmp_path):
     arm = ran.loaded.arms[3]
     sets = [*arm.sets, "trials.count=5", "trials.seed=7"]
     alone = parse_spec((tmp_path / "spec.yaml").read_text(), "spec.yaml", sets)
-    run_trial(alone, tmp_path, 2, (), Interrupt())
+    run_trial(alone, tmp_path, 2)
     found = read_result(log_path(tmp_path, 2))
     row = ran.rows[arm.name, 2]
     assert row.content_digest == logged(log_path(tmp_path, 2))

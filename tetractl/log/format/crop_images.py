@@ -19,7 +19,6 @@ from tetractl.log.format import channels
 from tetractl.log.format.scene import stamp
 from tetractl.log.format.tetractl_pb2 import CellCrops
 
-QUALITY = 80  # JPEG quality of whole pictures
 LENS = "microscope"
 """Name of the images' coordinate frame."""
 
@@ -87,5 +86,6 @@ def decode_crops(cells: CellCrops, crops: RawImage, sampled_ns: int) -> CellFilm
 def _jpeg(picture: Grey) -> bytes:
     import cv2  # imported here: logs without films do not need OpenCV
 
-    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    # JPEG quality of whole pictures
+    done, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, 80])
     return data.tobytes() if done else b""

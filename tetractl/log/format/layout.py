@@ -19,14 +19,13 @@ ASPECT = 1.1
 """Least ratio of the 3D panel's width to its height."""
 MARGIN = 1.08
 ERROR = "/studio_script/error"
-MOST_CURVES = 20
 
 _FILES = files("tetractl.log.format")
 
 
 def layout(setup: Setup) -> str:
     """Return the layout for an experiment: the arena from above, and plots of four quantities."""
-    robots = range(min(len(setup.names), MOST_CURVES))
+    robots = range(min(len(setup.names), 20))
     curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
     step, timing, estimate = channels.STEP, channels.HOST_TIMING, channels.ESTIMATE
     parts = json.loads((_FILES / "layout.json").read_text())

@@ -28,7 +28,6 @@ from tetractl.log.read.validate import stated_result
 
 # flags that some systems lack
 _NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
-_END = 4096  # number of zeros kept at the end of a file, since the last record may end with zeros
 
 
 @dataclass
@@ -211,5 +210,6 @@ def read_file(path: Path) -> tuple[bytes, int, str | None]:
     problem = None
     if size > len(data) == limit:
         problem = f"only the first {limit} of {size} bytes are read; {FACTOR}=2 reads twice that"
-    used = len(data.rstrip(b"\0")) + _END
+    # number of zeros kept at the end of a file, since the last record may end with zeros
+    used = len(data.rstrip(b"\0")) + 4096
     return data[:used] if used < len(data) else data, size, problem

@@ -36,7 +36,6 @@ MAGIC = b"\x89MCAP0\r\n"
 
 _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
-_DATA_END_BODY = 4
 _COMPRESSION = re.compile(b"\x04\0\0\0zstd")
 """Bytes in each chunk of tetractl: the length of its compression's name, and the name."""
 _KIND = re.compile(b"\x10\0\0\0application/")

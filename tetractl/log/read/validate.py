@@ -23,13 +23,11 @@ LENGTH_MAX = 1e9
 """Limit of coordinates, distances and speeds [length unit]: a thousand kilometres in mm."""
 ANGLE_MAX = 1e9
 """Limit of headings and directions, which are not wrapped [rad]."""
-COST_MAX = 1e100
 TIME_MAX_NS = 10**18
 """Limit of times since the trial began [ns]: thirty years."""
 COUNT_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
-RATE_MAX_HZ = 1e6
 
 
 def check_run(run: pb.Run, robots: int) -> None:
@@ -37,7 +35,7 @@ def check_run(run: pb.Run, robots: int) -> None:
     if len(run.robots) != robots:
         raise ValueError(f"the run has {len(run.robots)} robots and its spec {robots}")
     check_counts("trial", [abs(run.trial)])
-    _within("camera_rate_hz", [run.camera_rate_hz], RATE_MAX_HZ, 0)
+    _within("camera_rate_hz", [run.camera_rate_hz], 1e6, 0)
     if not 0 <= run.start_unix_ns <= UNIX_MAX_NS:
         raise ValueError(f"the start of the trial, {run.start_unix_ns} ns, is out of range")
 
@@ -92,7 +90,7 @@ def check_step(step: Step) -> None:
     _within("a signal", np.concatenate([one.signals for one in parts]), ANGLE_MAX)
     costs = [plan.target_cost, plan.obstacle_cost, *(one.cost for one in parts)]
     histories = (search.history for search in plan.searches)
-    _within("a cost", np.concatenate([costs, *histories]), COST_MAX)
+    _within("a cost", np.concatenate([costs, *histories]), 1e100)
     check_counts("evaluations", (search.evaluations for search in plan.searches))
     for one in fields(plan.estimate) if plan.estimate else ():
         if (value := getattr(plan.estimate, one.name)) is not None:

@@ -13,7 +13,6 @@ from tetractl.log.write.sink import Sink
 
 QUEUE_MAX = 1000  # length of the queue for the disk: over a minute of a trial in the lab
 PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
-BATCH_S = 0.5  # time for which calls are collected in a simulation [s]
 
 
 class LogWriter:
@@ -58,7 +57,8 @@ class LogWriter:
                 f"the log so far is in {self._path}.part",
             ),
             idle=self._sink.flush_if_due,
-            batch_s=0.0 if self._real_time else BATCH_S,
+            # time for which calls are collected in a simulation [s]
+            batch_s=0.0 if self._real_time else 0.5,
         )
         self._put(Encoder.on_start, start)
         self._worker.put(self._sink.sync)

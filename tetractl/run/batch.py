@@ -52,19 +52,20 @@ class TimeLeft:
 
     def count(self, arm: str, wall_s: float | None) -> None:
         """Add a trial that has ended after `wall_s` [s], None if its time is unknown."""
-        spent_s, n = self._spent.get(arm, (0.0, 0))
-        if n:
-            self._known_s -= spent_s / n * self._left[arm]
-        else:
-            self._unknown -= self._left[arm]
+        self._add(arm, -1)
         self._left[arm] -= 1
         if wall_s is not None:
-            spent_s, n = spent_s + wall_s, n + 1
-            self._spent[arm] = spent_s, n
+            spent_s, n = self._spent.get(arm, (0.0, 0))
+            self._spent[arm] = spent_s + wall_s, n + 1
+        self._add(arm, 1)
+
+    def _add(self, arm: str, sign: int) -> None:
+        """Add or subtract the trials left in an arm."""
+        spent_s, n = self._spent.get(arm, (0.0, 0))
         if n:
-            self._known_s += spent_s / n * self._left[arm]
+            self._known_s += sign * spent_s / n * self._left[arm]
         else:
-            self._unknown += self._left[arm]
+            self._unknown += sign * self._left[arm]
 
     def of(self, workers: int) -> float | None:
         """Return the remaining time [s] with `workers` parallel trials; None until a trial has been

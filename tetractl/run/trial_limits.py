@@ -40,21 +40,9 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 def check(experiment: Experiment) -> None:
     """Raise SpecError if robots would leave the arena or hit an obstacle before the first plan."""
-    first = experiment.controller.first_plan
-    if isinstance(first, Square):
-        check_square(experiment, first)
-
-
-def directions(headings: Floats) -> Iterator[float]:
-    """Yield the four directions of a lap [rad] for robots with start headings (N,) [rad]."""
-    start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
-    for side in range(1, 5):
-        yield math.remainder(start + side * math.pi / 2, 2 * math.pi)
-
-
-def check_square(experiment: Experiment, square: Square) -> None:
-    """Raise SpecError if a robot would leave the arena or enter an obstacle on the square."""
-    robots = experiment.robots
+    square, robots = experiment.controller.first_plan, experiment.robots
+    if not isinstance(square, Square):
+        return
     headings = np.array([robot.heading for robot in robots])
     if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
         raise SpecError(
@@ -74,6 +62,13 @@ def check_square(experiment: Experiment, square: Square) -> None:
         if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
             raise _refusal(robots[int(hit.argmax())].name, "enter an obstacle")
         x, y, headings = path_x[-1], path_y[-1], turned[-1]
+
+
+def directions(headings: Floats) -> Iterator[float]:
+    """Yield the four directions of a lap [rad] for robots with start headings (N,) [rad]."""
+    start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
+    for side in range(1, 5):
+        yield math.remainder(start + side * math.pi / 2, 2 * math.pi)
 
 
 def _refusal(name: str, what: str) -> SpecError:

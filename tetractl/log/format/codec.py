@@ -231,22 +231,20 @@ def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
 
 
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
-    sure = (message.a, message.a_std, message.speed, message.speed_std)
-    perhaps = (message.heading_bias, message.heading_bias_std)
-    counts = {len(values) for values in (*sure, *filter(None, perhaps))}
+    names = [f"{name}{end}" for name in ("a", "speed", "heading_bias") for end in ("", "_std")]
+    arrays = {name: _floats(getattr(message, name)) for name in names}
+    counts = {len(values) for name, values in arrays.items() if len(values) or "bias" not in name}
     if counts != {robots}:
         raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
-    bias, bias_std = (_floats(values) if values else None for values in perhaps)
     if len(message.misfit) not in (0, 3 * robots):
         raise ValueError(f"an estimate has {len(message.misfit)} values of misfit")
-    return Estimate(
-        *map(_floats, sure),
-        heading_bias=bias,
-        heading_bias_std=bias_std,
-        dead_time=message.dead_time if message.HasField("dead_time") else None,
-        dead_time_std=message.dead_time_std if message.HasField("dead_time_std") else None,
-        misfit=_floats(message.misfit).reshape(-1, 3) if message.misfit else None,
-    )
+    known: dict[str, Any] = {name: values for name, values in arrays.items() if len(values)}
+    for name in ("dead_time", "dead_time_std"):
+        if message.HasField(name):
+            known[name] = getattr(message, name)
+    if message.misfit:
+        known["misfit"] = _floats(message.misfit).reshape(-1, 3)
+    return Estimate(**known)
 
 
 def _encode_search(search: Search) -> pb.Search:

@@ -14,9 +14,7 @@ ROWS = "trials.jsonl"
 RECOVERED_SUFFIX = ".recovered.mcap"
 _OTHERS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
-_SET_ASIDE = re.compile(
-    r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$|\.mcap(\.part)?\.unfinished-\d+$"
-)
+_SET_ASIDE = re.compile(r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$")
 
 
 def attempt_name(log: str, number: int) -> str:
@@ -26,7 +24,7 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file's name, of the present or an earlier form, marks a log set aside."""
+    """Return whether a file's name, marks a log set aside."""
     return _SET_ASIDE.search(name) is not None
 
 

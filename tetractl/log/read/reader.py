@@ -118,7 +118,7 @@ def result_of(contents: RawLog) -> ResultSummary:
     recovered = bool(contents.problems or contents.recovered or result is None)
     if recovered:
         trial = trial_of(contents)
-        result = trial.result or recompute(trial)
+        result = trial.result or _result_of_poses(trial)
     assert result is not None
     return ResultSummary(
         path=str(contents.path),
@@ -134,7 +134,7 @@ def result_of(contents: RawLog) -> ResultSummary:
     )
 
 
-def recompute(trial: TrialLog) -> Result:
+def _result_of_poses(trial: TrialLog) -> Result:
     """Compute a result from the poses of a log: the path of each robot ends at its last pose.
 
     The true path is used for a simulation, otherwise the measured one. Raises LogError if a robot

@@ -13,7 +13,6 @@ def folder(tmp_path):
         "a/trial-1.mcap",
         "a/trial-1.mcap.part",
         "a/trial-3.mcap.part",
-        "a/trial-4.mcap.unfinished-0",
         "a/trial-2.attempt-1.mcap",
         "a/trial-2.attempt-2.mcap.part",
         "a/notes.txt",
@@ -53,5 +52,4 @@ def test_what_was_set_aside_is_found_where_it_is_asked_for(folder):
     assert names - {log.name for log in find_logs([folder / "a"])} == {
         "trial-2.attempt-1.mcap",
         "trial-2.attempt-2.mcap.part",
-        "trial-4.mcap.unfinished-0",
     }

@@ -10,15 +10,15 @@ import random
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache, reduce
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment
 from support import commands, random_trials, studies
-from support.mutate import places, rewrite
-from support.seeds import mutant
+from support.mutate import holder_of, places, rewrite
+from support.seeds import files, mutant
 from support.targets import ROOT, TARGETS, only, scratch
 
 from tetractl.core.errors import TetractlError
@@ -137,8 +137,7 @@ def _spoilt_entry(entry: Entry, rng: random.Random) -> Entry:
     found = list(places(message))
     if not found:
         return entry
-    *way, last = rng.choice(found)
-    holder: Any = reduce(_step, way, message)
+    holder, last = holder_of(message, rng.choice(found))
     now = holder[last] if isinstance(last, int) else getattr(holder, last)
     put = rng.choice(FLOATS if isinstance(now, float) else INTEGERS)
     if isinstance(now, str):
@@ -157,10 +156,6 @@ def _spoilt_entry(entry: Entry, rng: random.Random) -> Entry:
     except (OverflowError, TypeError, ValueError):  # a number that the field cannot hold
         return entry
     return entry._replace(data=message.SerializeToString())
-
-
-def _step(holder: Any, part: str | int) -> Any:
-    return holder[part] if isinstance(part, int) else getattr(holder, part)
 
 
 def log_case(rng: random.Random) -> Case:
@@ -246,20 +241,19 @@ def _row_texts() -> str:
     return (_study() / "out" / "dead_time=0.1" / "trials.jsonl").read_text()
 
 
-def _spec(rng: random.Random) -> Case:
-    folder = _folder("specs")
-    names = sorted((ROOT / "experiments").glob("*.yaml"))
-    (folder / "spec.yaml").write_bytes(bytes_like(rng.choice(names).read_bytes(), rng))
-    return _case(folder / "spec.yaml", commands.SPECS, rng)
+def _file(place: str, like: str, names: Sequence[str]) -> Callable[[random.Random], Case]:
+    """Files at a place, like those of `experiments` that match a pattern, read by commands."""
 
+    def make(rng: random.Random) -> Case:
+        path = scratch() / place
+        if not path.parent.exists():
+            path.parent.mkdir()
+            for base in (ROOT / "experiments").glob("*.yaml"):  # of the studies
+                (scratch() / base.name).write_bytes(base.read_bytes())
+        path.write_bytes(bytes_like(rng.choice(files(like)()), rng))
+        return _case(path, names, rng)
 
-def _study_file(rng: random.Random) -> Case:
-    folder = _folder("studies")
-    names = sorted((ROOT / "experiments" / "studies").glob("*.yaml"))
-    for base in (ROOT / "experiments").glob("*.yaml"):
-        (folder.parent / base.name).write_bytes(base.read_bytes())
-    (folder / "study.yaml").write_bytes(bytes_like(rng.choice(names).read_bytes(), rng))
-    return _case(folder / "study.yaml", commands.STUDY_FILES, rng)
+    return make
 
 
 def _target(name: str) -> Callable[[random.Random], Case]:
@@ -288,7 +282,9 @@ def _identified(rng: random.Random) -> Case:
     return _case(folder / "spec.yaml", commands.SPECS[:1], rng)
 
 
-TABLES = (_identify, _field, _rows, _rows, _spec, _spec, _study_file, _target("script"),
+_SPEC = _file("specs/spec.yaml", "*.yaml", commands.SPECS)
+_STUDY = _file("studies/study.yaml", "studies/*.yaml", commands.STUDY_FILES)
+TABLES = (_identify, _field, _rows, _rows, _SPEC, _SPEC, _STUDY, _target("script"),
           _target("calibration"), _identified)  # fmt: skip
 
 

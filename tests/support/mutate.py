@@ -36,12 +36,17 @@ def places(message: Message, inside: Place = ()) -> Iterator[Place]:
                 yield at
 
 
+def holder_of(message: Message, place: Place) -> tuple[Any, str | int]:
+    """Return what holds the value at a place, and the field or index under which it does."""
+    *way, last = place
+    return reduce(_step, way, message), last
+
+
 def changed(message: Message, place: Place) -> Message:
     """Return a message with one number changed by as little as can be."""
     copy = type(message)()
     copy.CopyFrom(message)
-    *way, last = place
-    holder: Any = reduce(_step, way, copy)
+    holder, last = holder_of(copy, place)
     if isinstance(last, int):
         holder[last] = other(holder[last])
     else:

@@ -21,12 +21,8 @@ VERSIONS = [Version.of(text) for text in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 
 
-@dataclass(frozen=True, slots=True)
-class Channels:
-    """A force plate or another device: some samples of each channel."""
-
-    id: int
-    samples: tuple[tuple[float, ...], ...]
+Channels = tuple[int, tuple[tuple[float, ...], ...]]
+"""The id of a force plate or another device, and some samples of each channel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +54,9 @@ def pack_full_frame(frame, version, rest):
         return [packed_body(body, version, rest.body_markers) for body in found]
 
     def channels(device):
-        rows = [packed(f"i{len(row)}f", len(row), *row) for row in device.samples]
-        return packed("i", device.id) + listed(rows)
+        number, samples = device
+        rows = [packed(f"i{len(row)}f", len(row), *row) for row in samples]
+        return packed("i", number) + listed(rows)
 
     def labelled(marker, at):
         return packed("i3ffH", marker, *at, 0.01, 0) + (packed("f", 0.0) if layout.timed else b"")
@@ -93,7 +90,7 @@ def full_frame(version):
         skeletons=((3, (body, body)), (4, ())),
         assets=((5, (body,), (at, at)),),
         labelled_markers=((1, at), (2, at)),
-        channels=((Channels(1, ((1.0, 2.0), ())),), (Channels(2, ((3.0,),)),)),
+        channels=(((1, ((1.0, 2.0), ())),), ((2, ((3.0,),)),)),
     )
     return pack_full_frame(NatNetFrame(1234, (body, body)), version, clutter)
 

@@ -13,7 +13,7 @@ from tetractl.experiment.yaml.schema import alternatives, child, describe, homes
 
 Schema = dict[str, Any]
 
-KINDS = {
+MESSAGES = {
     "int_type": "must be a whole number",
     "int_from_float": "must be a whole number",
     "float_type": "must be a number",
@@ -27,8 +27,6 @@ KINDS = {
     "dict_type": "must be a mapping of keys to values",
     "missing": "is missing",
     "extra_forbidden": "unknown key",
-}
-LIMITS = {
     "greater_than": "must be greater than {gt}",
     "greater_than_equal": "must be at least {ge}",
     "less_than": "must be less than {lt}",
@@ -149,11 +147,9 @@ def _words(details: ErrorDetails, loc: Loc, value: Any, data: Any, schema: Schem
 def words(details: ErrorDetails, value: Any) -> str:
     """Return a plain message for pydantic's error."""
     kind, context = details["type"], details.get("ctx", {})
-    if kind in KINDS:
-        return KINDS[kind] + _quotes(kind, value)
-    if kind in LIMITS:
+    if kind in MESSAGES:
         numbers = {k: f"{v:g}" if isinstance(v, float) else v for k, v in context.items()}
-        return LIMITS[kind].format(**numbers)
+        return MESSAGES[kind].format(**numbers) + _quotes(kind, value)
     if kind == "unknown_color":
         known = context["known"]
         guess = did_you_mean(str(value), known)

@@ -6,11 +6,12 @@ from tetractl.core.registries import SPEC_REGISTRIES
 from tetractl.emulate.script import Script
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import parse_spec
-from tetractl.experiment.yaml.explain import KINDS, LIMITS
+from tetractl.experiment.yaml.explain import MESSAGES
 from tetractl.experiment.yaml.problems import InvalidSpecError
 
 ERRORS = {  # of a schema, those that data out of YAML can cause in strict mode
-    "int": {"int_type", "int_from_float", *LIMITS} - {"string_too_short", "string_too_long"},
+    "int": {"int_type", "int_from_float"}
+    | {"greater_than", "greater_than_equal", "less_than", "less_than_equal"},
     "float": {"float_type", "finite_number"},
     "bool": {"bool_type"},
     "str": {"string_type", "string_unicode", "string_too_short", "string_too_long"}
@@ -48,7 +49,7 @@ def test_every_error_that_a_spec_or_script_can_cause_has_words():
     assert len(models) > 10
     assert kinds - SILENT <= set(ERRORS)
     errors = {error for kind in kinds & set(ERRORS) for error in ERRORS[kind]}
-    assert errors <= set(KINDS) | set(LIMITS)
+    assert errors <= set(MESSAGES)
 
 
 SPEC = """

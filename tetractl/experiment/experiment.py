@@ -29,7 +29,6 @@ from tetractl.experiment.controller import ControllerSection
 from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.experiment.plant import PlantSection, Wheels
 from tetractl.experiment.registry_fields import KindSection
-from tetractl.experiment.section_abilities import LimitsLab
 from tetractl.experiment.shape_section import ShapeSection
 
 
@@ -291,7 +290,7 @@ class Experiment(Model):
     def _loss(self) -> LossRule | None:
         if self.on_lost == "stop":
             return None
-        limits = self.plant.limits if isinstance(self.plant, LimitsLab) else LabLimits()
+        limits = self.plant.limits if isinstance(self.plant, LabSection) else LabLimits()
         return LossRule(limits.untracked_abort, self.on_lost == "replace")
 
 

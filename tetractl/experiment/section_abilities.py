@@ -4,7 +4,7 @@ predictions: ask by isinstance. A section of a plug-in has an ability if it has 
 
 from typing import Protocol, runtime_checkable
 
-from tetractl.experiment.lab_section import LabLimits
+from tetractl.experiment.controller import OptimizerSection
 
 
 @runtime_checkable
@@ -28,17 +28,11 @@ class Modelled(Protocol):
     motion: str
 
 
-class Typed(Protocol):
-    """A section of a kind."""
-
-    type: str
-
-
 @runtime_checkable
 class Searches(Protocol):
     """A controller that searches plans by an optimiser."""
 
-    optimizer: Typed
+    optimizer: OptimizerSection
 
 
 @runtime_checkable
@@ -88,10 +82,3 @@ class Noisy(Protocol):
     speed_error: float
     heading_noise: float
     measurement_noise: MeasurementErrors
-
-
-@runtime_checkable
-class LimitsLab(Protocol):
-    """A plant with the limits of a lab."""
-
-    limits: LabLimits

@@ -14,13 +14,13 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.consistency import nearest
 from tetractl.experiment.experiment import Experiment
+from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, document_of
 from tetractl.experiment.section_abilities import (
     Delaying,
     Estimating,
     HoldsSignals,
     KeepsClear,
-    LimitsLab,
     Modelled,
     PlansSignals,
 )
@@ -279,9 +279,8 @@ def inside_margin(spec: CheckContext) -> Found:
 def too_close(spec: CheckContext) -> Found:
     """Warn of starts or targets nearer to each other than the lab's least separation."""
     per_mm = 1e-3 / spec.setup.metres
-    for section in ("plant", "lab"):
-        lab = spec.experiment.plant if section == "plant" else spec.experiment.lab
-        if not isinstance(lab, LimitsLab):
+    for section, lab in (("plant", spec.experiment.plant), ("lab", spec.experiment.lab)):
+        if not isinstance(lab, LabSection):
             continue
         least = lab.limits.separation_mm
         for field, i, other, gap in nearest(spec.setup):

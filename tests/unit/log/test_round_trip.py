@@ -4,31 +4,37 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.random_trials import trial, write
-from support.sameness import same
 
 from tetractl.core.commands import Command, Steer
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.write.writer import LogWriter
+from tetractl.replay.difference import first_difference
 
 
 def assert_same_trial(log, made):
     seen = [sample.observation for sample in made.samples]
     assert log.damage is None
-    assert same(log.start, made.start)
-    assert same(log.steps, tuple(made.steps))
-    assert same(log.stop, made.stop)
-    assert same(log.result, made.result)
+    assert not first_difference(log.start, made.start)
+    assert not first_difference(log.steps, tuple(made.steps))
+    assert not first_difference(log.stop, made.stop)
+    assert not first_difference(log.result, made.result)
     assert log.start.seed == made.experiment.trials.seed
-    assert same(log.frames, np.array([item.frame for item in seen], dtype=np.int64))
-    assert same(log.mocap_ns, np.array([item.sampled_ns for item in seen], dtype=np.int64))
-    assert same(log.received_ns, np.array([item.received_ns for item in seen], dtype=np.int64))
-    assert same(log.mocap, np.array([item.poses.array() for item in seen]))
-    assert same(log.valid, np.array([item.valid for item in seen]))
+    assert not first_difference(log.frames, np.array([item.frame for item in seen], dtype=np.int64))
+    assert not first_difference(
+        log.mocap_ns, np.array([item.sampled_ns for item in seen], dtype=np.int64)
+    )
+    assert not first_difference(
+        log.received_ns, np.array([item.received_ns for item in seen], dtype=np.int64)
+    )
+    assert not first_difference(log.mocap, np.array([item.poses.array() for item in seen]))
+    assert not first_difference(log.valid, np.array([item.valid for item in seen]))
     if made.start.plant.simulated:
-        assert same(log.truth, np.array([s.truth.array() for s in made.samples if s.truth]))
+        assert not first_difference(
+            log.truth, np.array([s.truth.array() for s in made.samples if s.truth])
+        )
     else:
         assert log.truth is None
-    assert same(log.commands, (*(step.command for step in made.steps), made.stop))
+    assert not first_difference(log.commands, (*(step.command for step in made.steps), made.stop))
 
 
 @settings(max_examples=25, deadline=None)
@@ -56,16 +62,16 @@ def test_commands_outside_the_steps_are_kept_apart_from_them(tmp_path):
         made.give_rounds(writer)
         writer.on_stop(made.stop, made.result)
     log = read_trial(tmp_path / "trial.mcap")
-    assert same(log.commands, (square, made.steps[0].command, made.stop))
-    assert same(log.steps, tuple(made.steps))
-    assert same(log.stop, made.stop)
+    assert not first_difference(log.commands, (square, made.steps[0].command, made.stop))
+    assert not first_difference(log.steps, tuple(made.steps))
+    assert not first_difference(log.stop, made.stop)
 
 
 def test_the_result_is_read_without_the_course(tmp_path):
     made = trial(index=2)
     path = write(made, tmp_path / "trial.mcap")
     summary = read_result(path)
-    assert same(summary.result, made.result)
+    assert not first_difference(summary.result, made.result)
     assert (summary.trial, summary.seed) == (2, 2**64 - 1)
     assert (summary.experiment, summary.simulated) == (made.experiment, True)
     assert summary.digest == read_trial(path).digest

@@ -9,7 +9,6 @@ from mcap.writer import Writer
 from support.fuzz import Original
 from support.mutate import rewrite, stating
 from support.random_trials import trial, write
-from support.sameness import same
 
 from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
@@ -17,6 +16,7 @@ from tetractl.log.format.channels import FRAMES, RESULT, RUN
 from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.replay.difference import first_difference
 
 
 @pytest.fixture(scope="module")
@@ -40,18 +40,20 @@ def chunks(log):
 
 def assert_part_of(damaged, whole):
     """Every number of a damaged log is one of the whole log's."""
-    assert same(damaged.experiment, whole.experiment)
+    assert damaged.experiment == whole.experiment
     assert damaged.start.spec_text in ("", whole.start.spec_text)
     assert damaged.start.seed == whole.start.seed
     steps = {step.k: step for step in whole.steps}
-    assert all(same(step, steps[step.k]) for step in damaged.steps)
+    assert all(not first_difference(step, steps[step.k]) for step in damaged.steps)
     rows = np.searchsorted(whole.frames, damaged.frames)
     for name in ("frames", "mocap_ns", "received_ns", "mocap", "valid", "truth"):
-        assert same(getattr(damaged, name), getattr(whole, name)[rows])
-    assert damaged.stop is None or same(damaged.stop, whole.stop)
+        assert not first_difference(getattr(damaged, name), getattr(whole, name)[rows])
+    assert damaged.stop is None or not first_difference(damaged.stop, whole.stop)
     assert whole.result is not None
     untimed = replace(whole.result, solve_ns=(), deadline_misses=0)
-    assert any(same(damaged.result, result) for result in (None, untimed, whole.result))
+    assert any(
+        not first_difference(damaged.result, result) for result in (None, untimed, whole.result)
+    )
 
 
 def _damaged(tmp_path, data):
@@ -67,7 +69,7 @@ def test_a_bad_record_length_costs_nothing(tmp_path, log, whole, chunks, field):
     found = read_trial(_damaged(tmp_path, bytes(data)))
     assert found.damage is not None
     assert len(found.steps) == len(whole.steps)
-    assert same(found.mocap, whole.mocap)
+    assert not first_difference(found.mocap, whole.mocap)
     assert_part_of(found, whole)
 
 
@@ -85,8 +87,8 @@ def test_a_file_that_lost_its_head_is_read(tmp_path, log, whole):
     for head in (data[8:], b"\0" * 40 + data[40:], b"some text before\n" + data):
         found = read_trial(_damaged(tmp_path, head))
         assert found.damage is not None
-        assert same(found.mocap, whole.mocap)
-        assert same(found.result, whole.result)
+        assert not first_difference(found.mocap, whole.mocap)
+        assert not first_difference(found.result, whole.result)
 
 
 @pytest.mark.parametrize("tail", [b"\0" * 5000, b"\xff" * 5000, MAGIC])
@@ -108,7 +110,7 @@ def test_a_lost_result_is_computed_from_the_last_true_poses(tmp_path, log, whole
     errors = np.hypot(*(final[:, :2] - targets).T)
     assert result.result.robot_errors == tuple(errors)
     assert result.result.total_error == pytest.approx(errors.sum(), rel=1e-15)
-    assert same(result.result.verdict.final.array(), final)
+    assert not first_difference(result.result.verdict.final.array(), final)
     assert result.result.outcome is Outcome.ABORTED
     assert result.result.steps == len(found.steps)
     box = whole.experiment.obstacles[0]

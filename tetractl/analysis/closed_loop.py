@@ -107,7 +107,6 @@ def _derivatives(
 
 TURN = float(np.pi / np.sqrt(3))  # rad; standard deviation of a signal uniform in [-pi, pi]
 SURE = 1e-8  # least variance of a measured turn [rad^2] and of a relative path length
-LEAST = 1e-30  # length unit^2; keeps matrices regular for robots that stand
 
 
 @dataclass(frozen=True, slots=True)
@@ -167,7 +166,8 @@ def end_covariance(
             eye = np.eye(size)
             m = noise.position**2 * eye + noise.heading**2 * _blocks(plan.by_heading[k])
             most = np.trace(reach) + np.trace(p) + np.trace(m)
-            left = eye - np.linalg.solve(reach + p + m + max(1e-12 * most, LEAST) * eye, reach).T
+            regular = max(1e-12 * most, 1e-30) * eye  # for robots that stand
+            left = eye - np.linalg.solve(reach + p + m + regular, reach).T
             p = left @ p @ left.T + (eye - left) @ m @ (eye - left).T
             cross = left @ cross
         moved = np.hstack([_columns(plan.by_a[k]), _columns(plan.by_speed[k])])

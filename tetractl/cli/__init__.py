@@ -1,8 +1,5 @@
 """The command line: one module per command, which reads the options and prints results."""
 
-ADDRESSES_MIN = 1_000_000_000
-"""Bytes of address space that the libraries need; with fewer, OpenBLAS retries without end."""
-
 
 def main() -> None:
     """Run the command line and exit with one of the codes of `Exit`.
@@ -29,7 +26,7 @@ def main() -> None:
         messages.writer.finish()
 
     leave_on_signals(Exit.INTERRUPTED, say)
-    if (limit := _address_limit()) < ADDRESSES_MIN:
+    if (limit := _address_limit()) < 1e9:  # bytes; with fewer, OpenBLAS retries without end
         text = f"error: {limit / 1e6:.0f} MB of address space are allowed, 1000 are needed\n"
         messages.writer.urge(text.encode() + b"  hint: ulimit -v unlimited\n")
         messages.writer.finish()

@@ -22,7 +22,6 @@ if TYPE_CHECKING:
     from tetractl.log.read.trial_log import TrialLog
     from tetractl.replay.open_loop import Apart, WhatIf
 
-DISTANCES = 12  # number of times in the table of distances
 PREDICTION = (
     "a prediction on the recorded observations, not closed loop: the robots followed the recorded "
     "directions"
@@ -173,7 +172,7 @@ def _distances(apart: "Apart") -> "Table":
     import numpy as np
 
     last = max(len(apart.time_s) - 1, 0)
-    rows = np.unique(np.linspace(0, last, DISTANCES).astype(int))[: len(apart.time_s)]
+    rows = np.unique(np.linspace(0, last, 12).astype(int))[: len(apart.time_s)]
     known = np.nan_to_num(apart.distance, nan=-1.0).max(axis=0, initial=-1.0)
     most = np.where(known >= 0, known, np.nan)
     times = [*(f"{apart.time_s[i]:.2f}" for i in rows), "at most", "at last"]

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from tetractl.log.read.overview import Overview
     from tetractl.replay.verify import Verification
 
-LINE = 240  # largest number of characters shown of a line of `info`; --json prints the whole line
 PROBLEMS = 20  # largest number of problems that `verify` prints per log
 
 
@@ -42,7 +41,7 @@ def info(
         print(found.as_json())
     else:
         for line in _lines(found):
-            print(printable(line, LINE).rstrip())
+            print(printable(line, 240).rstrip())  # --json prints whole lines
     return Exit.FAILED if found.damage else Exit.DONE
 
 

@@ -21,12 +21,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from _typeshed import ReadableBuffer
 
-# times without accepting output after which output is dropped [s]; a pipe on stdout has no limit
-MESSAGES_S = 1.0  # for stderr
-TERMINAL_S = 10.0  # for a terminal on stdout
-INTERRUPTED_S = 2.0  # for stdout after a signal to end the command
-PIECE = 4096  # bytes written at a time: few, so that each write to a slow reader ends soon
-POLL_S = 0.2  # time between two checks whether any process still reads the output
 GONE = select.POLLERR | select.POLLHUP | select.POLLNVAL
 
 
@@ -95,9 +89,9 @@ class PatientWriter(io.FileIO):
             piece, count = self._pieces.get()
             try:
                 while piece:
-                    taken = super().write(piece[:PIECE])
+                    taken = super().write(piece[:4096])  # few, so that a slow reader ends it soon
                     if taken is None:  # another program made the terminal non-blocking
-                        select.select([], [self], [], MESSAGES_S)
+                        select.select([], [self], [], 1.0)
                     piece = piece[taken or 0 :]
                     self._moved_s = time.monotonic()
             except OSError as error:
@@ -130,9 +124,9 @@ def open_streams() -> Output:
     while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(descriptor, True)
     os.close(descriptor)
-    results_s = TERMINAL_S if os.isatty(1) else float("inf")
-    messages = Output(2, MESSAGES_S, False)
-    sys.stdout, sys.stderr = Output(1, results_s, True), messages
+    messages = Output(2, 1.0, False)
+    patience_s = 10.0 if os.isatty(1) else float("inf")
+    sys.stdout, sys.stderr = Output(1, patience_s, True), messages
     return messages
 
 
@@ -155,7 +149,7 @@ def first_signal_callback(text: bytes) -> Callable[[], None]:
 
     def shorten() -> None:
         if isinstance(results, Output):
-            results.writer.patience_s = INTERRUPTED_S
+            results.writer.patience_s = 2.0
         if isinstance(messages, Output):
             messages.writer.urge(text)
 
@@ -181,7 +175,7 @@ def hung_up_unread(robots: bool = True, unattended: bool = False) -> Iterator[No
 
     def watch(left: int) -> None:
         while left and not ended.is_set():
-            for one, event in poll.poll(1000 * POLL_S):
+            for one, event in poll.poll(200):
                 if event & GONE:
                     poll.unregister(one)
                     left -= 1

@@ -50,8 +50,16 @@ class Contrast:
     differs: tuple[str, ...]
     p_holm: float = math.nan
     rank_p_holm: float = math.nan
-    verdict: str | None = None
-    reason: str | None = None
+
+    @property
+    def verdict(self) -> str | None:
+        """ "lower", "higher" or "undecided", None with a `reason`."""
+        return _verdict(self)[0]
+
+    @property
+    def reason(self) -> str | None:
+        """Why there is no verdict."""
+        return _verdict(self)[1]
 
     @property
     def name(self) -> str:
@@ -150,7 +158,13 @@ def contrast(groups: Sequence[Group], baseline: Group | None = None) -> GroupCom
     two = [(group, baseline) for group in groups] if baseline else list(combinations(groups, 2))
     tests = sum(one.origin is other.origin for one, other in two)
     found = [_contrast(one, other, max(tests, 1)) for one, other in two]
-    return GroupComparison(every, tuple(_corrected(found)))
+    means = mean_difference.holm([one.difference.p_value for one in found])
+    ranks = mean_difference.holm([one.rank_p for one in found])
+    corrected = (
+        replace(one, p_holm=p, rank_p_holm=rank)
+        for one, p, rank in zip(found, means, ranks, strict=True)
+    )
+    return GroupComparison(every, tuple(corrected))
 
 
 def _contrast(one: Group, other: Group, tests: int) -> Contrast:
@@ -212,20 +226,7 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
     }
 
 
-def _corrected(found: Sequence[Contrast]) -> list[Contrast]:
-    """Correct the p-values for the number of tests, and set the verdicts."""
-    means = mean_difference.holm([one.difference.p_value for one in found])
-    ranks = mean_difference.holm([one.rank_p for one in found])
-    corrected = []
-    for one, p_holm, rank in zip(found, means, ranks, strict=True):
-        verdict, reason = _verdict(one, p_holm)
-        corrected.append(
-            replace(one, p_holm=p_holm, rank_p_holm=rank, verdict=verdict, reason=reason)
-        )
-    return corrected
-
-
-def _verdict(found: Contrast, p_holm: float) -> tuple[str | None, str | None]:
+def _verdict(found: Contrast) -> tuple[str | None, str | None]:
     """Return the verdict and None, or None and the reason why there is no verdict.
 
     "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
@@ -241,7 +242,7 @@ def _verdict(found: Contrast, p_holm: float) -> tuple[str | None, str | None]:
     for interval in intervals:
         if not interval.known:
             return None, f"no interval: {interval.reason}"
-    if p_holm < 1 - CONFIDENCE:
+    if found.p_holm < 1 - CONFIDENCE:
         if all(interval.high < 0 for interval in intervals):
             return "lower", None
         if all(interval.low > 0 for interval in intervals):

@@ -32,10 +32,6 @@ class Value:
         return cls(items, ((label, text),))
 
 
-def _nothing(trial: ResultSummary) -> dict[str, Any]:
-    return {}
-
-
 @dataclass(frozen=True, slots=True)
 class Statistic:
     """How to compute a statistic: `of_batch` returns its value for one or more trials of one
@@ -44,7 +40,7 @@ class Statistic:
     """
 
     of_batch: Callable[[Sequence[ResultSummary]], Value]
-    of_trial: Callable[[ResultSummary], dict[str, Any]] = _nothing
+    of_trial: Callable[[ResultSummary], dict[str, Any]] = lambda trial: {}
 
 
 def number(key: str, label: str, of: Callable[[Result], float]) -> Statistic:

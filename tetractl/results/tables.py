@@ -16,15 +16,13 @@ from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
 
 _SHOWN = 20  # largest number of flagged trials in a table
-_OTHER_SCALE = 100.0  # an error above this multiple of the smallest mean is shown with six digits
-_ABREAST = 3  # largest number of groups in one table
 
 
 def tables(found: GroupComparison) -> list[Table]:
     """Return every table: errors, how the trials ended, comparisons, flagged trials."""
     groups = found.groups
     names = [group.name for group in groups] if len(groups) > 1 else ["value"]
-    parts = [slice(i, i + _ABREAST) for i in range(0, len(groups), _ABREAST)]
+    parts = [slice(i, i + 3) for i in range(0, len(groups), 3)]  # more are too wide
     trials = [_trials(groups[part], names[part]) for part in parts]
     every = [_errors(groups), *trials, *_contrasts(found.contrasts), _flagged(groups)]
     return [table for table in every if len(table)]
@@ -46,7 +44,7 @@ def error_table(
     decimals = lengths(least, finest)
 
     def show(value: float) -> str:  # a much larger value needs fewer decimals
-        return f"{value:g}" if value > _OTHER_SCALE * least > 0 else decimals(value)
+        return f"{value:g}" if value > 100 * least > 0 else decimals(value)
 
     def column(name: str, of: Callable[[Distribution], float]) -> Column:
         return Column(name, [of(values) for _, values in named], format=show)

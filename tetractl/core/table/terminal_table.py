@@ -14,10 +14,6 @@ if TYPE_CHECKING:
 WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 
-WORDS = 16
-"""If there is no terminal: least width of a column of words, in characters; less if its texts are
-shorter."""
-
 _FITTED = r"\resizebox{\ifdim\width>\linewidth\linewidth\else\width\fi}{!}{%"
 _WORDS = r">{\raggedright\arraybackslash}X"  # a LaTeX column with wrapped text
 _SPECIAL = str.maketrans(
@@ -59,7 +55,7 @@ def _print(table: Table, console: "Console") -> None:
             least = max(map(cell_len, texts))
         else:
             least = max(cell_len(word) for text in texts for word in text.split() or [""])
-            least = max(least, min(WORDS, max(map(cell_len, texts))))
+            least = max(least, min(16, max(map(cell_len, texts))))
         shown.add_column(
             Text(column.heading),
             justify="left" if column.words or i == 0 else "right",

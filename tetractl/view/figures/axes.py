@@ -20,7 +20,6 @@ from tetractl.core.poses import Floats, ellipse
 from tetractl.log.read.trial_log import TrialLog
 
 NUMBERED = 8  # least number of robots that are numbered
-NAME_LENGTH = 16  # largest length of a robot's name in a figure [characters]
 
 
 def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
@@ -31,9 +30,6 @@ def one_trial(logs: Sequence[TrialLog]) -> TrialLog:
             "give one log, or use --kind trajectory, errors or scatter",
         )
     return logs[0]
-
-
-PANELS = 12  # largest number of folders with a panel each
 
 
 def by_folder(logs: Sequence[TrialLog], complete: bool = True) -> dict[str, list[TrialLog]]:
@@ -62,9 +58,9 @@ def panels_of(logs: Sequence[TrialLog]) -> dict[str, list[TrialLog]]:
     Raises UsageError for too many folders, and for trials of unlike robots in a folder.
     """
     found = by_folder(logs, complete=False)
-    if len(found) > PANELS:
+    if len(found) > 12:
         raise UsageError(
-            f"{len(found)} folders: this figure has a panel for each of at most {PANELS}",
+            f"{len(found)} folders: this figure has a panel for each of at most 12",
             "give fewer folders, or use --kind arms or ecdf",
         )
     for arm in found.values():
@@ -76,7 +72,7 @@ def robot_labels(names: Sequence[str]) -> list[str]:
     """Return the robots' names for a figure: shortened, and numbered if there are NUMBERED or
     more.
     """
-    short = [name if len(name) <= NAME_LENGTH else name[: NAME_LENGTH - 1] + "…" for name in names]
+    short = [name if len(name) <= 16 else f"{name[:15]}…" for name in names]
     if len(names) < NUMBERED:
         return short
     return [f"{number} {name}" for number, name in enumerate(short, start=1)]

@@ -17,8 +17,6 @@ from tetractl.replay.player import Moment
 from tetractl.view.terminal.arena import Projection, draw, framed
 from tetractl.view.terminal.glyphs import Glyphs, arrow, bar, glyphs_for, sparkline
 
-SIDE_MIN, SIDE_MAX = 20, 58  # least and largest width of the numbers [columns]
-ARENA_SHARE = 0.58  # largest fraction of the screen's width for the arena
 LEVEL_STYLES = {"info": "", "warning": "yellow", "error": "bold red"}
 COMPACT = 30  # width of the numbers below which labels are short [columns]
 
@@ -95,14 +93,15 @@ class Dashboard:
         events = self._events(height)
         body = max(height - 1 - len(events), 1)
         arena, unit = self._frame.setup.arena, self._frame.setup.unit
-        most = max(min(width - SIDE_MIN - 1, max(round(ARENA_SHARE * width), width - 38)), 3)
+        # the arena may take 58 % of the screen, and leaves the numbers 20 to 58 columns
+        most = max(min(width - 21, max(round(0.58 * width), width - 38)), 3)
         view = Projection.fit(arena, most - 2, body - 2)
         canvas = draw(self._frame, self._colors, glyphs, view.width, view.height)
         label = f"{arena.width:g} {glyphs.times} {arena.height:g} {unit}"
         rows = [*framed(canvas, label, glyphs)]
         across = view.width + 2
         rows = [*rows, *([Segment(" " * across)] for _ in range(body - len(rows)))][:body]
-        room = min(width - across - 2, SIDE_MAX)
+        room = min(width - across - 2, 58)
         side = self.side(glyphs, room, body) if room >= 8 else []
         for row, text in zip(rows, side, strict=False):
             row += [Segment("  "), *fitted(console, text, room)]

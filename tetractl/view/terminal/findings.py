@@ -1,5 +1,6 @@
 """Prints the result of a preflight as text or JSON."""
 
+from collections.abc import Callable
 from typing import Any
 
 from rich.console import Console
@@ -20,20 +21,26 @@ def robots_table(found: Preflight) -> Table:
         "Robots",
         (
             Column("robot", [robot.name for robot in robots]),
-            Column("off its start", [robot.off_mm for robot in robots], "mm", _distance),
-            Column("off its heading", [robot.off_heading for robot in robots], "rad", _turn),
+            Column(
+                "off its start",
+                [robot.off_mm for robot in robots],
+                "mm",
+                _or("not tracked", "{:.0f}"),
+            ),
+            Column(
+                "off its heading",
+                [robot.off_heading for robot in robots],
+                "rad",
+                _or(NONE, "{:+.2f}"),
+            ),
             Column("battery", [robot.status.battery_v for robot in robots], "V", fixed(2)),
             Column("answers", [ANSWERS[robot.status.answers] for robot in robots]),
         ),
     )
 
 
-def _distance(off_mm: float | None) -> str:
-    return "not tracked" if off_mm is None else f"{off_mm:.0f}"
-
-
-def _turn(off_rad: float | None) -> str:
-    return NONE if off_rad is None else f"{off_rad:+.2f}"
+def _or(unknown: str, form: str) -> Callable[[float | None], str]:
+    return lambda value: unknown if value is None else form.format(value)
 
 
 def print_findings(found: Preflight) -> None:

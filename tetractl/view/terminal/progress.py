@@ -10,7 +10,6 @@ from tetractl.run.batch import Ending
 from tetractl.run.task import Task
 
 LINES = 10  # number of progress lines that a study prints without a terminal
-FIRST = 3  # least number of finished trials for estimating a study's duration
 
 
 class Tally:
@@ -106,7 +105,7 @@ class StudyProgress(_TrialsBar):
         if ending.failure:
             self._say(f"failed: {task.arm}/{task.trial}: {ending.failure}")
         self._results += ending.result is not None
-        if not (self._expected or self._quiet) and self._results >= FIRST and ending.every_arm:
+        if not (self._expected or self._quiet) and self._results >= 3 and ending.every_arm:
             self._expected = True
             if left_s:
                 by = f"estimated from the first {self._results} trials"

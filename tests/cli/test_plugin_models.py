@@ -4,11 +4,10 @@ honoured by planner, compiled kernels, polish, plant, checks, log and pictures."
 import json
 import os
 import re
-import subprocess
-import sys
+from unittest import mock
 
 import pytest
-from support.packages import install
+from support.packages import install, python
 from support.paths import ROOT
 
 POINTS = """[tetractl.motions]
@@ -82,18 +81,13 @@ def installed(tmp_path_factory):
         tmp_path / "site", "mine", "1.0", POINTS, pivot=code("pivot"), diamond=code("diamond")
     )
     (tmp_path / "s.yaml").write_text(SPEC, encoding="utf-8")
-    paths = [str(site), str(ROOT), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
-    environment = {k: v for k, v in os.environ.items() if k != "NUMBA_CACHE_DIR"} | {
-        "PYTHONPATH": os.pathsep.join(filter(None, paths)),
-        "XDG_CACHE_HOME": str(tmp_path / "cache"),
-        "COLUMNS": "80",
-    }
+    sites = [site, ROOT, ROOT / "tests"]
+    cache = {"XDG_CACHE_HOME": str(tmp_path / "cache"), "COLUMNS": "80"}
 
-    def run(*arguments):
-        return subprocess.run(
-            [sys.executable, *arguments], cwd=tmp_path, env=environment, capture_output=True,
-            text=True, check=False,
-        )  # fmt: skip
+    def run(*words):
+        with mock.patch.dict(os.environ):
+            os.environ.pop("NUMBA_CACHE_DIR", None)
+            return python(tmp_path, sites, *words, **cache)
 
     return tmp_path, run
 

@@ -1,12 +1,11 @@
 """Kinds of other packages: the example package, installed next to tetractl, and a broken one."""
 
 import json
-import os
 import subprocess
 import sys
 
 import pytest
-from support.packages import install
+from support.packages import install, python
 from support.paths import ROOT
 
 EXAMPLE = ROOT / "examples" / "tetractl-example"
@@ -82,20 +81,8 @@ def site(tmp_path_factory):
     return folder / "installed"
 
 
-def run(folder, sites, *command):
-    """Run a command in a folder with packages of other folders installed; return what it did."""
-    path = os.pathsep.join(filter(None, [*map(str, sites), os.environ.get("PYTHONPATH", "")]))
-    return subprocess.run(
-        [sys.executable, *command],
-        cwd=folder,
-        env=os.environ | {"PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-    )
-
-
 def tetractl(folder, sites, *arguments):
-    return run(folder, sites, "-m", "tetractl", *arguments)
+    return python(folder, sites, "-m", "tetractl", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -138,7 +125,7 @@ def test_the_examples_camera_shows_the_files_frames(site, tmp_path):
     (tmp_path / "three.yaml").write_text(lab, encoding="utf-8")
     poses = POSES.replace(",a,", ",green,").replace(",b,", ",blue,")
     (tmp_path / "poses.csv").write_text(poses, encoding="utf-8")
-    done = run(tmp_path, [site], "-c", CAMERA)
+    done = python(tmp_path, [site], "-c", CAMERA)
     assert done.returncode == 0, done.stderr
     assert "poses.csv" in done.stdout
 

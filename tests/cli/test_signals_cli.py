@@ -102,54 +102,22 @@ def alive(pid):
 
 
 @contextmanager
-def full_pipe():
-    """A pipe that takes nothing any more."""
-    reading, writing = os.pipe()
-    fill(writing)
+def stream(kind):
+    """A descriptor to write to: a pipe or a terminal that takes nothing any more ("full"), or whose
+    reader has gone ("closed"), or a full disk."""
+    if kind == "full disk":
+        ends = (os.open("/dev/full", os.O_WRONLY),)
+    else:
+        ends = os.pipe() if kind.endswith("pipe") else pty.openpty()
+    if kind.startswith("closed"):
+        os.close(ends[0])
+    elif kind != "full disk":
+        fill(ends[1])
     try:
-        yield writing
+        yield ends[-1]
     finally:
-        os.close(reading)
-        os.close(writing)
-
-
-@contextmanager
-def closed_pipe():
-    """A pipe whose reader has gone."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    try:
-        yield writing
-    finally:
-        os.close(writing)
-
-
-@contextmanager
-def full_disk():
-    with Path("/dev/full").open("wb") as file:
-        yield file.fileno()
-
-
-@contextmanager
-def hung_terminal():
-    """A terminal that takes nothing any more."""
-    master, slave = pty.openpty()
-    fill(slave)
-    try:
-        yield slave
-    finally:
-        os.close(master)
-        os.close(slave)
-
-
-@contextmanager
-def gone_terminal():
-    master, slave = pty.openpty()
-    os.close(master)
-    try:
-        yield slave
-    finally:
-        os.close(slave)
+        for end in ends[1:] if kind.startswith("closed") else ends:
+            os.close(end)
 
 
 def fill(descriptor):
@@ -164,14 +132,14 @@ def fill(descriptor):
     assert not select.select([], [descriptor], [], 0)[1]
 
 
-BROKEN = [hung_terminal, full_pipe, closed_pipe, full_disk, gone_terminal]
+BROKEN = ["full terminal", "full pipe", "closed pipe", "full disk", "closed terminal"]
 
 
-@pytest.mark.parametrize("broken", first_of(BROKEN), ids=lambda broken: broken.__name__)
+@pytest.mark.parametrize("broken", first_of(BROKEN))
 @pytest.mark.parametrize("which", first_of(["stderr", "stdout"]))
 def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
     (tmp_path / "spec.yaml").write_text(QUICK)
-    with broken() as descriptor:
+    with stream(broken) as descriptor:
         other = {"stdout", "stderr"} - {which}
         process = subprocess.Popen(
             [TETRACTL, "run", "spec.yaml", "--out", "logs"],
@@ -181,13 +149,15 @@ def test_a_broken_stream_neither_hangs_nor_kills_a_run(tmp_path, broken, which):
             stdin=subprocess.DEVNULL,
             **{which: descriptor, other.pop(): subprocess.PIPE},
         )
-        if which == "stdout" and broken is full_pipe:  # its reader may still come: it is waited for
+        if (
+            which == "stdout" and broken == "full pipe"
+        ):  # its reader may still come: it is waited for
             while "trial 3 of 3" not in process.stderr.readline():
                 pass
             process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=PATIENCE_S)
     assert len(list((tmp_path / "logs").glob("*.mcap"))) == 3
-    told = broken in (full_disk, gone_terminal)
+    told = broken in ("full disk", "closed terminal")
     assert process.returncode == (1 if which == "stdout" and told else 0), err
     if which == "stderr":
         assert "3 of 3 trials complete" in out
@@ -241,7 +211,7 @@ def test_every_command_ends_though_nobody_reads_it(files, tmp_path, words):
     The installed script flushes once more before the interpreter ends; `python -m` does not.
     """
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
-    with closed_pipe() as descriptor:
+    with stream("closed pipe") as descriptor:
         done = subprocess.run(
             [sys.executable, "-m", "tetractl", *words.split()],
             cwd=tmp_path,

@@ -1,5 +1,8 @@
 """Packages with entry points, written as pip would leave them in a folder."""
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 
@@ -13,3 +16,12 @@ def install(folder: Path, name: str, version: str, points: str, **modules: str) 
     for module, code in modules.items():
         (folder / f"{module}.py").write_text(code, encoding="utf-8")
     return folder
+
+
+def python(folder: Path, sites: list[Path], *words: object, **env: str):
+    """Run Python in a folder, with the packages of other folders installed; what it did."""
+    path = os.pathsep.join(filter(None, [*map(str, sites), os.environ.get("PYTHONPATH", "")]))
+    return subprocess.run(
+        [sys.executable, *map(str, words)], cwd=folder, capture_output=True, text=True, check=False,
+        env=os.environ | {"PYTHONPATH": path} | env,
+    )  # fmt: skip

@@ -53,12 +53,18 @@ def test_a_pipe_that_nobody_reads_is_given_up_and_taken_up_again(pipe):
     assert os.read(reading, 100) == b"heard"
 
 
-def test_patience_may_be_lowered_while_somebody_waits(pipe):
-    _, writing = pipe
-    fill(writing)
+def waiting(writing):
+    """A writer without a limit of time, and the thread in which it waits."""
     writer = PatientWriter(writing, float("inf"), True)
     thread = threading.Thread(target=writer.write, args=(b"waits",))
     thread.start()
+    return writer, thread
+
+
+def test_patience_may_be_lowered_while_somebody_waits(pipe):
+    _, writing = pipe
+    fill(writing)
+    writer, thread = waiting(writing)
     writer.patience_s = 0.0
     thread.join(30.0)
     assert not thread.is_alive()
@@ -78,9 +84,7 @@ def test_a_pipe_that_does_not_block_is_waited_for(pipe):
     reading, writing = pipe
     fill(writing)
     os.set_blocking(writing, False)
-    writer = PatientWriter(writing, float("inf"), True)
-    thread = threading.Thread(target=writer.write, args=(b"waits",))
-    thread.start()
+    _, thread = waiting(writing)
     said = b""
     while not said.endswith(b"waits"):
         said += os.read(reading, 65536)

@@ -35,48 +35,44 @@ def compiled_branches(
 
     Copy b is steered towards towards[b] + turns[j] [rad], each for `seconds`; turns (L,).
     """
-    from tetractl.control.kernels.motion import constants
+    from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import predict
 
-    copies, robots = len(towards), len(problem.a)
-    path, drift = np.empty((len(turns) + 1, copies * robots, 3)), np.tile(problem.drift, copies)
+    copies, robots, of = len(towards), len(problem.a), flat(problem)
+    path, drift = np.empty((len(turns) + 1, copies * robots, 3)), np.tile(of.drift, copies)
     path[0] = start.reshape(-1, 3)
     bias = np.zeros(robots) if problem.bias is None else problem.bias
     each = (towards[:, None] + bias).ravel()
     drift[:2] = np.cos(each), np.sin(each)
     a, speed = np.tile(problem.a, copies), np.tile(problem.speed, copies)
-    predict(turns, a, speed, drift, seconds, seconds, constants(problem)[1], path)
+    predict(turns, a, speed, drift, seconds, seconds, of.rest, path)
     return path.reshape(-1, *start.shape)
 
 
 def compiled_path(problem: Problem, signals: Floats) -> Floats:
     """Return the poses (L + 1, N, 3) under a sequence (L,), as `cost.predict` but compiled."""
-    from tetractl.control.kernels.motion import constants
+    from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import predict
 
-    path = np.empty((signals.size + 1, problem.a.size, 3))
-    path[0] = problem.poses.array()
-    predict(
+    of, u, times = (
+        flat(problem),
         np.ascontiguousarray(signals),
-        problem.a,
-        problem.speed,
-        problem.drift,
-        problem.first_period,
-        problem.period,
-        constants(problem)[1],
-        path,
+        (problem.first_period, problem.period),
     )
+    path = np.empty((u.size + 1, *of.start.shape))
+    path[0] = of.start
+    predict(u, problem.a, problem.speed, of.drift, *times, of.rest, path)
     return path
 
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
-    from tetractl.control.kernels.rollout import costs, of_one
+    from tetractl.control.kernels.rollout import costs, lay_out
 
-    rollout, total = of_one(problem), np.empty(1)
-    costs(rollout, np.ascontiguousarray(signals[:, None]), total)
+    rollout, total = lay_out(problem, 1), np.empty(1)
+    costs(rollout, np.ascontiguousarray(signals).reshape(-1, 1), total)
     require_finite(total)
     path = compiled_path(problem, signals)
-    missed = path[-1, :, :2] - problem.targets
-    target = float(np.hypot(missed[:, 0], missed[:, 1]).sum())  # (8)
+    x, y = path[-1, :, 0] - problem.targets[:, 0], path[-1, :, 1] - problem.targets[:, 1]
+    target = float(np.hypot(x, y).sum())  # (8)
     return Foreseen(path, target, float(rollout.lanes[4].sum()))  # (9)

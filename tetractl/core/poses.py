@@ -47,7 +47,9 @@ class Poses:
 
     def array(self) -> Floats:
         """Return the poses as an array of shape (N, 3): x, y, heading."""
-        return np.column_stack([self.x, self.y, self.heading])
+        found = np.empty((len(self.x), 3))
+        found[:, 0], found[:, 1], found[:, 2] = self.x, self.y, self.heading
+        return found
 
     @property
     def xy(self) -> Floats:
@@ -56,7 +58,7 @@ class Poses:
 
     def distances(self, points: Floats) -> Floats:
         """Return the distances (N,) of the robots to `points` (N, 2), one point for each robot."""
-        return np.hypot(*(self.xy - points).T)
+        return np.hypot(self.x - points[:, 0], self.y - points[:, 1])
 
 
 def wrap(angles: Floats) -> Floats:

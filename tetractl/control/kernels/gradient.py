@@ -46,10 +46,10 @@ def width(length: int) -> int:
 
 
 def workspace(headings: Floats, length: int) -> Trace:
-    """Return the arrays for robots with start headings (N,) [rad]."""
-    count, across = len(headings), width(length)
+    """Return the arrays for robots with cos and sin (2, N) of their start headings."""
+    count, across = headings.shape[1], width(length)
     cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
-    cos[:-1, 0], sin[:-1, 0] = np.cos(headings), np.sin(headings)
+    cos[:-1, 0], sin[:-1, 0] = headings
     return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
 
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import Trace, backward, trace, width, workspace
-from tetractl.control.kernels.motion import constants
+from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.obstacles import find_deepest, outward
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.core.plan import Problem
@@ -67,20 +67,20 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     count, obstacles = problem.a.size, problem.obstacles.count
     pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
     rows = 2 * count + count * obstacles + pairs
-    first, rest = constants(problem)
+    of = flat(problem)
     return Polish(
-        start=problem.poses.array(),
+        start=of.start,
         target=np.ascontiguousarray(problem.targets),
         a=problem.a,
         v=problem.speed,
-        drift=problem.drift,
+        drift=of.drift,
         first_period=problem.first_period,
         period=problem.period,
-        first=first,
-        rest=rest,
+        first=of.first,
+        rest=of.rest,
         shapes=problem.obstacles.rows,
         walls=problem.obstacles.walls,
-        traced=workspace(problem.poses.heading, length),
+        traced=workspace(of.turned[2:], length),
         near=np.empty(width(length)),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),

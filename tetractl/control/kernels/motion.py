@@ -6,26 +6,42 @@ constants of a motion; code is compiled for each class of them.
 """
 
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
+import numpy as np
 from numba.extending import overload
 
 from tetractl.control.kernels.options import INLINE_FAST, entries, inlined
 from tetractl.core.plan import Problem
+from tetractl.core.poses import Floats
 from tetractl.core.registries import MOTIONS
 
 
-@lru_cache(maxsize=2)  # the searches of one control step need the same constants
-def constants(problem: Problem) -> tuple[Any, Any]:
-    """Return the constants of a problem's motion, `Lanes`, for its first signal and for the others.
+class Flat(NamedTuple):
+    """The arrays of a problem of N robots that do not depend on a sequence."""
 
-    Both have the same class. Every call for a problem returns the same arrays, which must not be
-    changed.
-    """
-    a, v, times = problem.a, problem.speed, (problem.first_period, problem.period)
+    start: Floats  # (N, 3) x, y, heading
+    turned: Floats  # (4, N) x, y, cos and sin of the heading
+    first: Any  # `Lanes`, constants of the motion for the first signal
+    rest: Any  # `Lanes`, the same for the other signals; both have the same class
+    drift: Floats  # (4, N) cos and sin of the bias, flow
+    # (6, N): cos and sin of the bias, then x and y of the displacement by the flow in the first
+    # period, then in each other one; (6, 0) without bias and flow
+    displaced: Floats
+
+
+@lru_cache(maxsize=2)  # the searches of one control step need the same arrays
+def flat(problem: Problem) -> Flat:
+    """Return a problem's arrays. Every call returns the same ones, which must not be changed."""
+    p, a, v, times = problem.poses, problem.a, problem.speed, (problem.first_period, problem.period)
     kind: Any = MOTIONS.load(problem.motion).lanes
-    rest = kind.of(a, v, times[1])
-    return rest if times[0] == times[1] else kind.of(a, v, times[0]), rest
+    rest, drift = kind.of(a, v, times[1]), problem.drift
+    first = rest if times[0] == times[1] else kind.of(a, v, times[0])
+    displaced = np.empty((6, 0))
+    if problem.bias is not None or problem.flow is not None:
+        displaced = np.concatenate([drift[:2], drift[2:] * times[0], drift[2:] * times[1]])
+    turned = np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)])
+    return Flat(p.array(), turned, first, rest, drift, displaced)
 
 
 def advance(lanes: Any, x: Any, y: Any, cos: Any, sin: Any, cos_u: Any, sin_u: Any, i: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import VECTOR
-from tetractl.control.kernels.motion import advance, constants
+from tetractl.control.kernels.motion import advance, flat
 from tetractl.control.kernels.obstacles import count_hits
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.plan import Problem
@@ -33,9 +33,7 @@ class Rollout(NamedTuple):
     weight: float
     swept: bool
     separation: float
-    # (6, N): cos and sin of the bias, then x and y of the displacement by the flow in the first
-    # period, then in each other one; (6, 0) without bias and flow
-    drift: Floats
+    drift: Floats  # `Flat.displaced`
     lanes: Floats  # (5, N, P): x, y, cos, sin, hits
     # (8, P): cos and sin of the signal; x, y before the step; two for `count_hits`; cos and sin of
     # the direction that one robot turns towards, the signal plus its bias
@@ -50,36 +48,25 @@ def aligned(shape: tuple[int, ...]) -> Floats:
     return raw[first : first + size].reshape(shape)
 
 
+@lru_cache(maxsize=4)  # a step's problem is laid out for one sequence and for a round
 def lay_out(problem: Problem, particles: int) -> Rollout:
-    """Prepare a problem for rollouts of a number of particles at once."""
-    p, (first, rest) = problem.poses, constants(problem)
-    drifts = problem.bias is not None or problem.flow is not None
+    """Prepare a problem for rollouts of a number of particles at once; every call returns the same
+    arrays."""
+    of = flat(problem)
     return Rollout(
-        start=np.array([p.x, p.y, np.cos(p.heading), np.sin(p.heading)]),
+        start=of.turned,
         target=np.ascontiguousarray(problem.targets.T),
-        first=first,
-        rest=rest,
+        first=of.first,
+        rest=of.rest,
         rows=problem.obstacles.rows,
         walls=problem.obstacles.walls,
         weight=float(problem.obstacle_weight),
         swept=problem.swept,
         separation=float(problem.separation),
-        drift=_drift(problem) if drifts else np.empty((6, 0)),
+        drift=of.displaced,
         lanes=aligned((5, problem.a.size, particles)),
         scratch=aligned((8, particles)),
     )
-
-
-@lru_cache(maxsize=2)  # of a step's problem many single sequences are evaluated
-def of_one(problem: Problem) -> Rollout:
-    """Return a problem laid out for one particle; every call returns the same arrays."""
-    return lay_out(problem, 1)
-
-
-def _drift(problem: Problem) -> Floats:
-    drift = problem.drift
-    ways = drift[2:] * problem.first_period, drift[2:] * problem.period
-    return np.concatenate([drift[:2], *ways])
 
 
 @compiled(**ENTRY_FAST, forceinline=True)

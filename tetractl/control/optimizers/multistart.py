@@ -149,7 +149,7 @@ class _PolishedProgress(Progress):
         self.kernels = multistart
         # compiled rollouts of a round; prepared when needed, as most warm starts do not need them
         self.many: Callable[[Floats], Floats] | None = None
-        self.one, self.costs = rollout.of_one(problem), rollout.costs
+        self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
         self.work = levenberg.lay_out_polish(problem, length)
         self.slack = section.slack * float(problem.speed.max()) * problem.period
         rows, growth = len(self.work.residual), section.growth(problem)

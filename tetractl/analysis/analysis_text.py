@@ -92,16 +92,14 @@ def _maps(found: Analysis) -> list[Table]:
 def as_json(found: Analysis) -> dict[str, Any]:
     """Return an analysis as the items of a JSON object; unknown values are None."""
     setup, here, noise = found.setup, found.steering, found.noise
-    robots: list[dict[str, Any]] = [
-        {"name": name, "a": setup.a[i], "speed": setup.speed[i]}
-        for i, name in enumerate(setup.names)
-    ]
+    columns: dict[str, Iterable[Any]] = {"name": setup.names, "a": setup.a, "speed": setup.speed}
     if here is not None:
-        for i, robot in enumerate(robots):
-            robot["mean_error"] = here.robot_errors[i]
-            robot["end_covariance"] = here.covariance[i]
-            robot["end_covariance_without_feedback"] = here.free_covariance[i]
-            robot["share_of_weakest_direction"] = here.weakest[i]
+        columns["mean_error"] = here.robot_errors
+        columns["end_covariance"] = here.covariance
+        columns["end_covariance_without_feedback"] = here.free_covariance
+        columns["share_of_weakest_direction"] = here.weakest
+    rows = zip(*columns.values(), strict=True)
+    robots = [dict(zip(columns, one, strict=True)) for one in rows]
     change = found.change
     return {
         "name": setup.name,

@@ -63,7 +63,11 @@ def emulate(
     options = Options(
         address, command_port, data_port, port_link, record, replace_after, seed, chosen
     )
-    report = _report_json if json else _report
+
+    def report_json(event: str, facts: dict[str, Any]) -> None:
+        print(dumps({"event": event, **facts}), flush=True)
+
+    report = report_json if json else _report
     emulation = EmulatedLab(lab, loaded.experiment.setup, play, options, report)
 
     def end(number: int, frame: object) -> None:
@@ -76,10 +80,6 @@ def emulate(
         emulation.run()
     ui.tell("the emulation has ended")
     return Exit.DONE
-
-
-def _report_json(event: str, facts: dict[str, Any]) -> None:
-    print(dumps({"event": event, **facts}), flush=True)
 
 
 def _report(event: str, facts: dict[str, Any]) -> None:

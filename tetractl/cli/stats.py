@@ -59,7 +59,13 @@ def stats(
     found = contrast(groups[:-1], groups[-1]) if against else contrast(groups)
     show(found, "json" if as_json else form)
     if plot:
-        _draw(found, plot)
+        from tetractl.view.figures.batch import batch_figure
+        from tetractl.view.figures.ecdf import distributions_figure
+        from tetractl.view.style import save
+
+        few = len(found.groups) <= 2  # a dot for each trial; of more, the distributions
+        save(batch_figure(found.groups) if few else distributions_figure(found.groups), plot)
+        ui.tell(f"wrote {plot}")
     return Exit.DONE if found.whole else Exit.FAILED
 
 
@@ -93,17 +99,6 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
             raise LogError(f"{source.name}: none of {len(batch.damaged)} logs can be read")
         groups.append(describe(batch, source.name))
     return groups
-
-
-def _draw(found: "GroupComparison", file: Path) -> None:
-    """Draw one or two groups with a dot per trial, or the distributions of more groups."""
-    from tetractl.view.figures.batch import batch_figure
-    from tetractl.view.figures.ecdf import distributions_figure
-    from tetractl.view.style import save
-
-    few = len(found.groups) <= 2
-    save(batch_figure(found.groups) if few else distributions_figure(found.groups), file)
-    ui.tell(f"wrote {file}")
 
 
 def analyze(

@@ -1,17 +1,11 @@
 """`tetractl track`: follows the cells of a film."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
 from tetractl.core.table.table_files import table_files
-
-if TYPE_CHECKING:
-    from tetractl.film.fit_cell import CellSummary
-    from tetractl.film.follow import Followed
-    from tetractl.film.pictures import FilmPictures
 
 
 def track(
@@ -40,7 +34,8 @@ def track(
       out DIR: Folder for the tables, a log and the film with the tracks drawn in.
     """
     from tetractl.film.field_file import read_field
-    from tetractl.film.film_tables import as_items, cell_table
+    from tetractl.film.film_files import write_log, write_overlay
+    from tetractl.film.film_tables import as_items, cell_table, pose_table, summary_table
     from tetractl.film.fit_cell import summarise
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
@@ -58,7 +53,12 @@ def track(
     with ui.progress("Fitting"):
         cells = summarise(found, directions)
     if out is not None:
-        _write(out, pictures, found, cells)
+        files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
+        with table_files(files, "csv") as add:
+            add("cells", summary_table(cells), "")
+            add("poses", pose_table(found), "")
+        write_log(out / "track.mcap", pictures, found)
+        write_overlay(out / "overlay.mp4", pictures, found)
     ui.show(as_json, as_items(found, cells), [cell_table(found, cells)])
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
@@ -69,21 +69,3 @@ def track(
             f"contrast {found.contrast:.0f} grey levels, {found.um_px:.3g} um/px"
         )
     return Exit.DONE if found.paths else Exit.FAILED
-
-
-def _write(
-    out: Path,
-    pictures: "FilmPictures",
-    found: "Followed",
-    cells: "Sequence[CellSummary]",
-) -> None:
-    """Write the tables, the log and the film with the tracks."""
-    from tetractl.film.film_files import write_log, write_overlay
-    from tetractl.film.film_tables import pose_table, summary_table
-
-    files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
-    with table_files(files, "csv") as add:
-        add("cells", summary_table(cells), "")
-        add("poses", pose_table(found), "")
-    write_log(out / "track.mcap", pictures, found)
-    write_overlay(out / "overlay.mp4", pictures, found)

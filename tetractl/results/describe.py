@@ -117,6 +117,7 @@ def describe(batch: Batch, name: str = "") -> Group:
     errors = np.array([result.robot_errors for result in counted], dtype=float)
     errors = errors.reshape(len(counted), len(experiment.robots))
     (total,) = distributions(totals[None], experiment.error_bound)
+    attempts = len(batch.attempts) + len(batch.lost_attempts)
     return Group(
         name=name or experiment.name,
         batch=batch,
@@ -131,7 +132,8 @@ def describe(batch: Batch, name: str = "") -> Group:
             _published(experiment, total, origin),
             _scaled(experiment, total, origin),
             *(statistic.of_batch(batch.trials) for statistic in statistics()),
-            *_left_out(batch),
+            Value.row("earlier attempts, not counted", str(attempts), n_attempts=attempts),
+            Value.row("logs that could not be read", str(len(batch.lost)), damaged=batch.lost),
         ),
     )
 
@@ -213,15 +215,6 @@ def _scaled(experiment: Experiment, total: Distribution, origin: Origin) -> Valu
         "published_body_lengths": published_bodies,
     }
     return Value({"scaled": found}, tuple(rows))
-
-
-def _left_out(batch: Batch) -> tuple[Value, Value]:
-    """Return the number of earlier attempts, readable or not, and the logs that are lost."""
-    attempts = len(batch.attempts) + len(batch.lost_attempts)
-    return (
-        Value.row("earlier attempts, not counted", str(attempts), n_attempts=attempts),
-        Value.row("logs that could not be read", str(len(batch.lost)), damaged=batch.lost),
-    )
 
 
 @dataclass(frozen=True, slots=True)

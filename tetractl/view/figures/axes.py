@@ -176,3 +176,23 @@ def draw_ellipse(axes: Axes, centre: tuple[float, float], covariance: Floats, **
         Ellipse(centre, 2 * long, 2 * short, angle=math.degrees(angle), fill=False, **look)
     )
     return long
+
+
+def separated(wanted: Floats, gap: float) -> Floats:
+    """Return increasing heights from 0 to 1, at least `gap` apart, near the increasing heights
+    `wanted`.
+
+    Neighbours that would overlap form a block around the mean of their heights, the least-squares
+    solution. Then all heights are shifted into the range, as far as they fit.
+    """
+    blocks: list[tuple[float, int]] = []  # mean of wanted - index * gap, and the number of heights
+    for i, height in enumerate(wanted):
+        mean, count = float(height) - i * gap, 1
+        while blocks and blocks[-1][0] > mean:
+            before, many = blocks.pop()
+            mean, count = (mean * count + before * many) / (count + many), count + many
+        blocks.append((mean, count))
+    base = np.repeat([mean for mean, _ in blocks], [count for _, count in blocks])
+    rise = gap * np.arange(len(wanted))
+    highest = max(1.0 - gap * (len(wanted) - 1), 0.0)
+    return np.asarray(np.clip(base, 0.0, highest) + rise, dtype=np.float64)

@@ -18,8 +18,14 @@ from tetractl.core.poses import Floats
 from tetractl.core.trial import Step
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.view import style
-from tetractl.view.figures.axes import log_axis, need_steps, one_trial, positive, whole_ticks
-from tetractl.view.figures.labels import separated
+from tetractl.view.figures.axes import (
+    log_axis,
+    need_steps,
+    one_trial,
+    positive,
+    separated,
+    whole_ticks,
+)
 
 
 @style.styled()

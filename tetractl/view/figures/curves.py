@@ -25,9 +25,9 @@ from tetractl.view.figures.axes import (
     one_trial,
     panels_of,
     robot_labels,
+    separated,
     unfinished,
 )
-from tetractl.view.figures.labels import separated
 
 NAME_IN = 0.1  # height of a robot's name at its curve [in]
 SINCE = "time since the first command [s]"

@@ -10,6 +10,7 @@ from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Patch, Polygon, Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MultipleLocator
 from matplotlib.transforms import Affine2D
 
@@ -31,7 +32,6 @@ from tetractl.view.figures.axes import (
     robot_labels,
     unfinished,
 )
-from tetractl.view.figures.labels import HALO, Labels, edge
 
 
 class DishGround:
@@ -63,6 +63,7 @@ class DishGround:
         return True
 
 
+HALO = [withStroke(linewidth=1.6, foreground="white")]
 LEGEND_LINE_IN = 0.156  # height of a line of the legend [in]
 
 
@@ -154,7 +155,7 @@ def _one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> 
     starts = first_seen(trail, setup.starts.xy)
     marks = np.concatenate([final, setup.targets, starts])[:, None]
     marks = marks + np.column_stack([ring.real, ring.imag])
-    crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), edge(setup.arena)]
+    crowd = [trail[::6].reshape(-1, 2), marks.reshape(-1, 2), _edge(setup.arena)]
     labels = Labels(axes, np.concatenate(crowd), point)
     for robot, color in enumerate(colors):
         xy = trail[:, robot]
@@ -171,6 +172,43 @@ def _one(axes: Axes, log: TrialLog, colors: list[str], truth: Floats | None) -> 
                 labels.write(np.array([x, y]), np.array(tip), f"{time_s:g} s")
         gap = np.array([final[robot], setup.targets[robot]])
         axes.plot(*gap.T, color=color, lw=0.6, ls=":", zorder=2)
+
+
+def _edge(arena: Bounds) -> Floats:
+    """Return points along the edge of the arena, shape (M, 2)."""
+    x = np.linspace(arena.left, arena.right, 60)
+    y = np.linspace(arena.bottom, arena.top, 60)
+    rows = [np.column_stack([x, np.full(60, end)]) for end in (y[0], y[-1])]
+    columns = [np.column_stack([np.full(60, end), y]) for end in (x[0], x[-1])]
+    return np.concatenate([*rows, *columns])
+
+
+class Labels:
+    """Writes times next to the trails, each where it is farthest from other marks."""
+
+    def __init__(self, axes: Axes, trails: Floats, point: float) -> None:
+        """Place labels away from `trails` (M, 2); `point` is the number of length units that 1/72
+        inch of the figure shows.
+        """
+        self._axes, self._point = axes, point
+        self._taken = trails[np.isfinite(trails).all(axis=1)]
+
+    def write(self, xy: Floats, tip: Floats, text: str) -> None:
+        """Write text next to a tick, which is drawn from `xy` to `tip`."""
+        self._taken = np.concatenate([self._taken, [tip, (xy + tip) / 2]])
+        angles = np.arange(0, 2 * np.pi, np.pi / 6)
+        aside = np.column_stack([9 * np.cos(angles), 6.5 * np.sin(angles)])
+        spots = xy + aside * self._point
+        gaps = spots[:, None] - self._taken
+        gaps[..., 1] *= 1.5  # a label is wider than high
+        best = int(np.linalg.norm(gaps, axis=-1).min(axis=1, initial=np.inf).argmax())
+        width = np.linspace(-4, 4, 5) * self._point
+        label = np.column_stack([spots[best, 0] + width, np.full(5, spots[best, 1])])
+        self._taken = np.concatenate([self._taken, label])
+        self._axes.annotate(
+            text, (float(xy[0]), float(xy[1])), tuple(aside[best]), textcoords="offset points",
+            ha="center", va="center", fontsize=5.5, color=style.INK, path_effects=HALO, zorder=5,
+        )  # fmt: skip
 
 
 def _limits(axes: Axes, arena: Bounds, paths: Sequence[Floats]) -> bool:

@@ -18,8 +18,8 @@ from tetractl.core.registries import FIGURES
 from tetractl.replay.player import Recording, first_seen
 from tetractl.report.trial_data import trial_data
 from tetractl.view import style
+from tetractl.view.figures.axes import separated
 from tetractl.view.figures.draw import draw
-from tetractl.view.figures.labels import separated
 from tetractl.view.figures.trajectory import trajectory_figure
 
 SEVERAL = ("trajectory", "errors", "arms", "ecdf", "scatter")  # kinds that show several trials

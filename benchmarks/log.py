@@ -36,8 +36,9 @@ sys.path.insert(0, str(ROOT / "tests"))
 
 import numpy as np  # noqa: E402
 from mcap.reader import make_reader  # noqa: E402
-from support.durable import ENDLESS, RealTime, random_kill, small_disk  # noqa: E402
+from support.durable import RealTime, random_kill, small_disk  # noqa: E402
 from support.fuzz import Original, fuzz  # noqa: E402
+from support.running import ENDLESS  # noqa: E402
 from support.tampering import lab_log, score, sim_log  # noqa: E402
 
 from tetractl.control.build import build_controller, warm_up  # noqa: E402
@@ -418,8 +419,7 @@ def soak(folder: Path, scale: float) -> None:
 def long(folder: Path, scale: float) -> None:
     hours = 2 * scale
     steps = round(hours * 3600 / 0.2)
-    far = ENDLESS.replace("100000,", "10000000,").replace("99000", "9900000")
-    spec = parse_spec(far, "far.yaml", [f"controller.steps_max={steps}"])
+    spec = parse_spec(ENDLESS, "far.yaml", [f"controller.steps_max={steps}"])
     warm_up(spec.experiment, print)
     watch, began = Watch(max(1, steps // 4)), time.perf_counter()
     result = run_trial(spec, folder, 0, (watch,), Interrupt())

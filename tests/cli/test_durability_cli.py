@@ -9,9 +9,9 @@ import subprocess
 
 import pytest
 from support import cli
-from support.durable import ENDLESS, random_kill
+from support.durable import random_kill
 from support.lateness import lateness
-from support.running import TETRACTL
+from support.running import ENDLESS, TETRACTL
 
 from tetractl.run.store import locked
 

@@ -11,19 +11,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from support.running import ENDLESS
+
 from tetractl.core.errors import LogError
 from tetractl.log.read.reader import read_trial
-
-ENDLESS = """
-name: endless
-arena: {left: 0, bottom: 0, width: 100000, height: 1000}
-robots:
-  - {name: one, start: [100, 300], target: [99000, 500], a: 6, speed: 200}
-  - {name: two, start: [100, 700], target: [99000, 600], a: 3, speed: 150}
-controller: {type: pso-mpc, horizon_max: 5, steps_max: 100000,
-  optimizer: {particles: 8, iterations: 5}}
-plant: {type: sim, measurement_noise: {position: 1}, heading_noise: 0.1}
-"""
 
 CHILD = """
 import sys, time

@@ -1,16 +1,18 @@
 """A plant, a controller and an observer that write down what happens, in one list."""
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import numpy as np
+from support.recorder import Recorder
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
 from tetractl.core.plan import Outcome, Plan, Search
 from tetractl.core.poses import Observation, Poses
-from tetractl.core.trial import EPOCH_NS, Start
+from tetractl.core.trial import EPOCH_NS
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
@@ -100,36 +102,24 @@ class FakeController:
         return Plan(signals, np.zeros((3, 3, 3)), 1.0, 1.0, 0.0, (search,), 0, 7)
 
 
-class FakeObserver:
-    """Keeps the commands it receives."""
+class FakeObserver(Recorder):
+    """Keeps what it is told, and writes down that it was told."""
 
     def __init__(self, happenings, name="log"):
-        self.happenings, self.name = happenings, name
-        self.start: Start | None = None
-        self.steps, self.samples, self.commands, self.stops = [], [], [], []
-
-    def on_start(self, start):
-        self.start = start
-        self.happenings.note(f"{self.name}.start")
-
-    def on_samples(self, samples):
-        self.samples += samples
-        self.happenings.note(f"{self.name}.samples")
-
-    def on_step(self, step):
-        self.steps.append(step)
-        self.happenings.note(f"{self.name}.step")
-
-    def on_command(self, command):
-        self.commands.append(command)
-        self.happenings.note(f"{self.name}.command")
+        super().__init__()
+        self.happenings, self.name, self.stops = happenings, name, []
+        for event in ("start", "samples", "step", "command", "stop"):
+            setattr(self, f"on_{event}", partial(self._told, event))
 
     def on_note(self, note):
         raise AssertionError("a fake plant has no news")
 
-    def on_stop(self, stop, result):
-        self.stops.append((stop, result))
-        self.happenings.note(f"{self.name}.stop")
+    def _told(self, event, *what):
+        getattr(super(), f"on_{event}")(*what)
+        if event in ("step", "stop"):
+            self.commands.pop()  # `commands` are those besides
+        self.stops += [what] * (event == "stop")
+        self.happenings.note(f"{self.name}.{event}")
 
 
 @dataclass

@@ -1,8 +1,5 @@
 """One log through every command that reads logs, in this process, and what it cost."""
 
-import contextlib
-import io
-import os
 import resource
 import shutil
 import sys
@@ -13,8 +10,7 @@ from typing import NamedTuple
 from unittest import mock
 
 import typer
-
-from tetractl.cli.app import run_app
+from support.cli import tetractl
 
 COMMANDS = {
     "info": "info {log}",
@@ -81,17 +77,11 @@ def call(command: str, log: Path, out: Path) -> Cost:
     shutil.rmtree(out, ignore_errors=True)
     out.mkdir()
     words = [word.format(log=log, out=out) for word in COMMANDS[command].split()]
-    stdout, stderr = io.StringIO(), io.StringIO()
     began = time.process_time()
-    with (
-        mock.patch.object(sys, "argv", ["tetractl", *words]),
-        mock.patch.object(typer.main, "get_command", _parser),
-        contextlib.redirect_stdout(stdout),
-        contextlib.redirect_stderr(stderr),
-    ):
-        code = run_app()
+    with mock.patch.object(typer.main, "get_command", _parser):
+        done = tetractl(out, *words)
     seconds = time.process_time() - began
-    return Cost(stdout.getvalue(), stderr.getvalue(), code, seconds, _most_memory_mb())
+    return Cost(done.stdout, done.stderr, done.returncode, seconds, _most_memory_mb())
 
 
 def _most_memory_mb() -> float:
@@ -118,8 +108,8 @@ def check(command: str, log: Path, out: Path) -> Cost:
 
 
 if __name__ == "__main__":  # FOLDER LOG...: a line for each log and command
-    os.environ.setdefault("COLUMNS", "200")
-    for log in sys.argv[2:]:
+    out, *logs = (Path(name).absolute() for name in sys.argv[1:])
+    for log in logs:
         for name in COSTLY:
-            cost = check(name, Path(log), Path(sys.argv[1]))
-            print(f"{Path(log).name} {name}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}")
+            cost = check(name, log, out)
+            print(f"{log.name} {name}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}")

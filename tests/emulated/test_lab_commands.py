@@ -5,6 +5,7 @@ import signal
 import subprocess
 
 import pytest
+from support.cli import process
 from support.lab_processes import PATIENCE_S, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
@@ -36,17 +37,6 @@ def lab(tmp_path):
     yield start
     for emulator in made:
         emulator.close()
-
-
-def tetractl(folder, *words):
-    return subprocess.run(
-        [TETRACTL, *words],
-        cwd=folder,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-    )
 
 
 def at_rest(record):
@@ -148,7 +138,7 @@ def test_stop_ends_the_run_that_has_the_port(lab, tmp_path, number):
         emulator.wait_for("moving")
         if number:
             run.send_signal(number)
-        done = tetractl(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
+        done = process(tmp_path, "lab", "stop", "--port", str(tmp_path / "radio"))
         code = run.wait(PATIENCE_S)
     finally:
         run.kill()

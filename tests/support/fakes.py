@@ -103,18 +103,18 @@ class FakeController:
 
 
 class FakeObserver(Recorder):
-    """Keeps what it is told, and writes down that it was told."""
+    """Keeps what it is given, and writes down each call."""
 
     def __init__(self, happenings, name="log"):
         super().__init__()
         self.happenings, self.name, self.stops = happenings, name, []
         for event in ("start", "samples", "step", "command", "stop"):
-            setattr(self, f"on_{event}", partial(self._told, event))
+            setattr(self, f"on_{event}", partial(self._call, event))
 
     def on_note(self, note):
         raise AssertionError("a fake plant has no news")
 
-    def _told(self, event, *what):
+    def _call(self, event, *what):
         getattr(super(), f"on_{event}")(*what)
         if event in ("step", "stop"):
             self.commands.pop()  # `commands` are those besides

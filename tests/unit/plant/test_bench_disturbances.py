@@ -282,3 +282,14 @@ def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
     assert np.abs(np.corrcoef(error.T)[0, 1]) < 0.1
     fast = driven(plant({"type": "wander", "speed": 0.1}, seed=5), 10)[-1].truth.x - 900
     assert fast != pytest.approx([1000, 500], rel=1e-3)
+
+
+def test_tracking_is_lost_as_often_and_as_long_as_the_spec_says():
+    section = {"type": "tracking-loss", "every": 0.3, "duration": 0.1}
+    samples = driven(plant(section, seed=3), 200)
+    valid = np.array([sample.observation.valid for sample in samples])
+    assert valid[0].all()
+    assert valid.mean(axis=0) == pytest.approx(0.75, abs=0.05)
+    losses = (np.diff(valid.astype(int), axis=0) == -1).sum(axis=0)
+    assert losses == pytest.approx(200 / 0.4, rel=0.15)
+    assert np.abs(np.corrcoef(valid.T)[0, 1]) < 0.05

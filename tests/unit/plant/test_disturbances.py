@@ -1,4 +1,5 @@
-"""Disturbances as files of their own: what each hook changes, and what stays as it was."""
+"""Disturbances as files of their own: what each hook changes, what stays as it was, and what a log
+says of robots that are held."""
 
 from dataclasses import replace
 from typing import Literal
@@ -192,15 +193,62 @@ def test_further_disturbances_leave_the_draws_of_the_others():
         assert one.observation.poses.array() == pytest.approx(two.observation.poses.array())
 
 
-def test_tracking_is_lost_as_often_and_as_long_as_the_spec_says():
-    section = {"type": "tracking-loss", "every": 0.3, "duration": 0.1}
-    spec = experiment(robots=ROBOTS, obstacles=[], plant={"disturbances": [section]})
-    simulated = sim(spec, seed=3)
+PLANTS = {
+    "direct": {},
+    "wheels": {"drive": {"rate": 40}},
+    "cells": {"cells": {"walls": False}},
+}
+
+
+class Holds(Disturbance):
+    """Holds the first robot from 1 s on, for `time`, counted by its time of moving."""
+
+    def __init__(self, time):
+        self.time, self.driven = time, np.zeros(3)
+
+    def moved(self, poses, moving, seconds, time_s):
+        self.driven = self.driven + moving * seconds
+        return poses
+
+    def varied(self, a, speed, time_s):
+        held = (self.driven >= 1) & (self.driven < 1 + self.time)
+        held[1:] = False
+        return np.where(held, 0.0, a), np.where(held, 0.0, speed)
+
+
+def held_for(seconds, plant):
+    spec = experiment(wheels={"radius": 40}, obstacles=[], plant=plant)
+    held = [Given.model_construct(what=Holds(seconds))]
+    section = spec.plant.model_copy(update={"disturbances": held})
+    simulated = sim(spec.model_copy(update={"plant": section}))
     simulated.open()
-    simulated.clock.sleep_until(200 * SECOND)
-    valid = np.array([sample.observation.valid for sample in simulated.samples()])
-    assert valid[0].all()
-    assert valid.mean(axis=0) == pytest.approx(0.75, abs=0.05)
-    losses = (np.diff(valid.astype(int), axis=0) == -1).sum(axis=0)
-    assert losses == pytest.approx(200 / 0.4, rel=0.15)
-    assert np.abs(np.corrcoef(valid.T)[0, 1]) < 0.05
+    said, gone = [], []
+    for k in range(40):
+        if k < 35:
+            simulated.send(Steer(0.5 * (k % 3)))
+        elif k == 35:
+            simulated.stop()
+        simulated.clock.sleep_until((k + 1) * SECOND // 5)
+        gone += [sample.truth.x[0] for sample in simulated.samples()]
+        said += [(note.t_ns / SECOND, note.text) for note in simulated.news()
+                 if not hasattr(note, "direction")]  # fmt: skip
+    return simulated, said, np.array(gone)
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=list(PLANTS))
+def test_a_robot_that_is_held_for_a_time_of_driving_goes_on(plant):
+    """It was given moving = 0 for that robot, so that the time of driving stood still too."""
+    _, said, x = held_for(2.0, plant)
+    still = np.abs(np.diff(x)) < (1e-9 if not plant.get("cells") else 0.5)
+    assert still[150:350].all()
+    assert not still[370:].all()
+    assert said == []
+
+
+@pytest.mark.parametrize("plant", PLANTS.values(), ids=list(PLANTS))
+def test_a_robot_that_never_moves_is_reported_once(plant):
+    simulated, said, _ = held_for(1000.0, plant)
+    ((when, text),) = said
+    assert text == "green does not move though commanded to"
+    assert when == pytest.approx(4.2, abs=0.3)
+    assert simulated.settle().stood.startswith("green stood for 6 s though commanded")

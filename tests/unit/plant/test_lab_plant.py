@@ -31,6 +31,20 @@ def drive(lab, seconds, direction=0.5):
         lab.clock.sleep_until(began + k * PERIOD)
 
 
+def driving(**actuator):
+    """A lab whose robots have driven for two control periods."""
+    lab = opened(**actuator)
+    drive(lab, 0.4)
+    return lab
+
+
+def stopped(**actuator):
+    """A lab whose robots have just been stopped."""
+    lab = driving(**actuator)
+    lab.plant.stop()
+    return lab
+
+
 def wait(lab, seconds):
     lab.clock.sleep_until(lab.clock.now() + round(seconds * SECOND))
 
@@ -44,8 +58,7 @@ def test_a_held_direction_is_sent_at_the_actuators_rate():
 
 
 def test_robots_that_can_only_stop_together_are_steered_on_while_one_is_not_tracked():
-    lab = opened(**CELLS)
-    drive(lab, 0.4)
+    lab = driving(**CELLS)
     lab.camera.hidden = {"green"}
     before = len(lab.actuator.sent)
     wait(lab, 0.2)
@@ -61,8 +74,7 @@ def test_robots_that_can_only_stop_together_are_steered_on_while_one_is_not_trac
 
 @pytest.mark.parametrize("actuator", [{}, CELLS], ids=["robots", "cells"])
 def test_a_robot_lost_for_too_long_aborts_and_stops_all(actuator):
-    lab = opened(**actuator)
-    drive(lab, 0.4)
+    lab = driving(**actuator)
     lab.camera.hidden = {"blue"}
     wait(lab, 0.5)
     with pytest.raises(AbortError, match="blue is not tracked"):
@@ -76,8 +88,7 @@ def test_a_robot_lost_for_too_long_aborts_and_stops_all(actuator):
 
 
 def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_frames():
-    lab = opened(**CELLS)
-    drive(lab, 0.4)
+    lab = driving(**CELLS)
     lab.camera.silent = True
     wait(lab, 0.2)
     assert lab.actuator.sent[-1].direction is None
@@ -94,9 +105,7 @@ def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_fram
 
 
 def test_cells_are_not_waited_for_after_a_stop():
-    lab = opened(**CELLS)
-    drive(lab, 0.4)
-    lab.plant.stop()
+    lab = stopped(**CELLS)
     before = lab.clock.now()
     verdict = lab.plant.settle()
     assert lab.clock.now() == before
@@ -105,9 +114,7 @@ def test_cells_are_not_waited_for_after_a_stop():
 
 
 def test_robots_that_do_not_stand_after_a_stop_are_named():
-    lab = opened()
-    drive(lab, 0.4)
-    lab.plant.stop()
+    lab = stopped()
     lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()
@@ -118,9 +125,7 @@ def test_robots_that_do_not_stand_after_a_stop_are_named():
 
 
 def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
-    lab = opened()
-    drive(lab, 0.4)
-    lab.plant.stop()
+    lab = stopped()
     lab.world.moving = (True, False, False)
     before = len(lab.actuator.sent)
     assert lab.plant.settle().not_at_rest == ""
@@ -129,9 +134,7 @@ def test_a_stop_that_was_lost_is_sent_again_until_the_robots_stand():
 
 
 def test_robots_that_stand_already_are_watched_for_a_while_all_the_same():
-    lab = opened()
-    drive(lab, 0.4)
-    lab.plant.stop()
+    lab = stopped()
     wait(lab, 1.0)
     before = lab.clock.now()
     assert lab.plant.settle().not_at_rest == ""
@@ -139,9 +142,7 @@ def test_robots_that_stand_already_are_watched_for_a_while_all_the_same():
 
 
 def test_a_robot_that_turns_on_the_spot_does_not_stand():
-    lab = opened()
-    drive(lab, 0.4)
-    lab.plant.stop()
+    lab = stopped()
     held = lab.world.advance
 
     def spinning():
@@ -153,8 +154,7 @@ def test_a_robot_that_turns_on_the_spot_does_not_stand():
 
 
 def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
-    lab = opened()
-    drive(lab, 0.4)
+    lab = driving()
     lab.camera.hidden = {"blue"}
     wait(lab, 0.1)
     lab.plant.stop()
@@ -166,8 +166,7 @@ def test_a_robot_that_is_seen_again_gives_its_true_final_pose():
 
 
 def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
-    lab = opened(**CELLS)
-    drive(lab, 0.4)
+    lab = driving(**CELLS)
     lab.camera.hidden = {"blue"}
     wait(lab, 0.1)
     lab.plant.stop()
@@ -182,8 +181,7 @@ def test_cells_that_are_not_seen_after_the_stop_are_waited_for():
 
 
 def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
-    lab = opened()
-    drive(lab, 0.4)
+    lab = driving()
     lab.supervision.emergency.set()
     wait(lab, 0.3)
     assert lab.actuator.emergencies == 10
@@ -194,8 +192,7 @@ def test_an_emergency_stop_is_sent_as_one_and_ends_every_call():
 @pytest.mark.parametrize(("device", "method"), [("actuator", "send"), ("camera", "frames")])
 def test_a_bug_in_a_device_stops_the_robots_and_is_told(device, method):
     """A camera that cannot be read must not keep the stop from being sent."""
-    lab = opened()
-    drive(lab, 0.4)
+    lab = driving()
 
     def broken(*arguments):
         raise ZeroDivisionError("a bug")
@@ -207,21 +204,26 @@ def test_a_bug_in_a_device_stops_the_robots_and_is_told(device, method):
     assert lab.world.moving == (False,) * 3
 
 
+class Person:
+    """Who places the robots: what was `shown`, after which `act(count)` is called."""
+
+    def __init__(self, act=lambda count: None, shows=1):
+        self.shown, self.act, self.shows = [], act, shows
+
+    def place(self, lines, questions):
+        self.shown.append((tuple(lines), questions))
+        self.act(len(self.shown))
+
+    def go(self):
+        return len(self.shown) >= self.shows
+
+
 def test_who_lets_robots_start_is_asked_what_only_a_person_knows():
     lab = fake_lab(SETUP)
     lab.actuator.check = lambda: Health(questions=("does it run 802.15.4 firmware?",))
-    shown = []
-
-    class Person:
-        def place(self, lines, questions):
-            shown.append((tuple(lines), questions))
-
-        def go(self):
-            return True
-
-    lab.supervision.prompt = Person()
+    lab.supervision.prompt = person = Person()
     lab.plant.open()
-    assert shown[-1] == ((), ("does it run 802.15.4 firmware?",))
+    assert person.shown[-1] == ((), ("does it run 802.15.4 firmware?",))
     notes = [item.text for item in lab.plant.news() if isinstance(item, Note)]
     assert "does it run 802.15.4 firmware?" in notes
 
@@ -230,41 +232,27 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     lab = fake_lab(SETUP)
     lab.camera.hidden = {"blue"}
     lab.camera.check = lambda: Health(("the cameras know no rigid body 'blu'",))
-    shown = []
 
-    class Person:
-        def place(self, lines, questions):
-            shown.append(tuple(lines))
-            lab.camera.hidden = set()
-            lab.camera.check = Health
+    def name_it(count):
+        lab.camera.hidden, lab.camera.check = set(), Health
 
-        def go(self):
-            return True
-
-    lab.supervision.prompt = Person()
+    lab.supervision.prompt = person = Person(name_it)
     lab.plant.open()
-    assert shown[0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
-    assert shown[-1] == ()
+    assert person.shown[0][0] == ("the cameras know no rigid body 'blu'", "blue is not tracked")
+    assert person.shown[-1][0] == ()
 
 
 def test_robots_are_waited_for_while_somebody_places_them():
     lab = fake_lab(SETUP, LabLimits(placing=10.0))
     lab.world.poses[1, 0] += 120
-    shown = []
 
-    class Helper:
-        def place(self, lines, questions):
-            shown.append(list(lines))
-            if len(shown) == 3:
-                lab.world.poses[1, 0] -= 120
+    def place(count):
+        lab.world.poses[1, 0] -= 120 * (count == 3)
 
-        def go(self):
-            return len(shown) > 6
-
-    lab.supervision.prompt = Helper()
+    lab.supervision.prompt = person = Person(place, 7)
     info = lab.plant.open()
-    assert shown[0] == ["blue is 120 mm from its start"]
-    assert shown[-1] == []
+    assert person.shown[0][0] == ("blue is 120 mm from its start",)
+    assert person.shown[-1][0] == ()
     assert info.facts["camera"] == "fake"
     assert info.facts["latency_ms"] == "5.00"
 

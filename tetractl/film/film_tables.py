@@ -3,11 +3,12 @@
 from collections.abc import Sequence
 
 from tetractl.core.table.table import Column, Table, fixed
-from tetractl.film.fit_cell import CellSummary, Estimated
+from tetractl.film.fit_cell import CellSummary
 from tetractl.film.follow import Followed
+from tetractl.replay.identification.fit import SampleInterval
 
 
-def interval(decimals: int, value: Estimated | None) -> str:
+def interval(decimals: int, value: SampleInterval | None) -> str:
     """Return a value with its 95 % interval as text; "-" for an unknown value."""
     if value is None:
         return "-"
@@ -135,7 +136,7 @@ def as_items(followed: Followed, cells: Sequence[CellSummary]) -> dict:
     intervals.
     """
 
-    def value(found: Estimated | None) -> dict | None:
+    def value(found: SampleInterval | None) -> dict | None:
         return None if found is None else {"value": found.value, "ci95": [found.low, found.high]}
 
     return {

@@ -28,10 +28,10 @@ from tetractl.lab.cameras.cells.helix import (
     Piece,
     S,
 )
+from tetractl.replay.identification.fit import NORMAL, SampleInterval
 from tetractl.replay.identification.newton import newton_step
 
 START = 5  # number of pictures from which the first heading is computed
-NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 SETTLED_S = 1.0  # time after which the filter has estimated a cell's helix [s]
 SHORTEST_S = 2.0  # duration of the shortest path that is fitted [s]
 # usual noise: walk of the heading [rad/sqrt(s)]; noise of blobs, relative to that stated; walks
@@ -42,24 +42,6 @@ RATE_WALK = 0.3  # walk of the helix's rate [rad/s per sqrt(s)]
 ROUNDS = 3
 CONSTANT = [RATE, A, BIAS]
 WIDE_A = 0.3  # prior deviation of a (relative, and in rad/s) in the second run of the filter
-
-
-@dataclass(frozen=True, slots=True)
-class Estimated:
-    """A value and half the width of its 95 % interval."""
-
-    value: float
-    half: float
-
-    @property
-    def low(self) -> float:
-        """Lower end of the 95 % interval."""
-        return self.value - self.half
-
-    @property
-    def high(self) -> float:
-        """Upper end of the 95 % interval."""
-        return self.value + self.half
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,12 +60,12 @@ class CellSummary:
     seconds: float
     pictures: int
     path_um: float
-    speed: Estimated | None
+    speed: SampleInterval | None
     sway_rad: float
     helix_hz: float
     helix_um: float
-    a: Estimated | None
-    bias: Estimated | None
+    a: SampleInterval | None
+    bias: SampleInterval | None
     magnetised: bool | None
     probability: float
 
@@ -208,10 +190,10 @@ def _summary(path: CellPath, fit: tuple[Floats, Floats] | None, known: bool) -> 
     speed = a = bias = None
     if fit is not None and np.isfinite(fit[0]).all():
         mean, deviation = fit[0], np.sqrt(np.diagonal(fit[1]))
-        speed = Estimated(float(mean[SPEED]), float(NORMAL * deviation[SPEED]))
+        ends = np.stack([mean, mean - NORMAL * deviation, mean + NORMAL * deviation], axis=1)
+        speed = SampleInterval(*ends[SPEED].tolist())
         if known:
-            a = Estimated(float(mean[A]), float(NORMAL * deviation[A]))
-            bias = Estimated(float(mean[BIAS]), float(NORMAL * deviation[BIAS]))
+            a, bias = SampleInterval(*ends[A].tolist()), SampleInterval(*ends[BIAS].tolist())
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),

@@ -29,7 +29,7 @@ def test_a_speeds_and_biases_are_within_their_intervals():
             truth = made.cells.a[i], made.cells.speed[i]
             pairs = zip((cell.a, cell.speed), truth, strict=True)
             inside += [each.low < value < each.high for each, value in pairs]
-            assert cell.speed.half < 0.05 * truth[1]
+            assert cell.speed.high - cell.speed.value < 0.05 * truth[1]
             assert cell.magnetised is bool(truth[0] > 0)
             assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
     assert found >= 4

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from tetractl.control.filter import USUAL
 from tetractl.core.poses import Floats
@@ -188,7 +188,7 @@ def _white(residuals: Floats, resolved: Floats) -> tuple[list[list[str]], Floats
             continue
         r = np.nan_to_num(np.clip(r, *np.std(r[seen]) * np.array([-4.0, 4.0])))
         rho = np.array([r[lag:] @ r[:-lag] for lag in range(1, LAGS + 1)]) / (r @ r + 1e-300)
-        if chi2.sf(seen.sum() * (rho**2).sum(), LAGS) < DOUBT / residuals[0].size:
+        if chdtrc(LAGS, seen.sum() * (rho**2).sum()) < DOUBT / residuals[0].size:
             misfits[robot].append(RESIDUALS[kind])
             wider[robot] = max(wider[robot], np.sqrt(max(1 + 2 * rho.sum(), 1.0)))
     return misfits, wider

@@ -1,11 +1,11 @@
-"""Where one sequence leads: the compiled path and costs against the readable ones."""
+"""Where sequences lead and what they cost: compiled against readable."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from support import problems
 
@@ -103,3 +103,64 @@ def test_branches_are_the_readable_predictions_of_their_directions(seed, robots,
         each = replace(problem, poses=poses, first_period=0.1, period=0.1)
         expected = foresee(each, towards[b] + turns).path
         assert path[:, b] == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def costs_twice(problem, signals):
+    """The compiled costs of signals (P, L), computed again in the same arrays."""
+    costs = compiled_costs(problem, len(signals))
+    costs(signals.T)
+    return costs(signals.T)
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    robots=st.integers(1, 5),
+    obstacles=st.integers(0, 4),
+    length=st.integers(1, 60),
+    particles=st.integers(1, 70),
+    model=st.sampled_from(["euler", "arc", "exact"]),
+    swept=st.booleans(),
+    first=st.floats(0.01, 0.2),
+    apart=st.sampled_from([0.0, 50.0, 400.0]),
+)
+@example(167, 1, 0, 60, 34, "exact", False, 0.2, 0.0)  # headings near -u again and again
+@example(0, 1, 1, 47, 15, "euler", False, 0.11354210870059285, 0.0)
+def test_costs_agree(seed, robots, obstacles, length, particles, model, swept, first, apart):
+    world = problems.world(seed, robots, obstacles, model, swept)
+    problem = replace(problems.problem(world, apart), first_period=first)
+    signals = np.random.default_rng(seed).uniform(-math.pi, math.pi, (particles, length))
+    reference = evaluate(problem, signals).total
+    allowed = 1e-9 * reference + spread(problem, signals, reference)
+    assert np.all(np.abs(costs_twice(problem, signals) - reference) <= allowed)
+
+
+def spread(problem, signals, reference):
+    """Return how far costs (P,) move when each signal moves by 1e-12 rad.
+
+    A heading near -u doubles what it is off within a few signals, and rounding with it.
+    """
+    rng = np.random.default_rng(0)
+    moved = [signals + rng.choice([-1e-12, 1e-12], signals.shape) for _ in range(4)]
+    return np.max([np.abs(evaluate(problem, m).total - reference) for m in moved], axis=0)
+
+
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+@pytest.mark.parametrize("turn", [1e-6, 1e-3, 1.25, 3.0, 5.0, 20.0, 50.0])
+def test_costs_agree_whatever_a_robot_turns_in_a_period(model, turn):
+    """Regression: above a T of about 4 the sines of `euler` and `arc` left their range."""
+    problem = problems.problem(problems.world(1, obstacles=0, model=model))
+    problem = replace(problem, a=np.full(3, turn / problem.period))
+    signals = np.random.default_rng(1).uniform(-math.pi, math.pi, (33, 3))
+    reference = evaluate(problem, signals).total
+    assert costs_twice(problem, signals) == pytest.approx(reference, rel=1e-8)
+
+
+@pytest.mark.parametrize("model", ["euler", "arc", "exact"])
+def test_costs_agree_at_the_bounds_and_along_the_axes(model):
+    """Directions of exactly 0, +-pi/2 and +-pi, where a sine or a turn vanishes."""
+    problem = problems.problem(problems.world(2, obstacles=4, model=model))
+    axes = np.array([0.0, math.pi / 2, -math.pi / 2, math.pi, -math.pi])
+    signals = np.random.default_rng(2).choice(axes, (64, 9))
+    assert costs_twice(problem, signals) == pytest.approx(
+        evaluate(problem, signals).total, rel=1e-9
+    )

@@ -1,6 +1,7 @@
 """What every optimiser promises, those that learn from samples, and what they are built from."""
 
 import math
+import pickle
 
 import numpy as np
 import pytest
@@ -11,7 +12,6 @@ from support.paths import ROOT
 
 from tetractl.control.cost import evaluate
 from tetractl.control.curves import bearing, interpolate
-from tetractl.control.evaluate import compiled_costs
 from tetractl.control.optimizers.cem import CrossEntropy
 from tetractl.control.optimizers.mppi import Mppi
 from tetractl.control.optimizers.multistart import Multistart
@@ -76,12 +76,14 @@ def test_what_is_found_is_what_it_is_said_to_be(
 
 
 @OPTIMIZERS
-def test_the_key_alone_decides(optimizer):
+def test_the_key_alone_decides_and_the_problem_is_left_alone(optimizer):
     problem = problems.problem(problems.world(1))
+    before = pickle.dumps(problem)
     one, two, other = (optimizer.search(problem, 9, None, key, Limits()) for key in (1, 1, 2))
     assert one.history.tobytes() == two.history.tobytes()
     assert one.signals.tobytes() == two.signals.tobytes()
     assert one.signals.tobytes() != other.signals.tobytes()
+    assert pickle.dumps(problem) == before
 
 
 @SAMPLING
@@ -127,14 +129,6 @@ def test_curves_pass_through_their_knots(count, extra, seed):
     curve = interpolate(knots, length)
     expected = [np.interp(np.linspace(0, count - 1, length), range(count), k) for k in knots.T]
     assert pytest.approx(np.array(expected), abs=1e-12) == curve.T
-
-
-def test_compiled_costs_are_those_of_the_reference_and_may_be_asked_again():
-    problem = problems.problem(problems.world(5))
-    costs, rng = compiled_costs(problem, 7), np.random.default_rng(1)
-    for _ in range(2):
-        signals = rng.uniform(-math.pi, math.pi, (12, 7))
-        assert costs(signals) == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)
 
 
 def test_progress_keeps_the_best_and_counts():

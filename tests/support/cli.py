@@ -12,7 +12,7 @@ from unittest import mock
 from support.running import PATIENCE_S, TETRACTL, environment
 
 from tetractl.cli.app import run_app
-from tetractl.run.interrupt import SIGNALS
+from tetractl.run.interrupt import STOP_SIGNALS
 
 
 class Done(NamedTuple):
@@ -34,7 +34,7 @@ def tetractl(folder, *words, env=None, stdin="") -> Done:
     What is about processes, pipes and signals themselves starts a process instead.
     """
     out, err = Text(), Text()
-    handlers = {number: signal.getsignal(number) for number in SIGNALS}
+    handlers = {number: signal.getsignal(number) for number in STOP_SIGNALS}
     try:
         with (
             contextlib.chdir(folder),

@@ -13,7 +13,6 @@ from tetractl.experiment.load import load_spec
 from tetractl.log.format.channels import LOG
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.difference import EXACT
 from tetractl.replay.verify import differences
 
 SCRIPTS = sorted((ROOT / "experiments" / "faults").rglob("*.yaml"))
@@ -67,7 +66,7 @@ def check_log(expect, played):
         return
     if expect.outcome == "done":
         assert trial.result.outcome.complete
-        assert [*differences(scan(log), trial, EXACT)] == []
+        assert [*differences(scan(log), trial)] == []
     else:
         assert trial.result.outcome == expect.outcome
         if expect.outcome == "aborted":

@@ -82,7 +82,7 @@ def examine(original: Original, copy: Path, data: bytes, complete: int, tally: T
     except LogError:
         tally.unreadable += 1
         return
-    if trial.damage is None and not (whole and contents.digest == trial.digest):
+    if trial.damage is None and not (whole and contents.digests.content == trial.digest):
         tally.wrong.append("a damaged trial is said to be whole")
 
 

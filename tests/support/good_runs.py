@@ -10,7 +10,6 @@ import numpy as np
 
 from tetractl.log.read.reader import read_trial
 from tetractl.log.read.salvage import scan
-from tetractl.replay.difference import EXACT
 from tetractl.replay.verify import differences
 
 UNEVEN = """
@@ -70,7 +69,7 @@ def check(sets, played):
         trial = read_trial(log)
         assert trial.damage is None
         assert trial.result.outcome.complete
-        assert [*differences(scan(log), trial, EXACT)] == []
+        assert [*differences(scan(log), trial)] == []
     check_poses(played, trial)
     assert played.of("robot", moving=False), "they drove, and stand"
 

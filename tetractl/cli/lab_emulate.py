@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit
-from tetractl.run.interrupt import SIGNALS
+from tetractl.run.interrupt import STOP_SIGNALS
 
 ROBOTS = {
     "run": "first command of a run",
@@ -73,7 +73,7 @@ def emulate(
     def end(number: int, frame: object) -> None:
         emulation.loop.end()
 
-    for number in SIGNALS:
+    for number in STOP_SIGNALS:
         signal.signal(number, end)
     with emulation:
         gc.freeze()  # exempts loaded objects from garbage collection: pauses would delay frames

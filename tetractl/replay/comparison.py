@@ -16,7 +16,7 @@ from tetractl.log.format.tetractl_pb2 import ControllerStep
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.replay.difference import (
-    EXACT,
+    SAME_BITS,
     Difference,
     Tolerance,
     TooLongError,
@@ -34,13 +34,13 @@ DRAWN = frozenset({channels.SCENE, channels.SCENE_PLAN, channels.LAYOUT, channel
 class Comparison:
     """A sink of log records that compares each with the log's next of its channel or name.
 
-    With a `tolerance` other than `EXACT`, for a log that another machine or version wrote, numbers
-    must agree within it, and contents of records in DRAWN are not compared. Once two messages of a
+    With another `tolerance` than `SAME_BITS`, for a log of another machine or version, numbers must
+    agree within it, and contents of records in DRAWN are not compared. Once two messages of a
     channel differ, its later ones are not compared. Topics in `without` are not compared.
     """
 
     def __init__(
-        self, raw: RawLog, tolerance: Tolerance = EXACT, without: Iterable[str] = NOT_REPEATED
+        self, raw: RawLog, tolerance: Tolerance = SAME_BITS, without: Iterable[str] = NOT_REPEATED
     ) -> None:
         self._raw, self._tolerance = raw, tolerance
         self._left = {topic: iter(raw.by_topic[topic]) for topic in CHANNELS.keys() - set(without)}
@@ -64,7 +64,7 @@ class Comparison:
         logged = self._raw.attachments.get(name)
         if logged is None:
             self._found.append(Difference(None, name, "missing"))
-        elif logged.data != data and (self._tolerance is EXACT or name not in DRAWN):
+        elif logged.data != data and (self._tolerance is SAME_BITS or name not in DRAWN):
             self._found.append(Difference(None, name, "differs from the experiment's"))
 
     def flush(self) -> None:
@@ -105,7 +105,7 @@ class Comparison:
             return Difference(None, name, "missing")
         if entry[1:3] != made[1:3]:
             return Difference(None, name, f"has the times {entry[1:3]}, not {made[1:3]}")
-        exact = self._tolerance is EXACT
+        exact = self._tolerance is SAME_BITS
         if not exact and made.topic in DRAWN:
             return None
         try:

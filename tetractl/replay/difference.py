@@ -52,11 +52,11 @@ class Tolerance:
         return (bits[0] != bits[1]).reshape(ours.shape) & ~(np.isnan(ours) & np.isnan(logged))
 
 
-EXACT = Tolerance()
+SAME_BITS = Tolerance()
 
 
 def first_difference(
-    ours: Any, logged: Any, tolerance: Tolerance = EXACT, name: str = ""
+    ours: Any, logged: Any, tolerance: Tolerance = SAME_BITS, name: str = ""
 ) -> tuple[str, str] | None:
     """Return the field and a description of the first difference between two records, None if they
     agree.

@@ -2,7 +2,7 @@
 rest at the end, distances, duration and final poses, and a microscope's film.
 
 The search for cells is repeated in each logged crop, with the code that found them first: it must
-find the logged blob, and a robot's logged position must be within NEAR_UM [um] of its blob. With
+find the logged blob, and a robot's logged position must be within BLOB_NEAR_UM [um] of it. With
 another version of OpenCV than the log's, blobs may differ by a pixel: then the crops are not
 searched, and a note says so.
 """
@@ -163,7 +163,7 @@ def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
 
 
 BLOB_TOLERANCE = 1e-9  # relative tolerance of a blob's numbers on another machine
-NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
+BLOB_NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
 
 
 def film_differences(
@@ -212,7 +212,7 @@ def _opencv() -> str:
 def _checked(log: TrialLog, row: int, entries: list[Entry]) -> CellFilm:
     """Return the film of one picture from its messages; ValueError if anything contradicts them.
 
-    Each robot's logged position must be within NEAR_UM of its blob, unless several cells share it.
+    A robot's logged position must be within BLOB_NEAR_UM of its blob, unless cells share the blob.
     """
     topics = [entry.topic for entry in entries]
     if topics[:2] != [channels.CELLS, channels.CROPS] or len(set(topics)) < len(topics):
@@ -234,7 +234,7 @@ def _checked(log: TrialLog, row: int, entries: list[Entry]) -> CellFilm:
             continue
         at = camera.placed((x + 0.5) * um_px, (int(height) - 0.5 - y) * um_px, metres)
         gap = np.hypot(*(log.mocap[row, robot, :2] - at)) * metres * 1e6
-        if not gap <= NEAR_UM:
+        if not gap <= BLOB_NEAR_UM:
             raise ValueError(f"{log.start.setup.names[robot]} is {gap:.1f} um from its blob")
     return film
 

@@ -34,7 +34,7 @@ from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.difference import (
-    EXACT,
+    SAME_BITS,
     Difference,
     Tolerance,
     TooLongError,
@@ -177,7 +177,7 @@ def recompute(
         return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
     setup, rerun = log.start.setup, Rerun(search_again, cpu)
     controller = rerun.controller(log, key)
-    tolerance = EXACT if search_again else _tolerance(setup.starts.xy, setup.targets)
+    tolerance = SAME_BITS if search_again else _tolerance(setup.starts.xy, setup.targets)
     last: Step | None = None
     for step in first_steps(log):
         rerun.begin(step.plan.searches)

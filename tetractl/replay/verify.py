@@ -26,7 +26,7 @@ from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
 from tetractl.replay.comparison import Comparison
 from tetractl.replay.difference import (
-    EXACT,
+    SAME_BITS,
     Difference,
     Tolerance,
     TooLongError,
@@ -96,7 +96,7 @@ def verify(path: Path) -> Verification:
     method, found = Method.RECOMPUTED, recompute(log, search_again=True)
     if found and elsewhere:
         method, found = Method.REEVALUATED, recompute(log, search_again=False)
-    others = [*differences(raw, log, EXACT)]
+    others = [*differences(raw, log)]
     if others and elsewhere:
         tolerance = ROUGHLY if log.start.plant.simulated else NEARLY
         others = [*differences(raw, log, tolerance)]
@@ -146,7 +146,9 @@ def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:
         yield Difference(None, channels.HOST, f"states the unknown {min(others)!r}")
 
 
-def differences(raw: RawLog, log: TrialLog, tolerance: Tolerance) -> Iterator[Difference]:
+def differences(
+    raw: RawLog, log: TrialLog, tolerance: Tolerance = SAME_BITS
+) -> Iterator[Difference]:
     """Yield the differences between the records of a repeated trial and those in its log; nothing
     for a damaged log, whose trial cannot be repeated.
     """

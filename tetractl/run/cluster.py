@@ -19,8 +19,8 @@ from tetractl.run.task import Finished, Task, log_path, run_task
 
 TLS = "DASK_DISTRIBUTED__COMM__TLS"  # prefix of Dask's environment variables
 COUNT_S = 1.0  # interval between two counts of the workers, whose number may change [s]
-CHUNK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
-MOST = 200  # largest number of trials in a Dask task, whose logs are returned together
+TASK_S = 2.0  # duration of a Dask task [s]; a scheduler handles some hundred tasks per second
+TASK_TRIALS_MAX = 200  # largest number of trials in a Dask task, whose logs are returned together
 
 
 class Cluster:
@@ -170,7 +170,7 @@ def chunk_size(mean_s: float | None, waiting: int, window: int) -> int:
     """
     if mean_s is None:
         return 1
-    return max(min(int(CHUNK_S / max(mean_s, 1e-6)), MOST, waiting // window), 1)
+    return max(min(int(TASK_S / max(mean_s, 1e-6)), TASK_TRIALS_MAX, waiting // window), 1)
 
 
 def _work(tasks: Sequence[Task]) -> list[tuple[Finished | Exception, bytes | None]]:

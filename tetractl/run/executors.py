@@ -17,7 +17,7 @@ from typing import Protocol
 
 from tetractl.core.errors import AbortError
 from tetractl.core.protocols import LabSupervision, Observer
-from tetractl.run.interrupt import SIGNALS, Interrupt
+from tetractl.run.interrupt import STOP_SIGNALS, Interrupt
 from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
@@ -176,7 +176,7 @@ def _work(task: Task, folder: Path) -> Finished:
 def _signals_held_back() -> Iterator[None]:
     """Block signals in processes that are started inside the `with` block, until they call
     `_start_worker`."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, STOP_SIGNALS)
     try:
         yield
     finally:
@@ -209,11 +209,11 @@ def _start_worker(ending: Event) -> None:
     """
     global _interrupt
     _interrupt = interrupt = _SharedInterrupt(ending)
-    for number in SIGNALS:
+    for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda number, frame: interrupt.request())
     sys.unraisablehook = interrupt.on_unraisable
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)  # delivers the blocked signals
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOP_SIGNALS)  # delivers the blocked signals
     threading.Thread(target=_end_with_parent, name="parent", daemon=True).start()
 
 

@@ -16,8 +16,8 @@ from typing import Any
 _FAULTS = {"SIGSEGV", "SIGBUS", "SIGFPE", "SIGILL", "SIGPIPE", "SIGXFSZ"}
 _HARMLESS = {"SIGCHLD", "SIGCLD", "SIGCONT", "SIGURG", "SIGWINCH", "SIGINFO"}
 _SUSPENDING = {"SIGTSTP", "SIGTTIN", "SIGTTOU"}
-_OTHERS = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
-SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _OTHERS}))
+_UNCAUGHT = _FAULTS | _HARMLESS | _SUSPENDING | {"SIGKILL", "SIGSTOP"}
+STOP_SIGNALS = tuple(sorted(signal.valid_signals() - {getattr(signal, n, None) for n in _UNCAUGHT}))
 """The signals handled: those that can be caught and end a process by default, except faults."""
 
 Handler = Callable[[int, FrameType | None], Any] | int | None
@@ -54,7 +54,7 @@ class Interrupt:
         """
         more = {signal.SIGTSTP: self._on_signal} if robots else {}
         deaf = {signal.SIGTTIN: signal.SIG_IGN, signal.SIGTTOU: signal.SIG_IGN} if robots else {}
-        before = _install({**dict.fromkeys(SIGNALS, self._on_signal), **more, **deaf})
+        before = _install({**dict.fromkeys(STOP_SIGNALS, self._on_signal), **more, **deaf})
         unraisable, sys.unraisablehook = sys.unraisablehook, self.on_unraisable
         try:
             yield
@@ -124,12 +124,12 @@ def leave_on_signals(code: int, say: Callable[[], object] = lambda: None) -> Non
         say()
         os._exit(code)
 
-    _install(dict.fromkeys(SIGNALS, leave))
+    _install(dict.fromkeys(STOP_SIGNALS, leave))
 
 
 def ignore_signals() -> None:
     """Ignore all signals: used before the interpreter ends, which removes all other handlers."""
-    _install(dict.fromkeys(SIGNALS, signal.SIG_IGN))
+    _install(dict.fromkeys(STOP_SIGNALS, signal.SIG_IGN))
 
 
 def _install(handlers: dict[int, Handler]) -> dict[int, Handler]:

@@ -1,5 +1,5 @@
-"""Warns of problems in a valid spec that may prevent a trial from working as intended. Each check
-is a function in `CHECKS` that yields field, message and hint of each problem, with its numbers.
+"""Warns of problems in a valid spec that may prevent a trial from working as intended. Each
+function in `SPEC_CHECKS` yields field, message and hint of each problem, with its numbers.
 docs/reference/warnings.md explains the warnings.
 """
 
@@ -35,7 +35,7 @@ paper's equation (6) oscillate with a growing amplitude.
 """
 OVERSHOOTING = ("euler", "arc")
 """The motions whose heading advances by the paper's equation (6)."""
-ALIKE = 0.05
+ROBOTS_ALIKE = 0.05
 """Robots are alike if their turning rates a differ by at most this fraction, and their start
 headings by at most this number of radians."""
 
@@ -225,8 +225,10 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
     left, heading = np.ones(len(setup.a), dtype=np.bool_), setup.starts.heading
     for i in range(len(setup.a)):
         if left[i]:
-            near = left & (np.abs(setup.a - setup.a[i]) <= ALIKE * np.maximum(setup.a, setup.a[i]))
-            near &= np.abs(wrap(heading - heading[i])) <= ALIKE
+            near = left & (
+                np.abs(setup.a - setup.a[i]) <= ROBOTS_ALIKE * np.maximum(setup.a, setup.a[i])
+            )
+            near &= np.abs(wrap(heading - heading[i])) <= ROBOTS_ALIKE
             left &= ~near
             if near.sum() > 1:
                 yield np.flatnonzero(near).tolist()
@@ -303,7 +305,7 @@ def same_place(spec: CheckContext) -> Found:
             yield ("robots", i, field), f"{where}: both cannot stand there", "move one of them"
 
 
-CHECKS: tuple[Callable[[CheckContext], Found], ...] = (
+SPEC_CHECKS: tuple[Callable[[CheckContext], Found], ...] = (
     angles,
     plan_outlasts_trial,
     coarse_period,
@@ -337,7 +339,7 @@ def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedW
     context = CheckContext(loaded.experiment)
     document = document_of(loaded.text, str(loaded.path or loaded.name), sets)
     found: list[PlacedWarning] = []
-    for loc, message, hint in (each for check in CHECKS for each in check(context)):
+    for loc, message, hint in (each for check in SPEC_CHECKS for each in check(context)):
         place = document.place(loc)
         at = place.problem(loc, message, place.text)
         found.append(

@@ -13,7 +13,7 @@ from pathlib import Path
 from tetractl.core.errors import LogError, UsageError
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import spec_hash
-from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
+from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX, attempt_name
 from tetractl.log.read.reader import read_result
 from tetractl.run.task import Finished, Task, log_path
 
@@ -164,7 +164,7 @@ class LogStore(TrialFolder):
         if folder.exists() and not folder.is_dir():
             raise UsageError(f"{folder}: not a folder", "name another with --out")
         names = (path.name for path in folder.iterdir()) if folder.exists() else ()
-        if not resume and any(name.endswith((SUFFIX, PART)) for name in names):
+        if not resume and any(name.endswith((SUFFIX, LOG_PART)) for name in names):
             raise UsageError(
                 f"{folder}: holds logs already", "name another folder with --out, or add --resume"
             )

@@ -9,9 +9,9 @@ from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.files import save_whole
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import resolved_yaml
-from tetractl.log.format.channels import TEXT
+from tetractl.log.format.channels import RESOLVED_SPEC, TEXT
 from tetractl.log.read.find import ROWS
-from tetractl.log.read.rows import SPEC, Row, check_rows, read_rows
+from tetractl.log.read.rows import Row, check_rows, read_rows
 from tetractl.run.store import TrialFolder, made_and_locked, make_folder
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
@@ -48,7 +48,9 @@ class Store(TrialFolder):
         folder = self.folder / arm
         if arm not in self._placed:
             make_folder(folder)
-            save_whole(folder / SPEC, resolved_yaml(self._arms[arm].spec.experiment).encode())
+            save_whole(
+                folder / RESOLVED_SPEC, resolved_yaml(self._arms[arm].spec.experiment).encode()
+            )
             self._placed.add(arm)
         return folder
 

@@ -7,8 +7,8 @@ import pytest
 from support.studies import FAILING, SMALL, run
 
 from tetractl.core.errors import UsageError
+from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.find import ROWS
-from tetractl.log.read.rows import SPEC
 from tetractl.results.open_batch import Source, open_batch, sources
 from tetractl.study.options import Logs
 
@@ -93,11 +93,11 @@ def test_rows_without_a_result_are_missed_only_where_there_is_no_log(tmp_path):
 
 def test_a_spec_of_other_rows_is_damage_that_the_study_mends(tmp_path):
     arm = arm_of(tmp_path, NONE)
-    whole = (arm / SPEC).read_text()
-    (arm / SPEC).write_text(whole.replace("seed: 7", "seed: 8"))
+    whole = (arm / RESOLVED_SPEC).read_text()
+    (arm / RESOLVED_SPEC).write_text(whole.replace("seed: 7", "seed: 8"))
     assert read(arm)[1] == 0
     run(tmp_path, SMALL, logs=NONE)
-    assert (arm / SPEC).read_text() == whole
+    assert (arm / RESOLVED_SPEC).read_text() == whole
     assert read(arm)[1:] == (3, [])
 
 

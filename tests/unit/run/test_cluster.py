@@ -67,7 +67,7 @@ def test_a_task_is_two_seconds_of_trials(tmp_path):
     assert sorted(found) == list(range(2000))
     sizes = list(map(len, client.chunks))
     assert sizes[:8] == [1] * 8  # nothing is known of the first
-    assert max(sizes) == int(cluster.CHUNK_S / 0.05) == 40
+    assert max(sizes) == int(cluster.TASK_S / 0.05) == 40
     assert len(sizes) < 150
     assert sizes[-1] == 1  # the last ones are shared out
 

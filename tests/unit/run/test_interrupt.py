@@ -3,7 +3,7 @@ import signal
 
 import pytest
 
-from tetractl.run.interrupt import SIGNALS, Interrupt, interrupted_once
+from tetractl.run.interrupt import STOP_SIGNALS, Interrupt, interrupted_once
 
 
 def test_only_a_second_request_breaks_and_only_what_is_breakable():
@@ -34,9 +34,9 @@ def test_breakable_code_is_broken_once():
 
 def test_signals_are_all_that_end_a_process_and_can_be_caught():
     names = {"SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGUSR1", "SIGALRM", "SIGABRT", "SIGXCPU"}
-    assert {getattr(signal, name) for name in names} <= set(SIGNALS)
+    assert {getattr(signal, name) for name in names} <= set(STOP_SIGNALS)
     left = {"SIGKILL", "SIGSTOP", "SIGTSTP", "SIGSEGV", "SIGCHLD", "SIGWINCH", "SIGPIPE"}
-    assert not {getattr(signal, name) for name in left} & set(SIGNALS)
+    assert not {getattr(signal, name) for name in left} & set(STOP_SIGNALS)
 
 
 def test_the_first_signal_raises_and_the_cleaning_up_is_left_in_peace():

@@ -8,11 +8,11 @@ from pathlib import Path
 from tetractl.core.errors import UsageError
 
 SUFFIX = ".mcap"
-PART = ".mcap.part"
+LOG_PART = ".mcap.part"
 ROWS = "trials.jsonl"
 """Name of a study's file of rows, in the folder of each arm."""
 RECOVERED_SUFFIX = ".recovered.mcap"
-_OTHERS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
+_NO_LOGS = re.compile(r"\.(csv|gif|html|jsonl?|mp4|parquet|pdf|png|svg|webp|ya?ml)$", re.IGNORECASE)
 _LOG = re.compile(r"\.mcap(\.part)?$")
 _SET_ASIDE = re.compile(r"\.attempt-\d+\.(recovered\.)?mcap(\.part)?$")
 
@@ -54,7 +54,7 @@ def without_others(paths: Iterable[Path | str]) -> list[Path]:
     folders of its arms. Raises UsageError if no path is left.
     """
     places = [Path(path) for path in paths]
-    kept = [path for path in places if not _OTHERS.search(path.name) or not path.is_file()]
+    kept = [path for path in places if not _NO_LOGS.search(path.name) or not path.is_file()]
     if places and not kept:
         first = places[0]
         spec = first.suffix.lower() in (".yaml", ".yml")
@@ -88,7 +88,7 @@ def _sources(log: Path) -> set[Path]:
     if not log.name.endswith(RECOVERED_SUFFIX):
         return set()
     stem = log.name.removesuffix(RECOVERED_SUFFIX)
-    return {log.with_name(stem + suffix) for suffix in (SUFFIX, PART)}
+    return {log.with_name(stem + suffix) for suffix in (SUFFIX, LOG_PART)}
 
 
 def _expand(path: Path, attempts: bool, bare: bool) -> list[Path]:

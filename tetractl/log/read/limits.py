@@ -16,13 +16,12 @@ from dataclasses import dataclass
 FACTOR = "TETRACTL_LOG_FACTOR"
 """Environment variable whose value multiplies the limits for a whole log."""
 
-CHUNK = 1 << 24
+CHUNK_MAX = 1 << 24
 """Largest unpacked size of a chunk [bytes]; tetractl's chunks have about a million."""
-MESSAGE = 1 << 22
-"""Largest size of a message that is decoded [bytes]; a step of 1000 robots has about a million."""
-ATTACHMENT = 1 << 22
-"""Largest size of an attachment [bytes], four times the largest spec."""
-PROBLEMS = 50
+RECORD_MAX = 1 << 22
+"""Largest size of a message that is decoded, or of an attachment [bytes]; a step of 1000 robots has
+about a million, and the largest spec too."""
+PROBLEMS_MAX = 50
 """Largest number of damaged records of a log that are listed."""
 OVERLAP = 8
 """Largest sum of the sizes of all records, which may overlap, as a multiple of the file's size."""

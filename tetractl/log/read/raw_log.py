@@ -76,7 +76,7 @@ class RawLog:
         """
         found = [entry.data for entry in self.by_topic[topic]]
         longest = max(map(len, found), default=0)
-        if longest > limits.MESSAGE:
+        if longest > limits.RECORD_MAX:
             raise TooMuchError(f"a message on {topic} is too long, with {longest} bytes")
         return map(channels.CHANNELS[topic].FromString, found)
 

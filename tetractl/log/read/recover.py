@@ -10,7 +10,7 @@ from mcap.records import Attachment
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import RECOVERED, Entry
 from tetractl.log.format.tetractl_pb2 import Recovered
-from tetractl.log.read.find import PART, RECOVERED_SUFFIX, SUFFIX
+from tetractl.log.read.find import LOG_PART, RECOVERED_SUFFIX, SUFFIX
 from tetractl.log.read.limits import file_limit
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
@@ -44,7 +44,7 @@ class Recovery:
 
 def recovered_path(log: Path) -> Path:
     """Return the default path of the recovered log, next to the damaged log."""
-    for suffix in (PART, SUFFIX):
+    for suffix in (LOG_PART, SUFFIX):
         if log.name.endswith(suffix):
             return log.with_name(log.name.removesuffix(suffix) + RECOVERED_SUFFIX)
     return log.with_name(log.name + RECOVERED_SUFFIX)

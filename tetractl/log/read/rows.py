@@ -19,15 +19,15 @@ from tetractl.core.trial import Result
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import arm_hash, parse_spec
 from tetractl.experiment.yaml.document import read_text
+from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.format.run_records import encode_result
 from tetractl.log.format.tetractl_pb2 import HostEnd
 from tetractl.log.format.tetractl_pb2 import Result as ResultMessage
 from tetractl.log.read import limits
 from tetractl.log.read.limits import Budget, TooMuchError
 from tetractl.log.read.trial_log import Origin, ResultSummary
-from tetractl.log.read.validate import COUNT_MAX, TIME_MAX_NS, check_counts, stated_result
+from tetractl.log.read.validate import INTEGER_MAX, TIME_MAX_NS, check_counts, stated_result
 
-SPEC = "spec.resolved.yaml"
 SIMULATED = PlantInfo("", simulated=True, camera_rate_hz=0.0, facts={})
 """The plant of every study: a simulation. Results need no other facts of the plant."""
 
@@ -39,7 +39,7 @@ def one_line(text: str) -> str:
     return text
 
 
-Count = Annotated[int, Field(ge=0, le=COUNT_MAX)]
+Count = Annotated[int, Field(ge=0, le=INTEGER_MAX)]
 Seconds = Annotated[float, Field(ge=0, le=TIME_MAX_NS / 1e9)]
 Text = Annotated[str, Field(max_length=200), AfterValidator(one_line)]
 
@@ -141,8 +141,6 @@ class Row:
         )
 
 
-ROW_MAX = limits.MESSAGE
-"""Largest size of a row [bytes]."""
 LINE_COST, ROW_COST, SOLVE_COST = 400, 5200, 80
 """Bytes charged to the budget for a line, in addition for a row, and for each of its solve times.
 """
@@ -167,10 +165,10 @@ def check_rows(path: Path) -> None:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Yield number and text of each complete line of at most ROW_MAX bytes."""
+    """Yield number and text of each complete line of at most limits.RECORD_MAX bytes."""
     number, begins = 1, True
     with path.open("rb") as file:
-        while piece := file.readline(ROW_MAX):
+        while piece := file.readline(limits.RECORD_MAX):
             ends = piece.endswith(b"\n")
             if begins and ends:
                 yield number, piece.decode(errors="replace")
@@ -215,7 +213,7 @@ def row_results(path: Path) -> dict[int, ResultSummary | None]:
     The experiment is that of the spec next to the file. Raises LogError if the file or its spec
     cannot be read, or if a row belongs to another spec.
     """
-    beside = path.with_name(SPEC)
+    beside = path.with_name(RESOLVED_SPEC)
     try:
         spec = parse_spec(read_text(beside), str(beside), written=True)
     except SpecError as error:

@@ -134,7 +134,7 @@ class _Scan:
                     self._problems.append("the checksum of the data section does not match")
                 return
             why = self._verify(offset, opcode)
-            if why and len(self._problems) < limits.PROBLEMS:
+            if why and len(self._problems) < limits.PROBLEMS_MAX:
                 self._problems.append(f"the record at byte {offset} is damaged: {why}")
             offset = end
         self._problems.append(f"the file breaks off in the record at byte {offset}")
@@ -179,7 +179,7 @@ class _Scan:
             self._channels |= {item.id: item for item in channels}
             self._found[offset] = messages
         elif opcode == Opcode.ATTACHMENT:
-            if size > limits.ATTACHMENT:
+            if size > limits.RECORD_MAX:
                 raise ValueError(f"an attachment of {size} bytes is more than tetractl reads")
             attachment = Attachment.read(stream)
             stated = int.from_bytes(self._data[end - 4 : end], "little")
@@ -194,7 +194,7 @@ class _Scan:
             size = max(size, zstandard.frame_content_size(chunk.data))
         elif chunk.compression:
             raise ValueError(f"the chunk's compression {chunk.compression[:20]!r} is not known")
-        if size > limits.CHUNK:
+        if size > limits.CHUNK_MAX:
             raise ValueError(f"the chunk claims to unpack to {size} bytes")
         if chunk.uncompressed_crc == 0:
             raise ValueError("the chunk has no checksum")

@@ -12,20 +12,18 @@ import numpy as np
 
 from tetractl.core.commands import Command, Sample, Steer, Turn
 from tetractl.core.errors import printable
-from tetractl.core.poses import Floats
 from tetractl.core.trial import Result, Step
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import TEXT
 from tetractl.log.format.codec import Frames
 from tetractl.log.format.run_records import decode_result
 
-LENGTH_MAX = 1e9
-"""Limit of coordinates, distances and speeds [length unit]: a thousand kilometres in mm."""
-ANGLE_MAX = 1e9
-"""Limit of headings and directions, which are not wrapped [rad]."""
+VALUE_MAX = 1e9
+"""Limit of coordinates, distances and speeds [length unit], a thousand kilometres in mm, and of
+headings and directions, which are not wrapped [rad]."""
 TIME_MAX_NS = 10**18
 """Limit of times since the trial began [ns]: thirty years."""
-COUNT_MAX = 2**53
+INTEGER_MAX = 2**53
 """Limit of counts such as steps: integers that a double represents exactly."""
 UNIX_MAX_NS = 2**63 - TIME_MAX_NS
 
@@ -42,11 +40,11 @@ def check_run(run: pb.Run, robots: int) -> None:
 
 def check_frames(frames: Frames) -> None:
     """Check camera frames: poses that are `valid`, and true poses that are not NaN."""
-    _poses("a pose", frames.poses[frames.valid])
+    _within("a pose", frames.poses[frames.valid], VALUE_MAX)
     if np.isinf(frames.poses).any():
         raise ValueError("a pose is infinite")
     if frames.truth is not None:
-        _poses("a true pose", frames.truth[~np.isnan(frames.truth).all(axis=2)])
+        _within("a true pose", frames.truth[~np.isnan(frames.truth).all(axis=2)], VALUE_MAX)
     for times in (frames.numbers, frames.sampled_ns, frames.received_ns):
         check_times(times)
 
@@ -55,7 +53,7 @@ def check_command(command: Command, robots: int) -> None:
     """Check a command to N robots."""
     match command.action:
         case Steer(u) | Turn(u):
-            _within("a direction", [u], ANGLE_MAX)
+            _within("a direction", [u], VALUE_MAX)
     check_times([command.sent_ns])
     if len(command.delivered) != robots:
         raise ValueError(f"a command is for {len(command.delivered)} robots instead of {robots}")
@@ -65,7 +63,7 @@ def check_command(command: Command, robots: int) -> None:
         if len(wheel) != robots:
             text = f"a command has {len(wheel)} wheel speeds per side for {robots} robots"
             raise ValueError(text)
-        _within("a wheel's speed", wheel, LENGTH_MAX)
+        _within("a wheel's speed", wheel, VALUE_MAX)
 
 
 def check_step(step: Step) -> None:
@@ -78,7 +76,7 @@ def check_step(step: Step) -> None:
     check_counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
         raise ValueError(f"a path has {len(plan.path)} poses for {len(plan.signals)} signals")
-    _poses("a predicted pose", plan.path)
+    _within("a predicted pose", plan.path, VALUE_MAX)
     for search in plan.searches:
         if not search.length == len(search.signals) > 0:
             raise ValueError(
@@ -87,14 +85,14 @@ def check_step(step: Step) -> None:
         if not len(search.history):
             raise ValueError("a search has no history")
     parts = (plan, *plan.searches)
-    _within("a signal", np.concatenate([one.signals for one in parts]), ANGLE_MAX)
+    _within("a signal", np.concatenate([one.signals for one in parts]), VALUE_MAX)
     costs = [plan.target_cost, plan.obstacle_cost, *(one.cost for one in parts)]
     histories = (search.history for search in plan.searches)
     _within("a cost", np.concatenate([costs, *histories]), 1e100)
     check_counts("evaluations", (search.evaluations for search in plan.searches))
     for one in fields(plan.estimate) if plan.estimate else ():
         if (value := getattr(plan.estimate, one.name)) is not None:
-            most = TIME_MAX_NS / 1e9 if one.name.startswith("dead_time") else LENGTH_MAX
+            most = TIME_MAX_NS / 1e9 if one.name.startswith("dead_time") else VALUE_MAX
             _within(f"an estimated {one.name}", np.atleast_1d(value), most)
 
 
@@ -118,19 +116,14 @@ def check_result(result: Result) -> None:
     headings = final.heading
     if not result.outcome.complete:
         lengths, headings = lengths[~np.isnan(lengths)], headings[~np.isnan(headings)]
-    _within("a length", lengths, LENGTH_MAX)
-    _within("a heading", headings, ANGLE_MAX)
+    _within("a length", lengths, VALUE_MAX)
+    _within("a heading", headings, VALUE_MAX)
     distances = np.array([*verdict.clearance, *verdict.edge, *verdict.apart])
     # distances are inf without obstacles or other robots
-    _within("a clearance", distances[distances != np.inf], LENGTH_MAX)
+    _within("a clearance", distances[distances != np.inf], VALUE_MAX)
     _within("duration_s", [result.duration_s], TIME_MAX_NS / 1e9, 0)
     check_counts("steps", [result.steps, result.deadline_misses])
     check_counts("a solve time", result.solve_ns)
-
-
-def _poses(what: str, poses: Floats) -> None:
-    _within(what, poses[..., :2], LENGTH_MAX)
-    _within(what, poses[..., 2], ANGLE_MAX)
 
 
 def check_times(values: Iterable[int]) -> None:
@@ -143,7 +136,7 @@ def check_times(values: Iterable[int]) -> None:
 def check_counts(what: str, values: Iterable[int]) -> None:
     """Check counts such as steps or evaluations."""
     for value in values:
-        if not 0 <= value <= COUNT_MAX:
+        if not 0 <= value <= INTEGER_MAX:
             raise ValueError(f"{what} is {_shown(value)}")
 
 

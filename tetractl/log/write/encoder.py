@@ -24,7 +24,7 @@ CHUNK_NS = 2 * SECOND
 chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunks.
 """
 LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
-POSES_MAX = 20_000
+MESSAGE_POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
 SHOWN_HZ = 30
 """Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms.
@@ -73,7 +73,7 @@ class Encoder:
         self._every, self._most = 1, 1  # frames per transform shown, and per message
         if plant.simulated:
             self._every = max(1, round(plant.camera_rate_hz / SHOWN_HZ))
-            self._most = max(1, POSES_MAX // len(self._names))
+            self._most = max(1, MESSAGE_POSES_MAX // len(self._names))
         self._add(channels.RUN, encode_run(start), 0)
         if self._hosted:
             facts = provenance.host_facts(start.packages)

@@ -12,14 +12,14 @@ from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
 
 QUEUE_MAX = 1000  # length of the queue for the disk: over a minute of a trial in the lab
-PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
+DISK_PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
 
 
 class LogWriter:
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
     One thread encodes and writes; calls only put records in a queue. While the queue is full, a
-    call waits: up to PATIENCE_S in a simulation, which runs faster than any disk, and not at
+    call waits: up to DISK_PATIENCE_S in a simulation, which runs faster than any disk, and not at
     all in `real_time`. If the queue stays full or a write fails, the log is given up: the next
     call raises LogError, later calls do nothing, and the records in the file stay readable.
     """
@@ -50,8 +50,8 @@ class LogWriter:
         self._worker = Worker(
             f"log {self._path.name}",
             size=QUEUE_MAX,
-            wait_s=0.0 if self._real_time else PATIENCE_S,
-            patience_s=PATIENCE_S,
+            wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
+            patience_s=DISK_PATIENCE_S,
             too_slow=LogError(
                 f"{self._path}: the disk is too slow for this log",
                 f"the log so far is in {self._path}.part",

@@ -18,7 +18,7 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
-from tetractl.log.read.validate import LENGTH_MAX
+from tetractl.log.read.validate import VALUE_MAX
 
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
 
@@ -232,7 +232,7 @@ def _number(row: Row, column: str, path: Path, optional: bool = False) -> float:
         found = float(text)
     except ValueError:
         found = math.inf
-    if abs(found) > LENGTH_MAX or (math.isnan(found) and not optional):
-        wrong = f"{text[:60]!r} is not a number of at most {LENGTH_MAX:g}"
+    if abs(found) > VALUE_MAX or (math.isnan(found) and not optional):
+        wrong = f"{text[:60]!r} is not a number of at most {VALUE_MAX:g}"
         raise UsageError(f"{path}: {column}: {wrong}") from None
     return found

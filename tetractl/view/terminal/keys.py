@@ -15,7 +15,7 @@ from contextlib import suppress
 from types import FrameType
 from typing import Self
 
-from tetractl.run.interrupt import SIGNALS
+from tetractl.run.interrupt import STOP_SIGNALS
 
 _SEQUENCES = {
     "right": ("[C", "OC"),
@@ -79,7 +79,7 @@ class _Unbuffered:
 class Keyboard:
     """Reads each key when it is pressed, without echo; a context manager.
 
-    Ctrl-C and other SIGNALS raise no exception, so that no operation is cut short: they set
+    Ctrl-C and other STOP_SIGNALS raise no exception, so that no operation is cut short: they set
     `interrupted`, and `read` returns ["q"]. On Ctrl-Z, `leave` is called, the terminal is restored,
     and the process is suspended; when the process continues, `back` is called.
     """
@@ -91,7 +91,7 @@ class Keyboard:
         self.interrupted = False
 
     def __enter__(self) -> Self:
-        handlers = {signal.SIGTSTP: self._note_stop} | dict.fromkeys(SIGNALS, self._interrupt)
+        handlers = {signal.SIGTSTP: self._note_stop} | dict.fromkeys(STOP_SIGNALS, self._interrupt)
         self._handlers = {n: signal.signal(n, handler) for n, handler in handlers.items()}
         self._input = _Unbuffered()
         return self

@@ -85,7 +85,7 @@ def with_chunks(log, path, chunks):
 
 @pytest.mark.parametrize("said", [None, 100])
 def test_a_bomb_is_not_unpacked(log, tmp_path, said):
-    bomb = chunk(b"\0" * (limits.CHUNK + 1), said)
+    bomb = chunk(b"\0" * (limits.CHUNK_MAX + 1), said)
     assert len(bomb) < 10_000
     found = scan(with_chunks(log, tmp_path / "bomb.mcap", [bomb]))
     assert any("claims to unpack to 16777217 bytes" in problem for problem in found.problems)

@@ -7,9 +7,10 @@ import pytest
 from support.studies import SMALL, run
 
 from tetractl.core.errors import LogError
+from tetractl.log.format.channels import RESOLVED_SPEC
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.reader import read_result
-from tetractl.log.read.rows import SPEC, Row, row_results
+from tetractl.log.read.rows import Row, row_results
 from tetractl.results.open_batch import Batch
 from tetractl.results.trial_tables import trials_table
 from tetractl.study.options import Logs
@@ -143,7 +144,7 @@ def test_what_is_no_row_is_passed_over(arm, line):
     ],
 )
 def test_rows_need_their_spec(arm, text, problem):
-    spec = arm / SPEC
+    spec = arm / RESOLVED_SPEC
     whole = spec.read_text()
     spec.unlink()
     if text is not None:

@@ -61,7 +61,7 @@ def test_a_simulation_waits_for_the_disk_and_loses_nothing(tmp_path, monkeypatch
 def test_a_disk_that_stays_still_ends_the_trial(tmp_path, monkeypatch):
     disk = Disk(monkeypatch)
     monkeypatch.setattr(module, "QUEUE_MAX", 4)
-    monkeypatch.setattr(module, "PATIENCE_S", 0.5)
+    monkeypatch.setattr(module, "DISK_PATIENCE_S", 0.5)
     provenance.host_facts({})  # asks git, once
     made = trial(steps=40)
     writer = LogWriter(tmp_path / "trial.mcap")

@@ -107,16 +107,11 @@ class RealTime:
         return out
 
 
-def kill_at(path: Path, seconds: float) -> Killed:
-    """Start a trial, let it run for so long, and kill it."""
-    trial = RealTime(path)
-    time.sleep(max(0.0, seconds - trial.now_s()))
-    return trial.kill()
-
-
 def random_kill(path: Path, rng: random.Random, most_s: float = 4.0) -> Killed:
     """Kill a trial within its first seconds."""
-    return kill_at(path, rng.uniform(0.3, most_s))
+    trial = RealTime(path)
+    time.sleep(max(0.0, rng.uniform(0.3, most_s) - trial.now_s()))
+    return trial.kill()
 
 
 @contextmanager

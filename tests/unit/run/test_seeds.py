@@ -1,17 +1,6 @@
 import numpy as np
-from hypothesis import given
-from hypothesis import strategies as st
 
 from tetractl.run.task import trial_seeds
-
-
-@given(root=st.integers(0, 2**64 - 1), trial=st.integers(0, 10**6))
-def test_a_trial_has_its_seeds_whatever_runs_beside_it(root, trial):
-    key, seed = trial_seeds(root, trial)
-    again, other = trial_seeds(root, trial)
-    assert 0 <= key < 2**64
-    assert key == again
-    assert seed.generate_state(4).tolist() == other.generate_state(4).tolist()
 
 
 def test_no_two_trials_or_roots_or_purposes_share_numbers():

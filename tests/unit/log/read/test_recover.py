@@ -45,8 +45,7 @@ def test_a_complete_log_needs_no_recovery(log, tmp_path):
 
 
 def test_a_lost_index_costs_nothing(log, tmp_path):
-    torn = damaged(tmp_path, log.read_bytes()[:-2000], "trial.mcap.part")
-    done = recover(torn)
+    done = recover(torn(log, tmp_path))
     assert done.path == str(tmp_path / "trial.recovered.mcap")
     assert (done.whole, done.damage.lost) == (True, ())
     again = read_trial(Path(done.path))
@@ -91,11 +90,11 @@ def test_every_intact_record_comes_back(log, tmp_path):
 
 
 def test_nothing_is_overwritten(log, tmp_path):
-    torn = damaged(tmp_path, log.read_bytes()[:-2000])
-    recovered_path(torn).write_text("mine")
+    source = torn(log, tmp_path)
+    recovered_path(source).write_text("mine")
     with pytest.raises(LogError, match="exists already"):
-        recover(torn)
-    assert recovered_path(torn).read_text() == "mine"
+        recover(source)
+    assert recovered_path(source).read_text() == "mine"
 
 
 @pytest.mark.parametrize("name", ["trial-000.mcap", "trial-000.mcap.part"])

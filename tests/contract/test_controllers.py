@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.controllers import CONTROLLERS, FOR_ONE_ROBOT
 from support.plants import sim
+from support.scripted import seen
 from support.trials import THREE_M3PI, experiment
 
 from tetractl.control.build import build_controller
@@ -13,7 +14,6 @@ from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import ControlError
 from tetractl.core.plan import Outcome, Plan
-from tetractl.core.poses import Observation, Poses
 from tetractl.experiment.load import LoadedSpec
 from tetractl.log.read.reader import read_trial
 from tetractl.replay.recompute import recompute
@@ -52,11 +52,6 @@ def make(fields, key=7):
 
 def targets_of(fields):
     return TARGETS[: 1 if alone(fields) else None]
-
-
-def seen(poses, now=0):
-    valid = np.ones(len(poses), np.bool_)
-    return Observation(now * 120 // SECOND, now, now, Poses.of(np.array(poses)), valid)
 
 
 def drive(fields, steps, key=7):

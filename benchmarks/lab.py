@@ -24,7 +24,7 @@ sys.path.insert(0, str(ROOT / "tests"))
 from support.lab_processes import SPEC, TETRACTL, Emulator, flags  # noqa: E402
 
 from tetractl.emulate.optitrack.natnet_server import pack_answer  # noqa: E402
-from tetractl.lab.cameras.optitrack.natnet_messages import NatNetFrame, RigidBody, Version  # noqa: E402
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import HEADER, parse  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.read.trial_log import TrialLog  # noqa: E402
@@ -47,12 +47,12 @@ def parse_cost() -> None:
     from natnet.version import Version as TheirVersion
 
     print("| rigid bodies | tetractl [us] | natnet [us] | ratio |\n|--:|--:|--:|--:|")
-    version = Version(3, 0)
+    version = natnet.Version(3, 0)
     for count in (3, 20):
         bodies = tuple(
-            RigidBody(i, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0), True) for i in range(count)
+            natnet.RigidBody(i, (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0), True) for i in range(count)
         )
-        data = pack_answer(NatNetFrame(1, bodies, exposure=1), version)
+        data = pack_answer(natnet.NatNetFrame(1, bodies, exposure=1), version)
         ours = best_of(lambda data=data: parse(data, version))
         theirs = best_of(
             lambda data=data: DataFrame.read_from_buffer(

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -93,10 +94,15 @@ class Emulator:
         self.resting = {"rest": True, "moving": False}.get(event["event"], self.resting)
         return event
 
-    def wait_for(self, name):
-        while (event := self.next())["event"] != name:
-            pass
-        return event
+    def wait_for(self, name, meanwhile=lambda: None):
+        """Wait for an event of this name; `meanwhile`, called all the time, may end the wait."""
+        hung = time.monotonic() + PATIENCE_S
+        while time.monotonic() < hung:
+            with suppress(queue.Empty):
+                if (event := self.next(timeout=0.05))["event"] == name:
+                    return event
+            meanwhile()
+        raise AssertionError(f"no {name} came")
 
     def runs(self):
         """How many runs have begun, by its record."""

@@ -6,18 +6,12 @@ from dataclasses import dataclass
 import pytest
 
 from tetractl.emulate.optitrack.natnet_server import pack_modeldef, packed_body, section, suffix
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    RigidBody,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import layout_of
 from tetractl.lab.cameras.optitrack.wire import datagram, packed, packed_name
 
 NUMBERS = "2.6 2.7 2.9 2.10 2.11 3.0 3.1 4.0 4.1 4.2 4.3"
-VERSIONS = [Version.of(text) for text in NUMBERS.split(" ")]
+VERSIONS = [natnet.Version.of(text) for text in NUMBERS.split(" ")]
 every_version = pytest.mark.parametrize("version", VERSIONS, ids=str)
 
 
@@ -32,9 +26,9 @@ class Clutter:
     marker_sets: tuple[tuple[str, tuple[tuple[float, float, float], ...]], ...] = ()
     other_markers: tuple[tuple[float, float, float], ...] = ()
     body_markers: int = 0  # of every rigid body, before 3.0
-    skeletons: tuple[tuple[int, tuple[RigidBody, ...]], ...] = ()
+    skeletons: tuple[tuple[int, tuple[natnet.RigidBody, ...]], ...] = ()
     assets: tuple[
-        tuple[int, tuple[RigidBody, ...], tuple[tuple[float, float, float], ...]], ...
+        tuple[int, tuple[natnet.RigidBody, ...], tuple[tuple[float, float, float], ...]], ...
     ] = ()
     labelled_markers: tuple[tuple[int, tuple[float, float, float]], ...] = ()
     channels: tuple[tuple[Channels, ...], ...] = ((), ())  # of force plates, of other devices
@@ -76,13 +70,13 @@ def pack_full_frame(frame, version, rest):
     ]
     parts = [section(found, version) for found in sections]
     payload = packed("i", frame.number) + b"".join(parts) + suffix(frame, version)
-    return datagram(MessageKind.FRAME, payload)
+    return datagram(natnet.MessageKind.FRAME, payload)
 
 
 def full_frame(version):
     """Return a frame with something of every kind."""
     at = (0.5, 0.25, -1.0)
-    body = RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), True)
+    body = natnet.RigidBody(7, at, (0.0, 0.0, 0.6, 0.8), True)
     clutter = Clutter(
         marker_sets=(("green", (at, at)), ("all", (at,) * 5)),
         other_markers=(at,),
@@ -92,7 +86,7 @@ def full_frame(version):
         labelled_markers=((1, at), (2, at)),
         channels=(((1, ((1.0, 2.0), ())),), ((2, ((3.0,),)),)),
     )
-    return pack_full_frame(NatNetFrame(1234, (body, body)), version, clutter)
+    return pack_full_frame(natnet.NatNetFrame(1234, (body, body)), version, clutter)
 
 
 def full_modeldef(version, awkward=True):
@@ -109,5 +103,7 @@ def full_modeldef(version, awkward=True):
         others.append((4, struct.pack("<i", 2) + text + text + struct.pack("<iii", 0, 0, 1) + text))
     if version >= (4, 1):
         others += [(6, b"an asset that is stepped over")] * awkward
-    model = ModelDef((("green", 1), ("blü", 2)))
-    return model, datagram(MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3))
+    model = natnet.ModelDef((("green", 1), ("blü", 2)))
+    return model, datagram(
+        natnet.MessageKind.MODELDEF, pack_modeldef(model, version, others, markers=3)
+    )

@@ -10,17 +10,11 @@ from tetractl.emulate.optitrack.natnet_server import pack_answer
 from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.xbee import frames as xbee
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    EchoResponse,
-    ModelDef,
-    NatNetFrame,
-    Response,
-    RigidBody,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 
-VERSIONS = [Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]]
+VERSIONS = [
+    natnet.Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]
+]
 MS = 1_000_000  # ns
 ECHOED_NS = 1990 * MS  # when the ECHO that is answered was sent
 HZ = 10_000_000  # of the server's clock
@@ -41,17 +35,17 @@ def datagrams() -> list[bytes]:
     """Conversations with a server of each version, a datagram every half second."""
     found = []
     for i, version in enumerate(VERSIONS):
-        body = RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
+        body = natnet.RigidBody(7, (0.5, 0.25, -1.0), (0.0, 0.0, 0.6, 0.8), True)
         parts = [
-            pack_answer(ServerInfo("Motive", version, HZ, 1511)),
-            pack_answer(Response(struct.pack("<f", 1000.0))),  # to the odd question
-            pack_answer(Response(struct.pack("<i", 2))),  # to the even one
-            pack_answer(ModelDef((("green", 7), ("hand", 12))), version),
-            pack_answer(EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
+            pack_answer(natnet.ServerInfo("Motive", version, HZ, 1511)),
+            pack_answer(natnet.Response(struct.pack("<f", 1000.0))),  # to the odd question
+            pack_answer(natnet.Response(struct.pack("<i", 2))),  # to the even one
+            pack_answer(natnet.ModelDef((("green", 7), ("hand", 12))), version),
+            pack_answer(natnet.EchoResponse(ECHOED_NS, HZ * 1995 // 1000)),
         ]
         for k, number in enumerate((1, 2, 4)):
             exposed = HZ * (2490 + 500 * k) // 1000
-            parts.append(pack_answer(NatNetFrame(number, (body,), 0, exposed), version))
+            parts.append(pack_answer(natnet.NatNetFrame(number, (body,), 0, exposed), version))
         found.append(bytes([i]) + b"".join(parts))
         found += [bytes([i]) + part for part in parts[-2:]]
     return found

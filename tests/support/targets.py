@@ -26,13 +26,7 @@ from tetractl.experiment.plants import calibrated, on_plant
 from tetractl.lab import cobs
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.xbee.frames import CONTENT_MAX, Decoder, answered, encode, received
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    Connect,
-    EchoRequest,
-    MessageKind,
-    NatNetRequest,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import AGE_MAX_NS, UNITS, UP_AXIS, Stream
@@ -126,19 +120,23 @@ def stream(up: UpAxis | None = None) -> Stream:
     return Stream(robots, Placement(100.0, 200.0, 0.3, 1000.0), up=up, on_frame=sound)
 
 
-def natnet(data: bytes) -> None:
+def natnet_datagrams(data: bytes) -> None:
     """One byte for a version, then datagrams, cut where their headers say."""
     version, rest = VERSIONS[data[0] % len(VERSIONS)] if data else None, data[1:]
     for known in (version, None):
         with only(WireError):
             parse(rest, known)
     fed = stream()
-    for question in (Connect(), Bare(MessageKind.REQUEST_MODELDEF), EchoRequest(seeds.ECHOED_NS)):
+    for question in (
+        natnet.Connect(),
+        natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF),
+        natnet.EchoRequest(seeds.ECHOED_NS),
+    ):
         fed.asked(question)
     at = count = 0
     while at < len(rest):
         size = 4 + int.from_bytes(rest[at + 2 : at + 4], "little")
-        fed.asked(NatNetRequest((UP_AXIS, UNITS)[count % 2]))
+        fed.asked(natnet.NatNetRequest((UP_AXIS, UNITS)[count % 2]))
         fed.feed(rest[at : at + size], 500 * MS * count)
         at, count = at + size, count + 1
     seen = fed.counts
@@ -224,7 +222,7 @@ TARGETS = {
     "script": Target(script, seeds.files("faults/*.yaml")),
     "calibration": Target(calibration, seeds.calibrations),
     "log": Target(log, seeds.logs),
-    "natnet": Target(natnet, seeds.datagrams),
+    "natnet": Target(natnet_datagrams, seeds.datagrams),
     "serial": Target(serial, seeds.serial_bytes),
 }
 if find_spec("cv2"):

@@ -49,12 +49,16 @@ class Terminal:
 
     def expect(self, pattern: str) -> str:
         """Read on until what came since the last match matches, without control codes."""
-        while True:
-            text = _CODES.sub("", self.raw)
-            if found := re.compile(pattern).search(text, self._seen):
-                self._seen = found.end()
-                return found[0]
-            assert self._read(), f"{pattern!r} never came:\n{text[self._seen :][-3000:]}"
+        while not (found := self._match(pattern)):
+            assert self._read(), f"{pattern!r} never came:\n{self.raw[-3000:]}"
+        return found
+
+    def answer(self, pattern: str, keys: str) -> None:
+        """Type, without waiting, if what came since the last match matches; fail if all is over."""
+        assert self.process.poll() is None, f"the command has ended:\n{self.raw[-3000:]}"
+        self._read(0.0)
+        if self._match(pattern):
+            self.press(keys)
 
     def fill(self) -> None:
         """Leave the terminal as it is, unread, until it takes nothing more."""
@@ -81,8 +85,14 @@ class Terminal:
         """How the terminal is set now, as termios tells it."""
         return termios.tcgetattr(self._slave if self._slave >= 0 else self._master)
 
-    def _read(self) -> bool:
-        ready, _, _ = select.select([self._master], [], [], PATIENCE_S)
+    def _match(self, pattern: str) -> str:
+        text = _CODES.sub("", self.raw)
+        if found := re.compile(pattern).search(text, self._seen):
+            self._seen = found.end()
+        return found[0] if found else ""
+
+    def _read(self, patience_s: float = PATIENCE_S) -> bool:
+        ready, _, _ = select.select([self._master], [], [], patience_s)
         if not ready:
             return False
         try:

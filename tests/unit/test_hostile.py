@@ -100,7 +100,7 @@ def test_good_conversations_come_through():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(targets, "stream", lambda: fed.append(before()) or fed[-1])
         for seed in datagrams():
-            targets.natnet(seed)
+            targets.natnet_datagrams(seed)
     whole = [stream for stream in fed if stream.newest and stream.newest.poses[0]]
     assert len(whole) == len(targets.VERSIONS)
     assert sum(stream.sync is not None and stream.sync.synced for stream in fed) == 4

@@ -18,42 +18,25 @@ def crc16(data: bytes) -> int:
 
 
 def encode(payload: bytes) -> bytes:
-    """Stuff a payload and append the closing byte 00."""
-    out = bytearray()
-    block = bytearray()
-    open_end = True  # a full block of 254 bytes needs no empty block after it
-    for byte in payload:
-        open_end = True
-        if byte:
-            block.append(byte)
-            if len(block) == 254:
-                out += bytes([255]) + block
-                block.clear()
-                open_end = False
-        else:
-            out += bytes([len(block) + 1]) + block
-            block.clear()
-    if open_end:
-        out += bytes([len(block) + 1]) + block
-    return bytes(out) + b"\0"
+    """Stuff a payload of at most `FRAME_MAX` bytes and append the closing byte 00.
+
+    So short a payload needs none of the full blocks of 254 bytes that COBS also has.
+    """
+    return b"".join(bytes([len(part) + 1]) + part for part in payload.split(b"\0")) + b"\0"
 
 
 def decode(frame: bytes) -> bytes:
     """Undo the stuffing of a frame, given without the closing byte 00."""
     if not frame or 0 in frame:
         raise WireError("not a COBS frame")
-    out = bytearray()
-    at = 0
-    while at < len(frame):
-        code = frame[at]
-        block = frame[at + 1 : at + code]
-        if len(block) != code - 1:
+    parts: list[bytes] = []
+    while frame:
+        size, frame = frame[0], frame[1:]
+        if len(frame) < size - 1:
             raise WireError("the COBS frame ends too early")
-        out += block
-        at += code
-        if code < 255 and at < len(frame):
-            out.append(0)
-    return bytes(out)
+        parts.append(frame[: size - 1])
+        frame = frame[size - 1 :]
+    return b"\0".join(parts)
 
 
 def frame_with_crc(payload: bytes) -> bytes:

@@ -368,8 +368,7 @@ class Guard:
             way = 0.0 if i in self.lost or not self._ahead else rules.speeds[i] * limits.reaction
             dx, dy = way * math.cos(pose.heading), way * math.sin(pose.heading)
             then = Pose(pose.x + dx, pose.y + dy, pose.heading)
-            inside = rules.left <= then.x <= rules.right and rules.bottom <= then.y <= rules.top
-            if not inside and self._outward(pose, then):
+            if self._outside(then) > self._outside(pose):
                 leave = self.abort if rules.individual else partial(self.lose, i)
                 leave(f"{rules.names[i]} is about to leave the arena")
             coming.append((rules.names[i], pose, then))
@@ -380,11 +379,8 @@ class Guard:
                 if min(gap, before) * rules.mm < limits.separation_mm and gap <= before:
                     self.abort(f"{other} and {name} are too close: {before * rules.mm:.0f} mm")
 
-    def _outward(self, now: Pose, then: Pose) -> bool:
-        """Return whether a robot leaves the arena or, if outside, moves away from the arena."""
-        return self._outside(then) > self._outside(now) or self._outside(now) == 0.0
-
     def _outside(self, pose: Pose) -> float:
+        """Return a pose's distance from the arena, 0 inside."""
         rules = self.rules
         return math.hypot(
             max(rules.left - pose.x, 0.0, pose.x - rules.right),

@@ -12,16 +12,7 @@ from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock
 from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.load import parse_spec
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    Connect,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    ServerInfo,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
@@ -82,13 +73,13 @@ def opened(tmp_path):
 @pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
 def test_handshake_models_and_frames(opened, version):
     lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
-    info = client.ask(Connect(), ServerInfo)
+    info = client.ask(natnet.Connect(), natnet.ServerInfo)
     assert str(info.version) == version
     assert "EMULATED" in info.name
     assert info.data_port == (lab.camera.motive.data_port if info.version >= (3, 0) else 0)
-    models = client.ask(Bare(MessageKind.REQUEST_MODELDEF), ModelDef)
+    models = client.ask(natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), natnet.ModelDef)
     assert models.ids() == {"Green": 1, "blue": 7}
-    first, second = client.next(NatNetFrame, 2)
+    first, second = client.next(natnet.NatNetFrame, 2)
     assert second.number == first.number + 1
     assert [body.id for body in first.bodies] == [1, 7]
     assert first.params == 0
@@ -101,21 +92,21 @@ def test_handshake_models_and_frames(opened, version):
 
 def test_unicast_clients_time_out_and_are_kept_alive(opened):
     lab, client = opened()
-    client.ask(Connect(), ServerInfo)
+    client.ask(natnet.Connect(), natnet.ServerInfo)
     (known,) = lab.camera.motive.clients.values()
     known.heard_ns -= 2_000_000_000
     before = known.heard_ns
-    client.send(Bare(MessageKind.KEEPALIVE))
+    client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))
     turn_until(lab, lambda: known.heard_ns != before)
-    client.next(NatNetFrame)
+    client.next(natnet.NatNetFrame)
     known.heard_ns -= 6_000_000_000
     turn_until(lab, lambda: not lab.camera.motive.clients)
     assert lab.camera.motive.timed_out == 1
-    client.send(Bare(MessageKind.KEEPALIVE))  # too late: it has to connect again
-    client.ask(NatNetRequest("UpAxis"), Response)
+    client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))  # too late: it has to connect again
+    client.ask(natnet.NatNetRequest("UpAxis"), natnet.Response)
     assert not lab.camera.motive.clients
-    client.ask(Connect(), ServerInfo)
-    client.next(NatNetFrame)
+    client.ask(natnet.Connect(), natnet.ServerInfo)
+    client.next(natnet.NatNetFrame)
 
 
 def test_latency_and_jitter_are_those_of_the_real_capture():
@@ -143,7 +134,7 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
 
 def test_garbage_is_counted_and_survived(opened):
     lab, client = opened()
-    for noise in (b"", b"\0", b"\xff" * 300, pack(Connect())[:-1]):
+    for noise in (b"", b"\0", b"\xff" * 300, pack(natnet.Connect())[:-1]):
         client.socket.sendto(noise, ("127.0.0.1", lab.camera.motive.command_port))
     turn_until(lab, lambda: lab.camera.motive.refused == 4)
-    assert client.ask(Connect(), ServerInfo)
+    assert client.ask(natnet.Connect(), natnet.ServerInfo)

@@ -19,22 +19,7 @@ from tetractl.core.errors import WireError
 from tetractl.emulate.optitrack.natnet_server import mangle, pack_answer, parse_request
 from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative, Positive
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    ClientMessage,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    RigidBody,
-    ServerInfo,
-    ServerMessage,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
@@ -102,7 +87,7 @@ class Trouble:
     counter: int = 0
     edit_mode: bool = False
     damaged: float = 0.0
-    version: Version | None = None
+    version: natnet.Version | None = None
     outdated: int = 0
     outdated_s: float = 0.0
 
@@ -113,7 +98,7 @@ class Client:
     [ns].
     """
 
-    version: Version
+    version: natnet.Version
     heard_ns: int
 
 
@@ -154,7 +139,7 @@ class Motive:
         settings: OptitrackSettings,
         up: UpAxis,
         names: Sequence[tuple[str, int]],
-        expose: Callable[[], tuple[RigidBody, ...]],
+        expose: Callable[[], tuple[natnet.RigidBody, ...]],
     ) -> None:
         options = stage.options
         self.section, self.settings, self.up, self.names = section, settings, up, tuple(names)
@@ -165,14 +150,14 @@ class Motive:
         if options.data_port is not None:
             self.data_port = options.data_port
         self.multicast = section.transport == "multicast"
-        self.own_version = Version.of(settings.version)
+        self.own_version = natnet.Version.of(settings.version)
         self.trouble, self.clock = Trouble(), ServerClock()
         self.clients: dict[Address, Client] = {}
         self.frames = self.refused = self.models_asked = self.timed_out = 0
         self._greeted: set[Address] = set()
         self._stage, self.timeline, self._expose = stage, stage.timeline, expose
         self._random = random.Random(options.seed)
-        self._last: NatNetFrame | None = None
+        self._last: natnet.NatNetFrame | None = None
         self._start_ns = self._exposures = 0
         self.command: Any = None
         self.data: Any = None
@@ -223,31 +208,33 @@ class Motive:
                 version = known.version if known else self.own_version
                 self._send(self.command, pack_answer(answer, version), sender)
 
-    def _answer(self, message: ClientMessage, sender: Address, now_ns: int) -> ServerMessage | None:
+    def _answer(
+        self, message: natnet.ClientMessage, sender: Address, now_ns: int
+    ) -> natnet.ServerMessage | None:
         """Return the answer to a message, None if the server gives no answer."""
         if sender in self.clients:
             self.clients[sender].heard_ns = now_ns
         match message:
-            case Connect():
+            case natnet.Connect():
                 self._admit(message, sender, now_ns)
                 name = f"Motive ({EMULATED_NAME})"
-                return ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
-            case EchoRequest(client):
-                return EchoResponse(client, self.clock.ticks(now_ns))
-            case NatNetRequest("UnitsToMillimeters"):
-                return Response(struct.pack("<f", self.settings.unit_mm))
-            case NatNetRequest("UpAxis") if self.settings.knows_up_axis:
-                return Response(struct.pack("<i", self.up))
-            case NatNetRequest():
-                return Bare(MessageKind.UNRECOGNIZED)
-            case Bare(MessageKind.REQUEST_MODELDEF):
+                return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
+            case natnet.EchoRequest(client):
+                return natnet.EchoResponse(client, self.clock.ticks(now_ns))
+            case natnet.NatNetRequest("UnitsToMillimeters"):
+                return natnet.Response(struct.pack("<f", self.settings.unit_mm))
+            case natnet.NatNetRequest("UpAxis") if self.settings.knows_up_axis:
+                return natnet.Response(struct.pack("<i", self.up))
+            case natnet.NatNetRequest():
+                return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
+            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
                 self.models_asked += 1
-                return ModelDef(self.names) if self.settings.answers_models else None
-            case Bare(MessageKind.DISCONNECT):
+                return natnet.ModelDef(self.names) if self.settings.answers_models else None
+            case natnet.Bare(natnet.MessageKind.DISCONNECT):
                 self.clients.pop(sender, None)
         return None
 
-    def _admit(self, message: Connect, sender: Address, now_ns: int) -> None:
+    def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
         """Add a client; from 4.0 on, a unicast client may choose a version."""
         if sender not in self._greeted:
             self._greeted.add(sender)
@@ -259,7 +246,7 @@ class Motive:
         chosen = chosen and (4, 0) <= own >= version and version.known
         self.clients[sender] = Client(version if chosen else own, now_ns)
 
-    def _receivers(self, now_ns: int) -> Iterator[tuple[Address, Version]]:
+    def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
         """Yield the addresses to which frames are sent, each with its protocol version; in
         unicast, first drop the clients that have been silent for too long.
         """
@@ -290,12 +277,12 @@ class Motive:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
         params = MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode
-        frame = NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
+        frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
         leaves = now + round(delay * SECOND)
         self.timeline.at(leaves, partial(self._leave, self._exposures, frame))
         self._plan()
 
-    def _leave(self, exposure: int, frame: NatNetFrame) -> None:
+    def _leave(self, exposure: int, frame: natnet.NatNetFrame) -> None:
         if self.trouble.frozen and self._last is not None:
             frame = self._last
         self._last = frame
@@ -303,8 +290,8 @@ class Motive:
             self._stream(frame, self.timeline.now_ns)
         self._stage.sent(exposure)
 
-    def _stream(self, frame: NatNetFrame, now: int) -> None:
-        packed: dict[Version, bytes] = {}
+    def _stream(self, frame: natnet.NatNetFrame, now: int) -> None:
+        packed: dict[natnet.Version, bytes] = {}
         for address, version in self._receivers(now):
             if version not in packed:
                 packed[version] = pack_answer(frame, self.trouble.version or version)

@@ -4,24 +4,7 @@ from collections.abc import Sequence
 from random import Random
 from struct import Struct
 
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    NEWEST,
-    OLDEST,
-    Bare,
-    ClientMessage,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    RigidBody,
-    ServerInfo,
-    ServerMessage,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, layout_of
 from tetractl.lab.cameras.optitrack.wire import (
     ECHO,
@@ -41,46 +24,48 @@ BITSTREAM = Struct("<?4B")  # from 4.x clients: subscribed only, the requested v
 GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 
 
-def parse_request(received: bytes) -> ClientMessage:
+def parse_request(received: bytes) -> natnet.ClientMessage:
     """Read one datagram of a client; WireError if it cannot be read."""
     kind, payload = split(received)
     match kind:
-        case MessageKind.CONNECT if len(payload) <= SENDER.size:
-            return Connect(read_sender(payload)[1])
-        case MessageKind.CONNECT:
+        case natnet.MessageKind.CONNECT if len(payload) <= SENDER.size:
+            return natnet.Connect(read_sender(payload)[1])
+        case natnet.MessageKind.CONNECT:
             _, *asked = unpacked(BITSTREAM, payload[SENDER.size :])
-            return Connect(Version(*asked[:2]), pinned=True)
-        case MessageKind.REQUEST:
-            return NatNetRequest(read_text(payload))
-        case MessageKind.ECHO_REQUEST:
-            return EchoRequest(*unpacked(Struct("<Q"), payload))
+            return natnet.Connect(natnet.Version(*asked[:2]), pinned=True)
+        case natnet.MessageKind.REQUEST:
+            return natnet.NatNetRequest(read_text(payload))
+        case natnet.MessageKind.ECHO_REQUEST:
+            return natnet.EchoRequest(*unpacked(Struct("<Q"), payload))
         case _:
-            return Bare(kind)
+            return natnet.Bare(kind)
 
 
-def pack_answer(message: ServerMessage, version: Version = NEWEST) -> bytes:
+def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.NEWEST) -> bytes:
     """Pack one datagram of the server; versions before 2.6 are packed as 2.6, versions after 4.3 as
     4.3, with descriptions of bodies that have grown.
     """
-    version = max(version, OLDEST)
+    version = max(version, natnet.OLDEST)
     match message:
-        case NatNetFrame():
-            return datagram(MessageKind.FRAME, pack_frame(message, version))
-        case ModelDef():
-            grown = GROWN if version > NEWEST else b""
-            return datagram(MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown))
-        case ServerInfo(name, own, clock_hz, port):
+        case natnet.NatNetFrame():
+            return datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
+        case natnet.ModelDef():
+            grown = GROWN if version > natnet.NEWEST else b""
+            return datagram(
+                natnet.MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown)
+            )
+        case natnet.ServerInfo(name, own, clock_hz, port):
             info = SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
-            return datagram(MessageKind.SERVER_INFO, sender(name, own) + info)
-        case Response(payload):
-            return datagram(MessageKind.RESPONSE, payload)
-        case EchoResponse(client, server):
-            return datagram(MessageKind.ECHO_RESPONSE, ECHO.pack(client, server))
-        case Bare(kind):
+            return datagram(natnet.MessageKind.SERVER_INFO, sender(name, own) + info)
+        case natnet.Response(payload):
+            return datagram(natnet.MessageKind.RESPONSE, payload)
+        case natnet.EchoResponse(client, server):
+            return datagram(natnet.MessageKind.ECHO_RESPONSE, ECHO.pack(client, server))
+        case natnet.Bare(kind):
             return datagram(kind, b"")
 
 
-def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
+def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     """Pack a frame's payload: rigid bodies, and all other sections empty."""
     layout, empty = layout_of(version), section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
@@ -89,14 +74,14 @@ def pack_frame(frame: NatNetFrame, version: Version) -> bytes:
     return b"".join((*parts, suffix(frame, version)))
 
 
-def section(parts: Sequence[bytes], version: Version) -> bytes:
+def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
     """Pack a section of a frame from its packed elements."""
     size = sum(map(len, parts))
     head = packed("ii", len(parts), size) if layout_of(version).sized else packed("i", len(parts))
     return head + b"".join(parts)
 
 
-def packed_body(body: RigidBody, version: Version, markers: int = 0) -> bytes:
+def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 0) -> bytes:
     """Pack a rigid body, in versions before 3.0 with `markers` markers."""
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
     listed = b"" if layout_of(version).timed else packed("i", markers) + bytes(20 * markers)
@@ -104,7 +89,7 @@ def packed_body(body: RigidBody, version: Version, markers: int = 0) -> bytes:
     return pose + listed + packed("fH", error, body.tracking_valid)
 
 
-def suffix(frame: NatNetFrame, version: Version) -> bytes:
+def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     """Pack a frame's suffix: exposure and params, and zeros for all other times."""
     layout = layout_of(version)
     times = [0] * (len(layout.suffix.format) - 3)
@@ -114,8 +99,8 @@ def suffix(frame: NatNetFrame, version: Version) -> bytes:
 
 
 def pack_modeldef(
-    model: ModelDef,
-    version: Version,
+    model: natnet.ModelDef,
+    version: natnet.Version,
     others: Sequence[tuple[int, bytes]] = (),
     markers: int = 0,
     grown: bytes = b"",
@@ -134,7 +119,7 @@ def pack_modeldef(
     return b"".join(parts)
 
 
-def _packed_body(name: str, number: int, version: Version, markers: int) -> bytes:
+def _packed_body(name: str, number: int, version: natnet.Version, markers: int) -> bytes:
     parts = [packed_name(name), packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
         parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))

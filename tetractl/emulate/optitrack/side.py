@@ -18,7 +18,7 @@ from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, halved, n
 from tetractl.emulate.sides import Body, Facts, Stage
 from tetractl.experiment.base import Finite, Model, Name, Point, Positive
 from tetractl.experiment.lab_section import entry
-from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody, Version
+from tetractl.lab.cameras.optitrack.natnet import RigidBody, Version
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
 

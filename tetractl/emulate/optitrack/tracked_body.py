@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from random import Random
 
 from tetractl.emulate.sides import Body
-from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 
 

@@ -19,20 +19,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
 from tetractl.experiment.lab_section import entry
-from tetractl.lab.cameras.optitrack import diagnosis
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    NEWEST,
-    OLDEST,
-    Bare,
-    ClientMessage,
-    Connect,
-    EchoRequest,
-    MessageKind,
-    NatNetFrame,
-    NatNetRequest,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 from tetractl.lab.cameras.optitrack.senders import Senders
@@ -71,7 +58,9 @@ class OptitrackCamera:
         self._threaded = make_socket is None
         self._make_socket = make_socket or _udp
         self._unicast = section.transport == "unicast"
-        self._pinned = Version.of(section.version) if section.version and self._unicast else None
+        self._pinned = (
+            natnet.Version.of(section.version) if section.version and self._unicast else None
+        )
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement.of(section, setup.metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
@@ -127,7 +116,7 @@ class OptitrackCamera:
         stream = self.stream
         if not self._wait(lambda: stream.info is not None, timeout_s):
             raise diagnosis.no_server(self.section, self.senders, timeout_s)
-        if stream.version is not None and stream.version < OLDEST:
+        if stream.version is not None and stream.version < natnet.OLDEST:
             raise diagnosis.no_tracking_flag(stream.version)
         if not self._wait(lambda: stream.newest is not None, timeout_s):
             raise diagnosis.no_frames(self.section, self.senders, stream, timeout_s)
@@ -149,7 +138,7 @@ class OptitrackCamera:
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the receiver's thread; may be called twice, never raises."""
         if self._sockets and not self._closing.is_set():
-            self._send(Bare(MessageKind.DISCONNECT))
+            self._send(natnet.Bare(natnet.MessageKind.DISCONNECT))
         self._closing.set()
         if self._thread.is_alive():
             self._thread.join(2.0)
@@ -227,9 +216,9 @@ class OptitrackCamera:
                 continue
             now = self._clock.now()
             message = self.stream.feed(datagram, now)
-            if isinstance(message, NatNetFrame):
+            if isinstance(message, natnet.NatNetFrame):
                 self.senders.pin(port)
-            elif isinstance(message, ServerInfo) and self._unicast:
+            elif isinstance(message, natnet.ServerInfo) and self._unicast:
                 self.senders.pin(message.data_port)
 
     def _keep(self, frame: CameraFrame) -> None:
@@ -247,7 +236,7 @@ class OptitrackCamera:
                 self.stream.asked(message)
                 self._send(message)
 
-    def _requests(self, now: int) -> Iterator[tuple[str, int, ClientMessage]]:
+    def _requests(self, now: int) -> Iterator[tuple[str, int, natnet.ClientMessage]]:
         """Yield the requests for missing information, for the server's time and, in unicast, to
         keep the stream going: each with its name and the least time to its next [ns].
 
@@ -256,27 +245,27 @@ class OptitrackCamera:
         """
         stream, pinned = self.stream, self._pinned
         if stream.info is None:
-            yield "connect", ASK_NS, Connect(pinned or NEWEST, pinned is not None)
+            yield "connect", ASK_NS, natnet.Connect(pinned or natnet.NEWEST, pinned is not None)
             return
         if stream.up is None:
-            yield "up", ASK_NS, NatNetRequest(UP_AXIS)
+            yield "up", ASK_NS, natnet.NatNetRequest(UP_AXIS)
         elif stream.unit_mm is None and self._asked["unit"] < ASKED_MAX:
-            yield "unit", ASK_NS, NatNetRequest(UNITS)
+            yield "unit", ASK_NS, natnet.NatNetRequest(UNITS)
         if stream.model is None:
-            yield "models", ASK_NS, Bare(MessageKind.REQUEST_MODELDEF)
+            yield "models", ASK_NS, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
         elif stream.models_changed or stream.changing or stream.missing():
             wait_ns = ASK_NS << min(self._asked["models"], 5)
-            yield "models", wait_ns, Bare(MessageKind.REQUEST_MODELDEF)
+            yield "models", wait_ns, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)
         else:
             self._asked["models"] = 0
             self._due["models"] = min(self._due.get("models", now), now + ASK_NS)
         if self._unicast:
-            yield "alive", SECOND, Bare(MessageKind.KEEPALIVE)
+            yield "alive", SECOND, natnet.Bare(natnet.MessageKind.KEEPALIVE)
         if stream.sync is not None:
             often = self._asked["echo"] < FIRST_ECHOES
-            yield "echo", ECHO_NS // 25 if often else ECHO_NS, EchoRequest(now)
+            yield "echo", ECHO_NS // 25 if often else ECHO_NS, natnet.EchoRequest(now)
 
-    def _send(self, message: ClientMessage) -> None:
+    def _send(self, message: natnet.ClientMessage) -> None:
         data = pack(message)
         try:
             self._sockets[0].sendto(data, (self.section.server, self.section.command_port))

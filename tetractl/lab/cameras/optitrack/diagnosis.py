@@ -2,7 +2,7 @@
 
 from tetractl.core.errors import AbortError, WireError, printable
 from tetractl.experiment.yaml.problems import SHOWN_LENGTH, did_you_mean
-from tetractl.lab.cameras.optitrack.natnet_messages import NEWEST, OLDEST, ModelDef, Version
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import LAYOUTS
 from tetractl.lab.cameras.optitrack.section import OptitrackSection, TrackedRobot
 from tetractl.lab.cameras.optitrack.senders import Senders
@@ -67,8 +67,8 @@ def _unread(section: OptitrackSection, server: str, stream: Stream, timeout_s: f
             f"{came}",
             f"leave lab.camera.version out: the server uses its own, {own}",
         )
-    if own > NEWEST:
-        hint = f"set lab.camera.transport to unicast and lab.camera.version to {NEWEST}"
+    if own > natnet.NEWEST:
+        hint = f"set lab.camera.transport to unicast and lab.camera.version to {natnet.NEWEST}"
     else:
         hint = (
             "in unicast, set lab.camera.version to the protocol that fits the frames; otherwise "
@@ -93,12 +93,12 @@ def _reads_as(frame: bytes, stream: Stream) -> str:
     return "no known protocol"
 
 
-def no_tracking_flag(version: Version) -> AbortError:
+def no_tracking_flag(version: natnet.Version) -> AbortError:
     """Return the error for a version whose frames do not state which bodies are tracked."""
     return AbortError(
         f"the camera server uses protocol {version}, whose frames do not state which bodies are "
         "tracked: a lost robot would look like one that stands",
-        f"update Motive to a version with NatNet {OLDEST} or later (Motive 1.7)",
+        f"update Motive to a version with NatNet {natnet.OLDEST} or later (Motive 1.7)",
     )
 
 
@@ -158,7 +158,7 @@ def not_streamed(stream: Stream, names: tuple[str, ...]) -> list[str]:
     return lines
 
 
-def _lacking(stream: Stream, model: ModelDef, name: str, robot: TrackedRobot) -> str:
+def _lacking(stream: Stream, model: natnet.ModelDef, name: str, robot: TrackedRobot) -> str:
     body, known = robot.body, model.ids()
     if isinstance(body, str):
         wanted = f"rigid body '{body}', wanted for {name}"

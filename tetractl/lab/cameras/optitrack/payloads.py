@@ -16,13 +16,7 @@ from struct import Struct
 from typing import Any, NamedTuple
 
 from tetractl.core.errors import WireError
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    OLDEST,
-    ModelDef,
-    NatNetFrame,
-    RigidBody,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 
 NAME_MAX = 255  # bytes, without the closing NUL
 I32 = Struct("<i")
@@ -47,19 +41,19 @@ class Layout(NamedTuple):
 
 
 LAYOUTS = {  # by the first version of each
-    OLDEST: Layout(Struct("<fIIfHi"), channels=0),
-    Version(2, 7): Layout(Struct("<fIIdHi"), channels=0),
-    Version(2, 9): Layout(Struct("<fIIdHi"), channels=1),
-    Version(2, 11): Layout(Struct("<fIIdHi")),
-    Version(3, 0): Layout(Struct("<IIdQQQHi"), timed=True),
-    Version(4, 1): Layout(Struct("<IIdQQQIIHi"), timed=True, sized=True),
+    natnet.OLDEST: Layout(Struct("<fIIfHi"), channels=0),
+    natnet.Version(2, 7): Layout(Struct("<fIIdHi"), channels=0),
+    natnet.Version(2, 9): Layout(Struct("<fIIdHi"), channels=1),
+    natnet.Version(2, 11): Layout(Struct("<fIIdHi")),
+    natnet.Version(3, 0): Layout(Struct("<IIdQQQHi"), timed=True),
+    natnet.Version(4, 1): Layout(Struct("<IIdQQQIIHi"), timed=True, sized=True),
 }
 
 
-def layout_of(version: Version) -> Layout:
+def layout_of(version: natnet.Version) -> Layout:
     """Return the layout of a version; WireError for versions that are too old."""
-    if version < OLDEST:
-        raise WireError(f"protocol {version} is older than {OLDEST}")
+    if version < natnet.OLDEST:
+        raise WireError(f"protocol {version} is older than {natnet.OLDEST}")
     return LAYOUTS[max(since for since in LAYOUTS if since <= version)]
 
 
@@ -130,7 +124,7 @@ class Cursor:
         return self.data[start:stop].decode("utf-8", "replace")
 
 
-def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
+def parse_frame(payload: bytes, version: natnet.Version) -> natnet.NatNetFrame:
     """Read a frame; versions above 4.3 are read as 4.3, WireError if the layout does not fit."""
     layout = layout_of(version)
     cursor = Cursor(payload, len(payload) - layout.suffix.size)
@@ -150,15 +144,15 @@ def parse_frame(payload: bytes, version: Version) -> NatNetFrame:
     if cursor.left:
         raise WireError(f"{cursor.left} bytes between the last section and the suffix")
     fields = layout.suffix.unpack_from(payload, cursor.end)
-    return NatNetFrame(number, bodies, fields[-2], fields[3] if layout.timed else None)
+    return natnet.NatNetFrame(number, bodies, fields[-2], fields[3] if layout.timed else None)
 
 
-def _body(cursor: Cursor, layout: Layout) -> RigidBody:
+def _body(cursor: Cursor, layout: Layout) -> natnet.RigidBody:
     number, *pose = cursor.take(POSE)
     if not layout.timed:
         cursor.skip_elements(20)  # the positions, ids and sizes of its markers
     _, params = cursor.take(ERROR_AND_PARAMS)
-    return RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
+    return natnet.RigidBody(number, (*pose[:3],), (*pose[3:],), bool(params & 1))
 
 
 def _skip(
@@ -205,7 +199,7 @@ SKIPPED = {
 }
 
 
-def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
+def parse_modeldef(payload: bytes, version: natnet.Version) -> natnet.ModelDef:
     """Read the rigid bodies' names and ids; bodies inside skeletons are left out."""
     layout = layout_of(version)
     known = {*SKIPPED} if layout.timed else {MARKER_SET, CAMERA}  # of which the layout is known
@@ -234,8 +228,8 @@ def parse_modeldef(payload: bytes, version: Version) -> ModelDef:
             for _ in range(cursor.count(1) if listed else 0):
                 cursor.name()
         else:
-            return ModelDef(tuple(bodies), complete=False)
-    return ModelDef(tuple(bodies))
+            return natnet.ModelDef(tuple(bodies), complete=False)
+    return natnet.ModelDef(tuple(bodies))
 
 
 def _named(cursor: Cursor) -> tuple[str, int]:
@@ -245,7 +239,7 @@ def _named(cursor: Cursor) -> tuple[str, int]:
     return named
 
 
-def _described(cursor: Cursor, version: Version) -> tuple[str, int]:
+def _described(cursor: Cursor, version: natnet.Version) -> tuple[str, int]:
     """Read a body's complete description, in a version that does not state its size."""
     named = _named(cursor)
     cursor.skip(12)

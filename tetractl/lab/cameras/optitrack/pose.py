@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from tetractl.core.poses import Pose
-from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.section import OptitrackSection
 
 NORM_TOLERANCE = 1e-3

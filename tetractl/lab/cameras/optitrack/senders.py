@@ -8,7 +8,7 @@ NatNet does not authenticate senders: packets from the server's address and port
 from collections import Counter
 from typing import NamedTuple
 
-from tetractl.lab.cameras.optitrack.natnet_messages import MessageKind
+from tetractl.lab.cameras.optitrack.natnet import MessageKind
 
 SENDERS_MAX = 64  # largest number of senders whose refused datagrams are counted separately
 ANSWERS = frozenset(MessageKind) - {MessageKind.FRAME}

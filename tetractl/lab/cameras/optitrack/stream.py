@@ -16,21 +16,7 @@ from dataclasses import dataclass
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import WireError
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    ClientMessage,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    ServerInfo,
-    ServerMessage,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
@@ -169,17 +155,17 @@ class Stream:
         self,
         robots: Sequence[TrackedRobot],
         placement: Placement,
-        pinned: Version | None = None,
+        pinned: natnet.Version | None = None,
         up: UpAxis | None = None,
         on_frame: Callable[[CameraFrame], None] = lambda frame: None,
     ) -> None:
         self.robots = tuple(robots)
         self.counts = StreamCounts()
-        self.info: ServerInfo | None = None
+        self.info: natnet.ServerInfo | None = None
         self.up = up
         self.up_answer: int | None = None
         self.unit_mm: float | None = None
-        self.model: ModelDef | None = None
+        self.model: natnet.ModelDef | None = None
         self.models_changed = False
         self.changing = False
         self.seen: tuple[int, ...] = ()
@@ -190,14 +176,14 @@ class Stream:
         self._pinned = pinned
         self._on_frame = on_frame
         self._asked: str | None = None
-        self._awaited: Counter[type[ServerMessage]] = Counter()
+        self._awaited: Counter[type[natnet.ServerMessage]] = Counter()
         self._echoes: deque[int] = deque(maxlen=ECHOES_OPEN)
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
 
     @property
-    def version(self) -> Version | None:
+    def version(self) -> natnet.Version | None:
         """The protocol version of frames, None before SERVERINFO."""
         return self._pinned if self._pinned and self.info else self.info and self.info.version
 
@@ -211,21 +197,21 @@ class Stream:
         """Return the robots' bodies that are not in the newest frame, in the robots' order."""
         return [robot.body for robot in self.robots if self.number(robot.body) not in self.seen]
 
-    def asked(self, message: ClientMessage) -> None:
+    def asked(self, message: natnet.ClientMessage) -> None:
         """Record a request that was sent: only answers to recorded requests are accepted."""
         match message:
-            case NatNetRequest(text):
+            case natnet.NatNetRequest(text):
                 self._asked = text
-            case Connect():
-                self._awaited[ServerInfo] += 1
-            case Bare(MessageKind.REQUEST_MODELDEF):
-                self._awaited[ModelDef] += 1
-            case EchoRequest(client):
+            case natnet.Connect():
+                self._awaited[natnet.ServerInfo] += 1
+            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+                self._awaited[natnet.ModelDef] += 1
+            case natnet.EchoRequest(client):
                 self._echoes.append(client)
             case _:
                 pass
 
-    def feed(self, datagram: bytes, received_ns: int) -> ServerMessage | None:
+    def feed(self, datagram: bytes, received_ns: int) -> natnet.ServerMessage | None:
         """Take one datagram; return its message, None if the datagram was dropped and counted."""
         try:
             message = parse(datagram, self.version)
@@ -240,23 +226,23 @@ class Stream:
 
     def _unread(self, datagram: bytes) -> None:
         kind = int.from_bytes(datagram[:2], "little")
-        if self.info is None and kind in (MessageKind.FRAME, MessageKind.MODELDEF):
+        if self.info is None and kind in (natnet.MessageKind.FRAME, natnet.MessageKind.MODELDEF):
             return  # the version is not known yet
         self.counts.bad += 1
-        if kind == MessageKind.FRAME:
+        if kind == natnet.MessageKind.FRAME:
             self.counts.unread_frames += 1
             self.unread_frame = datagram
-        elif kind == MessageKind.MODELDEF:
+        elif kind == natnet.MessageKind.MODELDEF:
             self.counts.unread_models += 1
 
-    def _expected(self, message: ServerMessage) -> bool:
+    def _expected(self, message: natnet.ServerMessage) -> bool:
         """Return whether an answer belongs to an open request, which it then closes."""
         match message:
-            case ServerInfo() | ModelDef():
+            case natnet.ServerInfo() | natnet.ModelDef():
                 awaited = self._awaited[type(message)] > 0
                 self._awaited[type(message)] -= awaited
                 return awaited
-            case EchoResponse(client):
+            case natnet.EchoResponse(client):
                 if client not in self._echoes:
                     return False
                 self._echoes.remove(client)
@@ -264,25 +250,25 @@ class Stream:
             case _:
                 return True
 
-    def _take(self, message: ServerMessage, received_ns: int) -> None:
+    def _take(self, message: natnet.ServerMessage, received_ns: int) -> None:
         match message:
-            case NatNetFrame():
+            case natnet.NatNetFrame():
                 self._frame(message, received_ns)
-            case ServerInfo() if self.info is None:
+            case natnet.ServerInfo() if self.info is None:
                 self.sync = ClockSync(message.clock_hz) if message.clock_hz else None
                 self.info = message
-            case ModelDef():
+            case natnet.ModelDef():
                 self.model, self.models_changed = message, False
                 self._twins = self._twins_in(message)
-            case EchoResponse(client, server) if self.sync is not None:
+            case natnet.EchoResponse(client, server) if self.sync is not None:
                 self.sync.add(client, received_ns, server)
                 self._fault = self._fault or self.sync.fault
-            case Response():
+            case natnet.Response():
                 self._response(message)
             case _:
                 pass
 
-    def _response(self, response: Response) -> None:
+    def _response(self, response: natnet.Response) -> None:
         asked, self._asked = self._asked, None
         if asked == UP_AXIS and self.up is None:
             self.up_answer = int(number_in(response, "i"))
@@ -298,7 +284,7 @@ class Stream:
                     f"the camera server streams lengths in units of {unit_mm:g} mm, not in metres"
                 )
 
-    def _frame(self, frame: NatNetFrame, received_ns: int) -> None:
+    def _frame(self, frame: natnet.NatNetFrame, received_ns: int) -> None:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
@@ -315,7 +301,7 @@ class Stream:
         self.newest = self._camera_frame(frame, sampled_ns, received_ns)
         self._on_frame(self.newest)
 
-    def _exposed(self, frame: NatNetFrame, received_ns: int) -> int:
+    def _exposed(self, frame: natnet.NatNetFrame, received_ns: int) -> int:
         if frame.exposure is None or self.sync is None or not self.sync.synced:
             return received_ns
         sampled_ns = self.sync.to_host(frame.exposure)
@@ -333,7 +319,7 @@ class Stream:
         )
         return received_ns
 
-    def _twins_in(self, model: ModelDef) -> str:
+    def _twins_in(self, model: natnet.ModelDef) -> str:
         """Return a message if two bodies have the name of one robot's body, otherwise ""."""
         for robot in self.robots:
             ids = [number for name, number in model.bodies if name == robot.body]
@@ -343,7 +329,9 @@ class Stream:
                 return f"the cameras have {len(ids)} {named}"
         return ""
 
-    def _camera_frame(self, frame: NatNetFrame, sampled_ns: int, received_ns: int) -> CameraFrame:
+    def _camera_frame(
+        self, frame: natnet.NatNetFrame, sampled_ns: int, received_ns: int
+    ) -> CameraFrame:
         poses: list[Pose | None] = []
         others, twins = list(frame.bodies), self._twins
         for robot in self.robots:

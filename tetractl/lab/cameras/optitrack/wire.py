@@ -4,19 +4,7 @@ import struct
 from typing import Any
 
 from tetractl.core.errors import WireError
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    ClientMessage,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    NatNetRequest,
-    Response,
-    ServerInfo,
-    ServerMessage,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse_modeldef
 
 HEADER = 4  # u16 message id, u16 payload bytes
@@ -26,7 +14,7 @@ SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its grou
 ECHO = struct.Struct("<QQ")
 
 
-def parse(datagram: bytes, version: Version | None = None) -> ServerMessage:
+def parse(datagram: bytes, version: natnet.Version | None = None) -> natnet.ServerMessage:
     """Read one datagram of a server; WireError, and no other error, if it cannot be read.
 
     `version` is the protocol version that SERVERINFO reported or CONNECT requested; only frames and
@@ -34,41 +22,41 @@ def parse(datagram: bytes, version: Version | None = None) -> ServerMessage:
     """
     kind, payload = split(datagram)
     match kind:
-        case MessageKind.FRAME | MessageKind.MODELDEF:
+        case natnet.MessageKind.FRAME | natnet.MessageKind.MODELDEF:
             if version is None:
                 raise WireError(f"{kind.name} received before the protocol version is known")
-            read = parse_frame if kind is MessageKind.FRAME else parse_modeldef
+            read = parse_frame if kind is natnet.MessageKind.FRAME else parse_modeldef
             return read(payload, version)
-        case MessageKind.SERVER_INFO:
+        case natnet.MessageKind.SERVER_INFO:
             name, version = read_sender(payload)
             if version < (3, 0):
-                return ServerInfo(name, version, 0, 0)
+                return natnet.ServerInfo(name, version, 0, 0)
             rest = payload[SENDER.size : SENDER.size + SERVER_INFO.size]
-            return ServerInfo(name, version, *unpacked(SERVER_INFO, rest))
-        case MessageKind.RESPONSE:
-            return Response(payload)
-        case MessageKind.ECHO_RESPONSE:
-            return EchoResponse(*unpacked(ECHO, payload))
+            return natnet.ServerInfo(name, version, *unpacked(SERVER_INFO, rest))
+        case natnet.MessageKind.RESPONSE:
+            return natnet.Response(payload)
+        case natnet.MessageKind.ECHO_RESPONSE:
+            return natnet.EchoResponse(*unpacked(ECHO, payload))
         case _:
-            return Bare(kind)
+            return natnet.Bare(kind)
 
 
-def pack(message: ClientMessage) -> bytes:
+def pack(message: natnet.ClientMessage) -> bytes:
     """Pack one datagram of a client."""
     match message:
-        case Connect(version, pinned):
+        case natnet.Connect(version, pinned):
             bitstream = packed("?4B", False, *version, 0, 0) if pinned else b""
-            return datagram(MessageKind.CONNECT, sender("tetractl", version) + bitstream)
-        case NatNetRequest(text):
-            return datagram(MessageKind.REQUEST, packed_name(text))
-        case EchoRequest(client):
-            return datagram(MessageKind.ECHO_REQUEST, packed("Q", client))
-        case Bare(kind):
-            size = SENDER.size if kind is MessageKind.KEEPALIVE else 1
+            return datagram(natnet.MessageKind.CONNECT, sender("tetractl", version) + bitstream)
+        case natnet.NatNetRequest(text):
+            return datagram(natnet.MessageKind.REQUEST, packed_name(text))
+        case natnet.EchoRequest(client):
+            return datagram(natnet.MessageKind.ECHO_REQUEST, packed("Q", client))
+        case natnet.Bare(kind):
+            size = SENDER.size if kind is natnet.MessageKind.KEEPALIVE else 1
             return datagram(kind, bytes(size))
 
 
-def split(datagram: bytes) -> tuple[MessageKind, bytes]:
+def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
     """Return a datagram's kind and payload; WireError if its header is wrong."""
     if len(datagram) < HEADER:
         raise WireError(f"a datagram of {len(datagram)} bytes is too short")
@@ -77,19 +65,19 @@ def split(datagram: bytes) -> tuple[MessageKind, bytes]:
     if size != len(payload):
         raise WireError(f"the header states {size} bytes, but {len(payload)} were received")
     try:
-        return MessageKind(code), payload
+        return natnet.MessageKind(code), payload
     except ValueError:
         raise WireError(f"unknown message id {code}") from None
 
 
-def datagram(kind: MessageKind, payload: bytes) -> bytes:
+def datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
     """Pack a payload into a datagram of a kind; WireError if it is too long."""
     if len(payload) + HEADER > DATAGRAM_MAX:
         raise WireError(f"a payload of {len(payload)} bytes does not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload
 
 
-def number_in(response: Response, layout: str) -> float:
+def number_in(response: natnet.Response, layout: str) -> float:
     """Read a response that is one number: "i" an i32, as of `UpAxis`, or "f" an f32."""
     return unpacked(struct.Struct(f"<{layout}"), response.payload)[0]
 
@@ -117,15 +105,15 @@ def packed_name(name: str) -> bytes:
     return raw + b"\0"
 
 
-def sender(name: str, version: Version) -> bytes:
+def sender(name: str, version: natnet.Version) -> bytes:
     """Pack the sender's name and protocol version, with which CONNECT and SERVERINFO begin."""
     return packed(SENDER.format[1:], packed_name(name), 0, 1, 0, 0, *version, 0, 0)
 
 
-def read_sender(payload: bytes) -> tuple[str, Version]:
+def read_sender(payload: bytes) -> tuple[str, natnet.Version]:
     """Read the sender's name and protocol version."""
     name, *versions = unpacked(SENDER, payload[: SENDER.size])
-    return read_text(name), Version(*versions[4:6])
+    return read_text(name), natnet.Version(*versions[4:6])
 
 
 def read_text(raw: bytes) -> str:

@@ -96,7 +96,7 @@ def damaged(rng):
             body = bytes([rng.choice([0x51, 0x51, 0x52]), 0, rng.randrange(16), rng.randrange(4)])
             frame = bytearray(frame_with_crc(body + rng.randbytes(rng.randrange(8)))[:-1])
         case 4:
-            frame = bytearray(encode(rng.randbytes(rng.randrange(300)))[:-1])
+            frame = bytearray(encode(rng.randbytes(rng.randrange(254)))[:-1])
     return bytes(frame.replace(b"\0", b"\x01"))
 
 

@@ -10,16 +10,9 @@ from support.virtual_lab import Joined, virtual_lab
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import AbortError
 from tetractl.emulate.optitrack.natnet_server import pack_answer
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    EchoResponse,
-    ModelDef,
-    NatNetFrame,
-    RigidBody,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 
-V41 = Version(4, 1)
+V41 = natnet.Version(4, 1)
 SHORT = 0.3  # s: what never comes is waited for in full
 ROBOTS = "robots: [{name: green, body: Green}, {name: blue, body: 7}]"
 
@@ -59,8 +52,8 @@ def stranger_of(address="127.0.0.1"):
 
 def stray(number, x=0.1, version=V41):
     """A forged frame that shows green and blue elsewhere."""
-    bodies = tuple(RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), True) for i in (1, 7))
-    return pack_answer(NatNetFrame(number, bodies), version)
+    bodies = tuple(natnet.RigidBody(i, (x, 0.06, -x), (0, 0, 0, 1), True) for i in (1, 7))
+    return pack_answer(natnet.NatNetFrame(number, bodies), version)
 
 
 def test_frames_of_another_port_of_the_servers_address_are_dropped(tmp_path):
@@ -94,9 +87,9 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
         offset = camera.stream.sync.to_host(0)
         sender = getattr(lab.camera.motive, which)
         forged = (
-            ServerInfo("else", Version(3, 0), 10**7, 1511),
-            ModelDef((("Green", 7),)),
-            EchoResponse(12345, 1),
+            natnet.ServerInfo("else", natnet.Version(3, 0), 10**7, 1511),
+            natnet.ModelDef((("Green", 7),)),
+            natnet.EchoResponse(12345, 1),
         )
 
         for message in forged:
@@ -160,7 +153,7 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
 
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.motive.trouble.version = Version(3, 0)
+        lab.camera.motive.trouble.version = natnet.Version(3, 0)
         with pytest.raises(
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
@@ -173,7 +166,7 @@ def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")
         lab.camera.motive.trouble.silent = True
-        info = ServerInfo("Motive", V41, 10**7, 1511)
+        info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
         camera.open()
         second.sendto(pack_answer(info), own_address(camera))
         with pytest.raises(AbortError, match=r"but one does from 127\.0\.0\.3:") as caught:

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tetractl.lab.cameras.optitrack.natnet_messages import RigidBody
+from tetractl.lab.cameras.optitrack.natnet import RigidBody
 from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
 
 angles = st.floats(-math.pi, math.pi)

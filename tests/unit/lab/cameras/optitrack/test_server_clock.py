@@ -9,20 +9,12 @@ from hypothesis import strategies as st
 
 from tetractl.core.clock import SECOND
 from tetractl.emulate.optitrack.natnet_server import pack_answer
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    NatNetFrame,
-    RigidBody,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import ClockSync, Stream
 
-V41 = Version(4, 1)
+V41 = natnet.Version(4, 1)
 HZ = 10_000_000
 BURST, BURST_NS, ECHO_NS = 20, SECOND // 50, SECOND // 2  # as the client asks
 MS = 1_000_000
@@ -38,8 +30,8 @@ class Server:
         self.stream = Stream(
             (TrackedRobot(name="robot", body=7),), Placement(0, 0, 0, 1000.0), up=UpAxis.Z
         )
-        self.stream.asked(Connect())
-        self.stream.feed(pack_answer(ServerInfo("Motive", V41, HZ, 1511)), 0)
+        self.stream.asked(natnet.Connect())
+        self.stream.feed(pack_answer(natnet.ServerInfo("Motive", V41, HZ, 1511)), 0)
         self.ahead, self.rate, self.constant = 5 * 3600 * SECOND, 1.0, None
         self._chance, self._delay_ms = random.Random(seed), delay_ms
         self._since, self._echoes, self._frames = 0, 0, 0
@@ -77,15 +69,15 @@ class Server:
     def _echo(self):
         self._echoes += 1
         self._next_echo = self.now + (BURST_NS if self._echoes < BURST else ECHO_NS)
-        self.stream.asked(EchoRequest(self.now))
+        self.stream.asked(natnet.EchoRequest(self.now))
         there = self.now + self._delay()
-        self._send(there + self._delay(), EchoResponse(self.now, self.clock(there)))
+        self._send(there + self._delay(), natnet.EchoResponse(self.now, self.clock(there)))
 
     def _frame(self):
         self._frames += 1
         self._next_frame += CAMERA_NS
-        body = RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), True)
-        frame = NatNetFrame(self._frames, (body,), exposure=self.clock(self.now))
+        body = natnet.RigidBody(7, (1.0, 1.0, 0.1), (0.0, 0.0, 0.0, 1.0), True)
+        frame = natnet.NatNetFrame(self._frames, (body,), exposure=self.clock(self.now))
         jitter_ms = self._chance.uniform(0.1, 1.5)  # frames keep their order, echoes need not
         self._send(self.now + round((5.0 + jitter_ms) * 1e6), frame)
 

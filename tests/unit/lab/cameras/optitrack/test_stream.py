@@ -3,29 +3,15 @@ import struct
 import pytest
 
 from tetractl.emulate.optitrack.natnet_server import pack_answer
-from tetractl.lab.cameras.optitrack import diagnosis
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    RigidBody,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 
-V41 = Version(4, 1)
+V41 = natnet.Version(4, 1)
 HZ = 10_000_000
-INFO = ServerInfo("Motive", V41, HZ, 1511)
-MODEL = ModelDef((("green", 11), ("blue", 12), ("hand", 13)))
+INFO = natnet.ServerInfo("Motive", V41, HZ, 1511)
+MODEL = natnet.ModelDef((("green", 11), ("blue", 12), ("hand", 13)))
 ROBOTS = (
     TrackedRobot(name="robot", body="green"),
     TrackedRobot(name="robot", body=12, heading_offset=0.5),
@@ -34,22 +20,22 @@ MILLIMETRES = Placement(0.0, 0.0, 0.0, 1000.0)
 
 
 def body(number, x, y, valid=True):
-    return RigidBody(number, (x, y, 0.1), (0.0, 0.0, 0.0, 1.0), valid)
+    return natnet.RigidBody(number, (x, y, 0.1), (0.0, 0.0, 0.0, 1.0), valid)
 
 
 def frame(number, *bodies, exposure=0, params=0):
-    return pack_answer(NatNetFrame(number, tuple(bodies), params, exposure), V41)
+    return pack_answer(natnet.NatNetFrame(number, tuple(bodies), params, exposure), V41)
 
 
 def connect(stream):
-    stream.asked(Connect())
+    stream.asked(natnet.Connect())
     stream.feed(pack_answer(INFO), 0)
     tell(stream, MODEL)
     return stream
 
 
 def tell(stream, model):
-    stream.asked(Bare(MessageKind.REQUEST_MODELDEF))
+    stream.asked(natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF))
     stream.feed(pack_answer(model, V41), 0)
 
 
@@ -88,10 +74,10 @@ def test_bodies_that_are_not_in_the_frames_are_told():
 
 def test_an_echo_is_taken_once_and_only_with_the_time_that_was_sent():
     stream = connected()
-    stream.asked(EchoRequest(1_000))
-    assert stream.feed(pack_answer(EchoResponse(1_001, 9 * HZ)), 2_000) is None
-    assert stream.feed(pack_answer(EchoResponse(1_000, 5 * HZ)), 2_000) is not None
-    assert stream.feed(pack_answer(EchoResponse(1_000, 9 * HZ)), 2_000) is None
+    stream.asked(natnet.EchoRequest(1_000))
+    assert stream.feed(pack_answer(natnet.EchoResponse(1_001, 9 * HZ)), 2_000) is None
+    assert stream.feed(pack_answer(natnet.EchoResponse(1_000, 5 * HZ)), 2_000) is not None
+    assert stream.feed(pack_answer(natnet.EchoResponse(1_000, 9 * HZ)), 2_000) is None
     assert stream.sync.to_host(5 * HZ) == 1_500
     assert stream.counts.unasked == 2
 
@@ -117,8 +103,8 @@ def test_the_newest_frame_wins():
 )
 def test_a_server_that_streams_in_another_unit_than_metres_is_a_fault(told, unit_mm, fault):
     stream = connected()
-    stream.asked(NatNetRequest(UNITS))
-    stream.feed(pack_answer(Response(struct.pack("<f", told))), 0)
+    stream.asked(natnet.NatNetRequest(UNITS))
+    stream.feed(pack_answer(natnet.Response(struct.pack("<f", told))), 0)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.unit_mm == unit_mm
     assert stream.newest.fault.endswith(fault)
@@ -137,8 +123,8 @@ def test_a_wrong_up_axis_is_told_from_an_unknown_one(answer, says, hint):
     """Regression: x up was answered by a hint to set y or z in the spec."""
     stream = connected(up=None)
     if answer is not None:
-        stream.asked(NatNetRequest(UP_AXIS))
-        stream.feed(pack_answer(Response(struct.pack("<i", answer))), 0)
+        stream.asked(natnet.NatNetRequest(UP_AXIS))
+        stream.feed(pack_answer(natnet.Response(struct.pack("<i", answer))), 0)
     error = diagnosis.no_up_axis(stream)
     assert stream.up is None
     assert says in str(error)
@@ -153,8 +139,8 @@ def test_frames_before_the_server_is_known_are_no_bad_datagrams():
 
 def test_exposure_is_told_in_host_time():
     stream = connected()
-    stream.asked(EchoRequest(1_000_000_000))
-    stream.feed(pack_answer(EchoResponse(1_000_000_000, 5 * HZ)), 1_000_200_000)
+    stream.asked(natnet.EchoRequest(1_000_000_000))
+    stream.feed(pack_answer(natnet.EchoResponse(1_000_000_000, 5 * HZ)), 1_000_200_000)
     stream.feed(frame(1, exposure=6 * HZ), 2_006_000_000)
     assert stream.newest.sampled_ns == 2_000_100_000
 
@@ -162,8 +148,8 @@ def test_exposure_is_told_in_host_time():
 def test_an_exposure_that_cannot_be_is_a_bad_datagram():
     """Regression: such an age did not fit into a log."""
     stream = connected()
-    stream.asked(EchoRequest(0))
-    stream.feed(pack_answer(EchoResponse(0, 2**64 - 1)), 10)
+    stream.asked(natnet.EchoRequest(0))
+    stream.feed(pack_answer(natnet.EchoResponse(0, 2**64 - 1)), 10)
     stream.feed(frame(1, exposure=0), 20)
     assert (stream.counts.bad, stream.counts.frames, stream.newest) == (1, 0, None)
 
@@ -172,9 +158,9 @@ def test_the_server_answers_its_axis():
     stream = connected(up=None)
     stream.feed(frame(1, body(11, 1.0, 1.0)), 0)
     assert stream.newest.poses == (None, None)
-    stream.asked(NatNetRequest(UP_AXIS))
-    stream.feed(pack_answer(Response(struct.pack("<i", 1))), 0)
+    stream.asked(natnet.NatNetRequest(UP_AXIS))
+    stream.feed(pack_answer(natnet.Response(struct.pack("<i", 1))), 0)
     assert stream.up is UpAxis.Y
-    stream.asked(NatNetRequest(UNITS))
-    stream.feed(pack_answer(Response(b"Unrecognized request")), 0)
+    stream.asked(natnet.NatNetRequest(UNITS))
+    stream.feed(pack_answer(natnet.Response(b"Unrecognized request")), 0)
     assert (stream.unit_mm, stream.counts.bad) == (None, 1)

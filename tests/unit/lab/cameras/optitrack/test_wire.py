@@ -16,20 +16,7 @@ from support.natnet_samples import (
 
 from tetractl.core.errors import WireError
 from tetractl.emulate.optitrack.natnet_server import pack_answer, pack_modeldef, parse_request
-from tetractl.lab.cameras.optitrack.natnet_messages import (
-    Bare,
-    Connect,
-    EchoRequest,
-    EchoResponse,
-    MessageKind,
-    ModelDef,
-    NatNetFrame,
-    NatNetRequest,
-    Response,
-    RigidBody,
-    ServerInfo,
-    Version,
-)
+from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.wire import datagram, number_in, pack, parse
 
 f32 = st.floats(width=32, allow_nan=False)
@@ -43,12 +30,14 @@ def tuples(items, most=3):
     return st.lists(items, max_size=most).map(tuple)
 
 
-bodies = tuples(st.builds(RigidBody, i32, vec3, st.tuples(f32, f32, f32, f32), st.booleans()))
+bodies = tuples(
+    st.builds(natnet.RigidBody, i32, vec3, st.tuples(f32, f32, f32, f32), st.booleans())
+)
 
 
 def frames(version):
     exposure = u64 if version >= (3, 0) else st.none()
-    return st.builds(NatNetFrame, number=i32, bodies=bodies, params=u16, exposure=exposure)
+    return st.builds(natnet.NatNetFrame, number=i32, bodies=bodies, params=u16, exposure=exposure)
 
 
 def clutters():
@@ -78,9 +67,9 @@ def test_frames_round_trip(version, data):
     markers=st.integers(0, 3),
 )
 def test_models_round_trip(version, found, markers):
-    model = ModelDef(found)
+    model = natnet.ModelDef(found)
     payload = pack_modeldef(model, version, markers=markers)
-    assert parse(datagram(MessageKind.MODELDEF, payload), version) == model
+    assert parse(datagram(natnet.MessageKind.MODELDEF, payload), version) == model
 
 
 @every_version
@@ -90,18 +79,22 @@ def test_models_are_found_behind_other_data_sets(version):
     assert model.ids() == {"green": 1, "blü": 2}
 
 
-@pytest.mark.parametrize(("version", "kind"), [(Version(2, 9), 3), (Version(4, 0), 9)], ids=str)
+@pytest.mark.parametrize(
+    ("version", "kind"), [(natnet.Version(2, 9), 3), (natnet.Version(4, 0), 9)], ids=str
+)
 def test_an_unknown_data_set_ends_the_reading_and_says_so(version, kind):
-    packed = pack_modeldef(ModelDef((("green", 1),)), version, [(kind, b"?")])
-    found = parse(datagram(MessageKind.MODELDEF, packed), version)
-    assert found == ModelDef((), complete=False)
+    packed = pack_modeldef(natnet.ModelDef((("green", 1),)), version, [(kind, b"?")])
+    found = parse(datagram(natnet.MessageKind.MODELDEF, packed), version)
+    assert found == natnet.ModelDef((), complete=False)
 
 
 def test_a_skeletons_bones_are_not_robots():
     bone = b"hip\0" + struct.pack("<ii3fi", 1, 0, 0, 0, 0, 0)
     other = (2, b"actor\0" + struct.pack("<ii", 5, 1) + bone)
-    payload = pack_modeldef(ModelDef((("green", 4),)), Version(3, 1), [other])
-    assert parse(datagram(MessageKind.MODELDEF, payload), Version(3, 1)).ids() == {"green": 4}
+    payload = pack_modeldef(natnet.ModelDef((("green", 4),)), natnet.Version(3, 1), [other])
+    assert parse(datagram(natnet.MessageKind.MODELDEF, payload), natnet.Version(3, 1)).ids() == {
+        "green": 4
+    }
 
 
 def test_frame_2_9_as_written_by_hand():
@@ -109,8 +102,10 @@ def test_frame_2_9_as_written_by_hand():
     body += struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01) + struct.pack("<fH", 0.5, 1)
     payload = struct.pack("<iiii", 42, 0, 0, 1) + body + struct.pack("<iii", 0, 0, 0)
     payload += struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 4, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(2, 9))
-    assert frame == NatNetFrame(42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, None)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version(2, 9))
+    assert frame == natnet.NatNetFrame(
+        42, (natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, None
+    )
     assert (frame.edit_mode, frame.models_changed) == (True, False)
 
 
@@ -118,17 +113,19 @@ def test_frame_3_0_as_written_by_hand():
     body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 1)
     payload = struct.pack("<iiii", 42, 0, 0, 1) + body + bytes(4 * 4)
     payload += struct.pack("<IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(3, 0))
-    assert frame == NatNetFrame(42, (RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, 10)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version(3, 0))
+    assert frame == natnet.NatNetFrame(
+        42, (natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, 10
+    )
 
 
 def test_frame_4_2_as_written_by_hand():
     body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 2)
     payload = struct.pack("<iiiiiii", 42, 0, 0, 0, 0, 1, 38) + body + bytes(5 * 8)
     payload += struct.pack("<IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, Version(4, 2))
-    body = RigidBody(3, (1, 2, 3), (0, 0, 0, 1), False)
-    assert frame == NatNetFrame(42, (body,), 3, 10)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version(4, 2))
+    body = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), False)
+    assert frame == natnet.NatNetFrame(42, (body,), 3, 10)
     assert frame.models_changed
     assert struct.unpack_from("<H", payload, len(payload) - 6) == (3,)  # params, from the tail
 
@@ -136,18 +133,18 @@ def test_frame_4_2_as_written_by_hand():
 @pytest.mark.parametrize(
     ("pack", "parse", "message", "size"),
     [
-        (pack, parse_request, Connect(Version(4, 1)), 268),
-        (pack, parse_request, Connect(Version(4, 1), pinned=True), 273),
-        (pack, parse_request, Bare(MessageKind.KEEPALIVE), 268),
-        (pack, parse_request, Bare(MessageKind.REQUEST_MODELDEF), 5),
-        (pack, parse_request, Bare(MessageKind.DISCONNECT), 5),
-        (pack, parse_request, EchoRequest(2**64 - 1), 12),
-        (pack, parse_request, NatNetRequest("UpAxis"), 11),
-        (pack_answer, parse, ServerInfo("Motive", Version(2, 10), 0, 0), 268),
-        (pack_answer, parse, ServerInfo("Motive", Version(4, 1), 10**7, 1511), 283),
-        (pack_answer, parse, Bare(MessageKind.UNRECOGNIZED), 4),
-        (pack_answer, parse, EchoResponse(1, 2**64 - 1), 20),
-        (pack_answer, parse, Response(b"\0\0\xf0\x42"), 8),
+        (pack, parse_request, natnet.Connect(natnet.Version(4, 1)), 268),
+        (pack, parse_request, natnet.Connect(natnet.Version(4, 1), pinned=True), 273),
+        (pack, parse_request, natnet.Bare(natnet.MessageKind.KEEPALIVE), 268),
+        (pack, parse_request, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), 5),
+        (pack, parse_request, natnet.Bare(natnet.MessageKind.DISCONNECT), 5),
+        (pack, parse_request, natnet.EchoRequest(2**64 - 1), 12),
+        (pack, parse_request, natnet.NatNetRequest("UpAxis"), 11),
+        (pack_answer, parse, natnet.ServerInfo("Motive", natnet.Version(2, 10), 0, 0), 268),
+        (pack_answer, parse, natnet.ServerInfo("Motive", natnet.Version(4, 1), 10**7, 1511), 283),
+        (pack_answer, parse, natnet.Bare(natnet.MessageKind.UNRECOGNIZED), 4),
+        (pack_answer, parse, natnet.EchoResponse(1, 2**64 - 1), 20),
+        (pack_answer, parse, natnet.Response(b"\0\0\xf0\x42"), 8),
     ],
     ids=lambda value: type(value).__name__,
 )
@@ -158,15 +155,15 @@ def test_handshake_messages_round_trip_in_their_sizes(pack, parse, message, size
 
 
 def test_details_of_the_handshake():
-    info = ServerInfo("Motive", Version(4, 1), 10**7, 1511)
+    info = natnet.ServerInfo("Motive", natnet.Version(4, 1), 10**7, 1511)
     packed = bytearray(pack_answer(info))
     packed[4 + 7 : 4 + 256] = b"\xff" * 249  # garbage after the name's NUL
     assert parse(bytes(packed)) == info
-    assert Version(2, 9) < Version.of("2.10")
-    assert number_in(Response(struct.pack("<f", 120.0)), "f") == 120.0
-    assert number_in(Response(struct.pack("<i", 1)), "i") == 1
+    assert natnet.Version(2, 9) < natnet.Version.of("2.10")
+    assert number_in(natnet.Response(struct.pack("<f", 120.0)), "f") == 120.0
+    assert number_in(natnet.Response(struct.pack("<i", 1)), "i") == 1
     with pytest.raises(WireError):
-        number_in(Response(b"text\0"), "i")
+        number_in(natnet.Response(b"text\0"), "i")
 
 
 @pytest.mark.parametrize(
@@ -174,16 +171,25 @@ def test_details_of_the_handshake():
     [
         (b"", None),
         (b"\x07\0\0", None),
-        (struct.pack("<HH", 7, 5) + bytes(4), Version(3, 0)),  # the header lies
+        (struct.pack("<HH", 7, 5) + bytes(4), natnet.Version(3, 0)),  # the header lies
         (struct.pack("<HH", 11, 0), None),  # no such message
-        (pack_answer(NatNetFrame(1, ()), Version(3, 0)), None),  # a frame before SERVERINFO
-        (pack_answer(NatNetFrame(1, ()), Version(2, 6)), Version(2, 5)),
-        (pack_answer(NatNetFrame(1, ()), Version(3, 0)), Version(4, 1)),  # another version's layout
-        (pack_answer(NatNetFrame(1, ()), Version(4, 1)), Version(3, 0)),
-        (datagram(MessageKind.SERVER_INFO, bytes(263)), None),
-        (datagram(MessageKind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
-        (datagram(MessageKind.ECHO_RESPONSE, bytes(15)), None),
-        (datagram(MessageKind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300), Version(3, 0)),
+        (
+            pack_answer(natnet.NatNetFrame(1, ()), natnet.Version(3, 0)),
+            None,
+        ),  # a frame before SERVERINFO
+        (pack_answer(natnet.NatNetFrame(1, ()), natnet.Version(2, 6)), natnet.Version(2, 5)),
+        (
+            pack_answer(natnet.NatNetFrame(1, ()), natnet.Version(3, 0)),
+            natnet.Version(4, 1),
+        ),  # another version's layout
+        (pack_answer(natnet.NatNetFrame(1, ()), natnet.Version(4, 1)), natnet.Version(3, 0)),
+        (datagram(natnet.MessageKind.SERVER_INFO, bytes(263)), None),
+        (datagram(natnet.MessageKind.SERVER_INFO, bytes(260) + b"\4\1\0\0"), None),  # 4.1 is longer
+        (datagram(natnet.MessageKind.ECHO_RESPONSE, bytes(15)), None),
+        (
+            datagram(natnet.MessageKind.MODELDEF, struct.pack("<ii", 1, 1) + b"x" * 300),
+            natnet.Version(3, 0),
+        ),
     ],
 )
 def test_bad_datagrams_raise_the_one_exception(packed, version):

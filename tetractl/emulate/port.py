@@ -12,17 +12,9 @@ from typing import Any, ClassVar
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import UsageError
 from tetractl.emulate.loop import Loop, Timeline
+from tetractl.lab.actuators.xbee.hardware import BAUDS
 
-_BAUDS = {
-    termios.B1200: 1200,
-    termios.B2400: 2400,
-    termios.B4800: 4800,
-    termios.B9600: 9600,
-    termios.B19200: 19200,
-    termios.B38400: 38400,
-    termios.B57600: 57600,
-    termios.B115200: 115200,
-}
+_BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
 
 
 def uart_ns(size: int, baud: int) -> int:

@@ -1,4 +1,4 @@
-"""XBee hardware and firmware versions, and the check of the PC's module before robots are driven.
+"""XBee hardware and firmware versions, and the section of the module in a spec.
 
 The first byte of HV (hardware version) gives the hardware, and the first hexadecimal digit of VR
 (firmware version) gives the firmware's protocol. The numbers are those of Digi's published
@@ -7,17 +7,15 @@ Zigbee are called Zigbee. Only 802.15.4 firmware broadcasts at the rate of wheel
 allows about one broadcast per second, and DigiMesh repeats every broadcast.
 """
 
-from typing import Literal, Protocol
+from typing import Literal
 
 from pydantic import Field
 
-from tetractl.core.errors import AbortError
 from tetractl.experiment.base import Model
 
 RIGHT = "802.15.4"
 BAUDS = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)  # baud rate by the value of BD
 ESCAPED_FRAMES = 2  # the value of AP for API frames with escapes
-OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 
 
 class XbeeSection(Model):
@@ -69,85 +67,3 @@ def protocol(hardware: bytes, version: bytes) -> str | None:
     if len(found) > 1 and not version:
         return None
     return found.get(version.hex().upper()[:1], found.get(""))
-
-
-class AskedModule(Protocol):
-    """The methods of a link that the check of a module needs."""
-
-    def ask(self, command: bytes) -> bytes | None:
-        """Request a parameter of the module; return its value, None if it gives none in time."""
-        ...
-
-    def set_baud(self, baud: int) -> None:
-        """Change the baud rate of this side of the port."""
-        ...
-
-
-def check_module(link: AskedModule, radio: XbeeSection) -> tuple[str, ...]:
-    """Raise AbortError unless an 802.15.4 module with AP=2 and the spec's baud rate answers.
-
-    Returns questions for the operator: one if the module's protocol is not known, otherwise none.
-    """
-    # the first request may be lost behind an incomplete frame
-    hardware = link.ask(b"HV") or link.ask(b"HV")
-    if hardware is None:
-        silent = _silent(link, radio)
-        # a module that wakes late answers all requests at once, also those at another baud rate
-        link.set_baud(radio.baud)
-        hardware = link.ask(b"HV")
-        if hardware is None:
-            raise silent
-    version = link.ask(b"VR") or b""
-    runs = protocol(hardware, version)
-    if runs not in (RIGHT, None):
-        raise AbortError(
-            f"{radio.port}: the module runs {runs} firmware, not {RIGHT}",
-            "this firmware could not broadcast wheel commands fast enough; "
-            + (
-                f"load {RIGHT} firmware with XCTU"
-                if RIGHT in protocols(hardware).values()
-                else f"use a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
-            ),
-        )
-    rate = _number(link.ask(b"BD"))
-    if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
-        raise AbortError(
-            f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's {radio.baud}",
-            f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
-        )
-    if _number(link.ask(b"AP")) != ESCAPED_FRAMES:
-        raise AbortError(
-            f"{radio.port}: the module is not in API mode with escapes", "set its AP to 2 with XCTU"
-        )
-    if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
-        raise AbortError(
-            f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
-            "set the module (BD=6) and lab.actuator.baud to 57600",
-        )
-    if runs is None:
-        reported = version.hex().upper() or "not reported"
-        module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
-        question = f"is not in tetractl's list: does it run {RIGHT} firmware?"
-        return (f"{radio.port}: {module} {question}",)
-    return ()
-
-
-def _silent(link: AskedModule, radio: XbeeSection) -> AbortError:
-    """Try the other baud rates; return the error for a module silent at the spec's baud rate."""
-    for baud in OTHER_BAUDS:
-        if baud == radio.baud:
-            continue
-        link.set_baud(baud)
-        if link.ask(b"HV") is not None:
-            return AbortError(
-                f"{radio.port}: the module answers at {baud} baud, not the spec's {radio.baud}",
-                f"set lab.actuator.baud to {baud}, or BD in the module",
-            )
-    return AbortError(
-        f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
-        "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
-    )
-
-
-def _number(value: bytes | None) -> int | None:
-    return None if value is None else int.from_bytes(value, "big")

@@ -1,15 +1,25 @@
-"""A connection to the PC's XBee module through a serial port."""
+"""A connection to the PC's XBee module through a serial port, which checks the module first."""
 
 from collections import deque
 from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
-from tetractl.lab.actuators.xbee import frames, hardware
-from tetractl.lab.actuators.xbee.hardware import XbeeSection
+from tetractl.core.errors import AbortError
+from tetractl.lab.actuators.xbee import frames
+from tetractl.lab.actuators.xbee.hardware import (
+    BAUDS,
+    ESCAPED_FRAMES,
+    RIGHT,
+    SERIES_1,
+    XbeeSection,
+    protocol,
+    protocols,
+)
 from tetractl.lab.serial_port import Ports, SerialPort
 
 ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 QUEUED = 1024
+OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 HINT = "the robots stop by their watchdog; plug the module in and start again"
 
 
@@ -41,7 +51,7 @@ class Link:
         """Open the port, exclusively if `alone`; check the module if `checked`."""
         self._port.open(alone)
         if checked:
-            self.questions = hardware.check_module(self, self.radio)
+            self.questions = self._check()
 
     def send(self, data: bytes) -> int:
         """Broadcast data to all modules; return the time of writing [ns]."""
@@ -57,10 +67,6 @@ class Link:
         asked = self._frame_id, command
         self._wait(lambda: any(answer[:2] == asked for answer in self._answers), ANSWER_S)
         return next((answer[2] for answer in self._answers if answer[:2] == asked), None)
-
-    def set_baud(self, baud: int) -> None:
-        """Change the baud rate of this side of the port."""
-        self._port.set_baud(baud)
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
@@ -83,3 +89,75 @@ class Link:
                 self._answers.append(answer)
             elif sent := frames.received(content):
                 self._fresh.append(sent)
+
+    def _check(self) -> tuple[str, ...]:
+        """Raise AbortError unless an 802.15.4 module with AP=2 and the spec's baud rate answers.
+
+        Returns a question for the operator if the module's protocol is not known.
+        """
+        radio = self.radio
+        # the first request may be lost behind an incomplete frame
+        hardware = self.ask(b"HV") or self.ask(b"HV")
+        if hardware is None:
+            silent = self._silent()
+            # a module that wakes late answers all requests at once, also those at another baud rate
+            self._port.set_baud(radio.baud)
+            hardware = self.ask(b"HV")
+            if hardware is None:
+                raise silent
+        version = self.ask(b"VR") or b""
+        runs = protocol(hardware, version)
+        if runs not in (RIGHT, None):
+            raise AbortError(
+                f"{radio.port}: the module runs {runs} firmware, not {RIGHT}",
+                "this firmware could not broadcast wheel commands fast enough; "
+                + (
+                    f"load {RIGHT} firmware with XCTU"
+                    if RIGHT in protocols(hardware).values()
+                    else f"use a module that has {RIGHT} firmware: Series 1, S2C, XBee 3 or RR"
+                ),
+            )
+        rate = _number(self.ask(b"BD"))
+        if rate is not None and rate < len(BAUDS) and BAUDS[rate] != radio.baud:
+            raise AbortError(
+                f"{radio.port}: the module is set to {BAUDS[rate]} baud, not the spec's "
+                f"{radio.baud}",
+                f"set lab.actuator.baud to {BAUDS[rate]}, or BD in the module",
+            )
+        if _number(self.ask(b"AP")) != ESCAPED_FRAMES:
+            raise AbortError(
+                f"{radio.port}: the module is not in API mode with escapes",
+                "set its AP to 2 with XCTU",
+            )
+        if radio.baud == 115_200 and hardware and hardware[0] in SERIES_1:
+            raise AbortError(
+                f"{radio.port}: a Series 1 module loses API frames at 115200 baud",
+                "set the module (BD=6) and lab.actuator.baud to 57600",
+            )
+        if runs is None:
+            reported = version.hex().upper() or "not reported"
+            module = f"the module (HV {hardware.hex().upper()}, VR {reported})"
+            question = f"is not in tetractl's list: does it run {RIGHT} firmware?"
+            return (f"{radio.port}: {module} {question}",)
+        return ()
+
+    def _silent(self) -> AbortError:
+        """Try the other baud rates; return the error for a module silent at the spec's."""
+        radio = self.radio
+        for baud in OTHER_BAUDS:
+            if baud == radio.baud:
+                continue
+            self._port.set_baud(baud)
+            if self.ask(b"HV") is not None:
+                return AbortError(
+                    f"{radio.port}: the module answers at {baud} baud, not the spec's {radio.baud}",
+                    f"set lab.actuator.baud to {baud}, or BD in the module",
+                )
+        return AbortError(
+            f"{radio.port}: no XBee module answers at {radio.baud} or any other baud rate",
+            "is the module in API mode (AP=2)? is it an XBee, and does it have power?",
+        )
+
+
+def _number(value: bytes | None) -> int | None:
+    return None if value is None else int.from_bytes(value, "big")

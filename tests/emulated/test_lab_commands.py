@@ -9,7 +9,7 @@ from support.cli import process
 from support.lab_processes import PATIENCE_S, SMALL, SPEC, TETRACTL, Emulator, flags
 from support.terminal import Terminal
 
-from tetractl.lab.actuators.m3pi.broadcast import Flag
+from tetractl.lab.cobs import Flag
 from tetractl.log.read.reader import read_trial
 
 LONG = ("controller.steps_max=40", "lab.limits.placing=30", "robots.0.target=[1500, 500]")

@@ -1,4 +1,4 @@
-"""COBS framing with a closing 00, and CRC-16/CCITT-FALSE.
+"""COBS framing with a closing 00, CRC-16/CCITT-FALSE, and the flags of commands.
 
 Consistent overhead byte stuffing removes every 00 from a frame. A 00 is therefore always the end of
 a frame, and a reader that lost bytes resynchronises at the next 00.
@@ -6,10 +6,26 @@ a frame, and a reader that lost bytes resynchronises at the next 00.
 
 import binascii
 import struct
+from enum import IntFlag
 
 from tetractl.core.errors import WireError
 
 FRAME_MAX = 80  # payload bytes, including the closing CRC
+
+
+class Flag(IntFlag):
+    """Flags of a command; both firmwares know the same."""
+
+    RUN = 1  # without it every robot stops, and both currents go to 0
+    EMERGENCY_STOP = 2  # a latched stop, until the device is switched off
+    POLL = 4  # the device replies
+
+
+def checked_flags(flags: int) -> Flag:
+    """Return a command's flags; WireError if there are others."""
+    if flags & ~7:
+        raise WireError(f"unknown flags 0x{flags:02X}")
+    return Flag(flags)
 
 
 def crc16(data: bytes) -> int:

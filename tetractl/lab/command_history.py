@@ -1,4 +1,4 @@
-"""The rates commanded to the robots during the last second, for checks of their motion."""
+"""The rates commanded to the robots during the last seconds, for checks of their motion."""
 
 from bisect import bisect_left, bisect_right
 from collections.abc import Sequence
@@ -7,8 +7,6 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
-
-KEPT_NS = SECOND  # time for which transmissions are kept
 
 
 class CommandHistory:
@@ -25,9 +23,15 @@ class CommandHistory:
         """Take the rates of a transmission."""
         self._times.append(now_ns)
         self._sent.append(np.array(rates, dtype=np.float64))
-        old = bisect_right(self._times, now_ns - KEPT_NS)
+        old = bisect_right(self._times, now_ns - 2 * SECOND)
         if old > 64:  # old entries are removed occasionally, all at once
             del self._times[: old - 1], self._sent[: old - 1]
+
+    def acting(self, since_ns: int, until_ns: int) -> tuple[list[int], list[Floats]]:
+        """Return the transmissions of which one acted between two times: times and rates."""
+        first = max(0, bisect_right(self._times, since_ns) - 1)
+        last = bisect_right(self._times, until_ns)
+        return self._times[first:last], self._sent[first:last]
 
     def mean(self, until_ns: int, dt_ns: int) -> Floats:
         """Return the mean of the rates commanded during the `dt_ns` before a time."""

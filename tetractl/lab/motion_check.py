@@ -15,7 +15,6 @@ to each bound. Lengths are in the spec's length unit.
 """
 
 import math
-from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 
@@ -23,6 +22,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats, Pose
+from tetractl.lab.command_history import CommandHistory
 
 DELAY_NS = 3 * SECOND // 10  # delay by radio, wheels and some lost commands
 WATCHDOG_NS = SECOND // 4  # robots that received nothing for this time have stopped themselves
@@ -61,9 +61,8 @@ class MotionCheck:
         self._radius = radius
         way = SLACK_S * np.array(speeds) + noise
         self._slack = np.array([way, way, np.full(n, SLACK_RAD)]).T  # (N, 3)
-        self._times: list[int] = []  # times of the transmissions in `_least` and `_most`
-        self._least: list[Floats] = []  # (N, 3): along, across, around
-        self._most: list[Floats] = []
+        # least and most of each transmission: along, across, around
+        self._sent = CommandHistory(2, n, 3)
         self._now_ns = 0
         self._bounds = np.zeros((2, n, 3))  # bounds in force now
         self.restart()
@@ -90,24 +89,17 @@ class MotionCheck:
         off = share * np.maximum(np.abs(v), np.abs(w) * self._radius)
         around = off / self._radius if self._radius else share * np.abs(w)
         middle, spread = np.array([v, 0 * v, w]).T, np.array([off, off, around]).T
-        self._times.append(now_ns)
-        self._least.append(middle - spread)
-        self._most.append(middle + spread)
-        old = bisect_right(self._times, now_ns - 2 * SECOND)
-        if old > 64:  # old entries are removed occasionally, all at once
-            del self._times[: old - 1], self._least[: old - 1], self._most[: old - 1]
+        self._sent.sent(now_ns, np.array([middle - spread, middle + spread]))
 
     def frame(self, now_ns: int) -> None:
         """Take the time of a frame, before `disagrees` is called for its poses."""
-        first = max(0, bisect_right(self._times, self._now_ns - DELAY_NS) - 1)
-        last = bisect_right(self._times, now_ns)
-        least, most = self._least[first:last], self._most[first:last]
-        times = [*self._times[first:last], now_ns]
-        if not least or times[0] > self._now_ns - DELAY_NS or max(np.diff(times)) > WATCHDOG_NS:
+        since_ns = self._now_ns - DELAY_NS
+        times, sent = self._sent.acting(since_ns, now_ns)
+        if not sent or times[0] > since_ns or max(np.diff([*times, now_ns])) > WATCHDOG_NS:
             # before the first transmission, and after a silence
-            still = np.zeros_like(self._bounds[0])
-            least, most = [*least, still], [*most, still]
-        self._bounds = np.array([np.min(least, axis=0), np.max(most, axis=0)])
+            sent = [*sent, np.zeros_like(self._bounds)]
+        least, most = np.array(sent).swapaxes(0, 1)
+        self._bounds = np.array([least.min(axis=0), most.max(axis=0)])
         self._allowed = self._allowed + self._bounds * ((now_ns - self._now_ns) / SECOND)
         self._now_ns = now_ns
 

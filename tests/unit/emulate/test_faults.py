@@ -13,7 +13,8 @@ from tetractl.core.clock import SECOND
 from tetractl.emulate.faults import Visible
 from tetractl.emulate.script import Sides
 from tetractl.experiment.yaml.document import parse_document
-from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
+from tetractl.lab.cobs import Flag
 
 RUN = ((60, 60), (60, 60))
 FIELD = ("off", "low_supply, millivolts: 9000", "hot, celsius: 85", "mute")

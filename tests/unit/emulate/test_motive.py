@@ -1,19 +1,20 @@
-"""The emulated Motive over real UDP, against our client's codec and against PyPI's `natnet`."""
+"""The emulated Motive: whom it serves, when its frames leave, and garbage; in virtual time."""
 
-import socket
 import statistics
+from contextlib import suppress
 from itertools import pairwise
 
 import pytest
-from support.lab_processes import emulated, turn_until
 from support.lab_specs import SPEC
+from support.virtual_lab import virtual_lab
 
+from tetractl.core.clock import SECOND
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock
 from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import UpAxis, planar_pose
+from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
 
@@ -21,92 +22,48 @@ class Client:
     """A bare NatNet client on one socket."""
 
     def __init__(self, lab):
-        self.lab = lab
-        self.version = lab.camera.motive.own_version
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.setblocking(False)
-        self.socket.bind(("127.0.0.1", 0))
-        self.got = []
+        self.motive, self.clock = lab.emulation.camera.motive, lab.clock
+        self.socket = lab.emulation.wires.bound("127.0.0.1", 0)
 
-    def send(self, message):
-        self.socket.sendto(pack(message), ("127.0.0.1", self.lab.camera.motive.command_port))
+    def send(self, data):
+        data = data if isinstance(data, bytes) else pack(data)
+        self.socket.sendto(data, (self.motive.address, self.motive.command_port))
 
-    def poll(self):
-        try:
+    def got(self):
+        """Return the messages that came since the last call."""
+        found = []
+        with suppress(BlockingIOError):
             while True:
-                self.got.append(parse(self.socket.recv(65535), self.version))
-        except BlockingIOError:
-            return self.got
+                found.append(parse(self.socket.recvfrom(65_535)[0], self.motive.own_version))
+        return found
 
-    def ask(self, message, kind):
-        """Send and return the first answer of a kind; forget all others that came."""
-        self.got.clear()
-        self.send(message)
-        return self.next(kind)
-
-    def next(self, kind, count=1):
-        found = turn_until(
-            self.lab,
-            lambda: (
-                (of := [m for m in self.poll() if isinstance(m, kind)]) and len(of) >= count and of
-            ),
-        )
-        return found[0] if count == 1 else found[:count]
+    def comes(self, kind):
+        """Let time pass until a message of a kind comes; return whether it does."""
+        return self.clock.wait(lambda: any(isinstance(each, kind) for each in self.got()))
 
 
 @pytest.fixture
-def opened(tmp_path):
-    open_now = []
-
-    def start(*sets, **options):
-        lab = emulated(tmp_path, *sets, **options)
-        lab.__enter__()
-        client = Client(lab)
-        open_now.extend((lab, client.socket))
-        return lab, client
-
-    yield start
-    for thing in reversed(open_now):
-        thing.close()
+def client(tmp_path):
+    with virtual_lab(tmp_path) as lab:
+        yield Client(lab)
 
 
-@pytest.mark.parametrize("version", ["2.6", "2.9", "3.0", "3.1", "4.0", "4.1", "4.2", "4.3"])
-def test_handshake_models_and_frames(opened, version):
-    lab, client = opened(script=f"emulation: {{camera: {{version: '{version}'}}}}")
-    info = client.ask(natnet.Connect(), natnet.ServerInfo)
-    assert str(info.version) == version
-    assert "EMULATED" in info.name
-    assert info.data_port == (lab.camera.motive.data_port if info.version >= (3, 0) else 0)
-    models = client.ask(natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF), natnet.ModelDef)
-    assert models.ids() == {"Green": 1, "blue": 7}
-    first, second = client.next(natnet.NatNetFrame, 2)
-    assert second.number == first.number + 1
-    assert [body.id for body in first.bodies] == [1, 7]
-    assert first.params == 0
-    poses = [planar_pose(body, UpAxis.Y) for body in first.bodies]
-    assert poses[0].x == pytest.approx(0.5)
-    assert poses[0].y == pytest.approx(0.5)
-    assert poses[0].heading == pytest.approx(0.5, abs=1e-5)
-    assert poses[1].heading == pytest.approx(-2.0, abs=1e-5)
-
-
-def test_unicast_clients_time_out_and_are_kept_alive(opened):
-    lab, client = opened()
-    client.ask(natnet.Connect(), natnet.ServerInfo)
-    (known,) = lab.camera.motive.clients.values()
-    known.heard_ns -= 2_000_000_000
-    before = known.heard_ns
-    client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))
-    turn_until(lab, lambda: known.heard_ns != before)
-    client.next(natnet.NatNetFrame)
-    known.heard_ns -= 6_000_000_000
-    turn_until(lab, lambda: not lab.camera.motive.clients)
-    assert lab.camera.motive.timed_out == 1
-    client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))  # too late: it has to connect again
-    client.ask(natnet.NatNetRequest("UpAxis"), natnet.Response)
-    assert not lab.camera.motive.clients
-    client.ask(natnet.Connect(), natnet.ServerInfo)
-    client.next(natnet.NatNetFrame)
+def test_unicast_clients_time_out_and_are_kept_alive(client):
+    motive, clock = client.motive, client.clock
+    for _ in range(2):
+        client.send(natnet.Connect())
+        assert client.comes(natnet.ServerInfo)
+        clock.sleep_until(clock.now() + 4 * SECOND)
+        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))
+        clock.sleep_until(clock.now() + 4 * SECOND)
+        client.got()
+        assert client.comes(natnet.NatNetFrame)
+        assert clock.wait(lambda: not motive.clients)
+        client.send(natnet.Bare(natnet.MessageKind.KEEPALIVE))  # too late: it has to connect again
+        client.send(natnet.NatNetRequest("UpAxis"))
+        assert client.comes(natnet.Response)
+        assert not motive.clients
+    assert motive.timed_out == 2
 
 
 def test_latency_and_jitter_are_those_of_the_real_capture():
@@ -132,9 +89,9 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
     assert max(gaps) < 12.8
 
 
-def test_garbage_is_counted_and_survived(opened):
-    lab, client = opened()
+def test_garbage_is_counted_and_survived(client):
     for noise in (b"", b"\0", b"\xff" * 300, pack(natnet.Connect())[:-1]):
-        client.socket.sendto(noise, ("127.0.0.1", lab.camera.motive.command_port))
-    turn_until(lab, lambda: lab.camera.motive.refused == 4)
-    assert client.ask(natnet.Connect(), natnet.ServerInfo)
+        client.send(noise)
+    assert client.clock.wait(lambda: client.motive.refused == 4)
+    client.send(natnet.Connect())
+    assert client.comes(natnet.ServerInfo)

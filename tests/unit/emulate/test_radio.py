@@ -5,8 +5,9 @@ import serial
 from support.lab_processes import emulated, turn_until
 
 from tetractl.core.errors import UsageError
-from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, at_response, encode
+from tetractl.lab.cobs import Flag
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from support.wheels import train
 
 from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots
-from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
+from tetractl.lab.cobs import Flag
 
 MS = 1_000_000
 LAG = 0.04

@@ -15,7 +15,8 @@ from tetractl.core.errors import TetractlError
 from tetractl.emulate.m3pi.robot import EmulatedRobot, EmulatedRobots
 from tetractl.experiment.load import parse_spec
 from tetractl.experiment.plant import Wheels
-from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, Flag, encode_command
+from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
+from tetractl.lab.cobs import Flag
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity
 

@@ -12,19 +12,20 @@ from support.paths import ROOT
 from tetractl.core.errors import WireError
 from tetractl.lab import cobs
 from tetractl.lab.actuators.field import driver
-from tetractl.lab.actuators.field.driver import DriverStatus, FieldCommand, FieldFlag, FieldReply
+from tetractl.lab.actuators.field.driver import DriverStatus, FieldCommand, FieldReply
 from tetractl.lab.actuators.m3pi import broadcast
-from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Flag, Reply, Status
+from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Reply, Status
+from tetractl.lab.cobs import Flag
 
 ROBOTS = BroadcastCommand(7, Flag.RUN, ((64, -64), (127, 127), (0, 0)))
-COILS = FieldCommand(7, FieldFlag.RUN | FieldFlag.POLL, 300, -250)
+COILS = FieldCommand(7, Flag.RUN | Flag.POLL, 300, -250)
 DRIVER = FieldReply(7, DriverStatus.RUNNING, 1, 299, -250, 12_040, 253, 412, 0, 2000, 20_000, 250)
 
 i16, u8, u16 = st.integers(-32_768, 32_767), st.integers(0, 255), st.integers(0, 65_535)
 counts, flags = st.integers(-127, 127), st.integers(0, 7)
 pairs = st.lists(st.tuples(counts, counts), max_size=ROBOTS_MAX).map(tuple)
 robots = st.builds(BroadcastCommand, u8, flags.map(Flag), pairs)
-coils = st.builds(FieldCommand, u8, flags.map(FieldFlag), i16, i16)
+coils = st.builds(FieldCommand, u8, flags.map(Flag), i16, i16)
 robot_replies = st.builds(Reply, u8, u8, flags.map(Status), u16, u16, u16)
 driver_replies = st.builds(
     FieldReply,
@@ -118,11 +119,11 @@ def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1))),
         (broadcast.encode_reply, Reply(256, 0, Status(0), 0, 0, 0)),
         (broadcast.encode_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
-        (driver.encode_command, FieldCommand(256, FieldFlag.RUN)),
-        (driver.encode_command, FieldCommand(-1, FieldFlag.RUN)),
-        (driver.encode_command, FieldCommand(0, FieldFlag.RUN, 32_768, 0)),
-        (driver.encode_command, FieldCommand(0, FieldFlag.RUN, 0, -32_769)),
-        (driver.encode_command, FieldCommand(0, FieldFlag(8))),
+        (driver.encode_command, FieldCommand(256, Flag.RUN)),
+        (driver.encode_command, FieldCommand(-1, Flag.RUN)),
+        (driver.encode_command, FieldCommand(0, Flag.RUN, 32_768, 0)),
+        (driver.encode_command, FieldCommand(0, Flag.RUN, 0, -32_769)),
+        (driver.encode_command, FieldCommand(0, Flag(8))),
         (cobs.frame_with_crc, bytes(cobs.FRAME_MAX)),
     ],
 )

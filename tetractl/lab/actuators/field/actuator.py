@@ -23,10 +23,10 @@ from tetractl.lab.actuators.field.driver import (
     VERSION,
     Driver,
     DriverStatus,
-    FieldFlag,
     FieldReply,
 )
 from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
+from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 
 TEMPERATURE_MAX_C = 60  # a run does not start with hotter coils
@@ -110,7 +110,7 @@ class FieldActuator:
             passed_ns = min(now_ns - self._sent_ns, self.period_ns)
             self._currents = approach(self._now(now_ns), wished, self._room(passed_ns))
             x_ma, y_ma = (round(1000 * current) for current in self._currents)
-            self._sent_ns = self.driver.send(FieldFlag.RUN, x_ma, y_ma)
+            self._sent_ns = self.driver.send(Flag.RUN, x_ma, y_ma)
             self._held_until_ns = self._sent_ns + round(self.section.watchdog * SECOND)
         headings = np.array([np.nan if pose is None else pose.heading for pose in poses])
         return self._transmission(action, (x_ma / 1000, y_ma / 1000), headings)
@@ -124,7 +124,7 @@ class FieldActuator:
         """
         with self._lock:
             self._currents = self._now(self._clock.now())
-            flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
+            flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
             self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
             self._held_until_ns = self._sent_ns
         return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))

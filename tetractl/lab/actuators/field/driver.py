@@ -15,7 +15,7 @@ from enum import IntFlag
 
 from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.errors import WireError
-from tetractl.lab.cobs import Splitter, pack_fields, unpack_fields
+from tetractl.lab.cobs import Flag, Splitter, checked_flags, pack_fields, unpack_fields
 from tetractl.lab.serial_port import Ports, SerialPort
 
 COMMAND, REPLY = 0x53, 0x54
@@ -23,14 +23,6 @@ VERSION = 1
 UNKNOWN_TEMPERATURE = -32768
 _COMMAND = struct.Struct("<BBBhh")
 _REPLY = struct.Struct("<BBBBhhHhHHHIH")
-
-
-class FieldFlag(IntFlag):
-    """Flags of a command."""
-
-    RUN = 1  # without it both currents go to 0
-    EMERGENCY_STOP = 2  # both currents stay 0 until the driver is switched off
-    POLL = 4  # the driver replies
 
 
 class DriverStatus(IntFlag):
@@ -45,10 +37,10 @@ class DriverStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True)
 class FieldCommand:
-    """The currents of both coil pairs [mA]; the driver ignores them without `FieldFlag.RUN`."""
+    """The currents of both coil pairs [mA]; the driver ignores them without `Flag.RUN`."""
 
     sequence: int
-    flags: FieldFlag
+    flags: Flag
     x_ma: int = 0
     y_ma: int = 0
 
@@ -80,17 +72,14 @@ class FieldReply:
 
 def encode_command(command: FieldCommand) -> bytes:
     """Pack a command, including the closing byte 00."""
-    if command.flags & ~7:
-        raise WireError(f"unknown flags 0x{int(command.flags):02X}")
+    checked_flags(command.flags)
     return pack_fields(_COMMAND, COMMAND, *astuple(command))
 
 
 def decode_command(frame: bytes) -> FieldCommand:
     """Read a command, given without the closing byte 00."""
     sequence, flags, x_ma, y_ma = unpack_fields(_COMMAND, COMMAND, frame)
-    if flags & ~7:
-        raise WireError(f"unknown flags 0x{flags:02X}")
-    return FieldCommand(sequence, FieldFlag(flags), x_ma, y_ma)
+    return FieldCommand(sequence, checked_flags(flags), x_ma, y_ma)
 
 
 def encode_reply(reply: FieldReply) -> bytes:
@@ -149,13 +138,13 @@ class Driver:
         """Open the port; AbortError if that is not possible."""
         self._port.open()
 
-    def send(self, flags: FieldFlag, x_ma: int = 0, y_ma: int = 0) -> int:
+    def send(self, flags: Flag, x_ma: int = 0, y_ma: int = 0) -> int:
         """Send a command that polls; return the time of sending [ns]. AbortError if sending
         fails.
         """
         with self._lock:
             self._sequence = (self._sequence + 1) % 256
-            command = FieldCommand(self._sequence, flags | FieldFlag.POLL, x_ma, y_ma)
+            command = FieldCommand(self._sequence, flags | Flag.POLL, x_ma, y_ma)
             sent_ns = self._port.write(encode_command(command))
             if self._unanswered == 0:
                 self._unanswered_ns = sent_ns
@@ -168,7 +157,7 @@ class Driver:
         """
         self.newest = None
         for _ in range(TRIES):
-            self.send(FieldFlag(0))
+            self.send(Flag(0))
             wanted = self._sequence
             wait_for(
                 self._clock,

@@ -10,9 +10,10 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Action, Health, RobotStatus, Steer, Stop, Transmission, Turn
 from tetractl.core.poses import Pose
 from tetractl.core.setup import MM, Setup
-from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, Flag, Reply, Status
+from tetractl.lab.actuators.m3pi.broadcast import Broadcaster, Reply, Status
 from tetractl.lab.actuators.m3pi.section import M3piRobot, M3piSection
 from tetractl.lab.actuators.xbee.link import Link
+from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
 

@@ -17,7 +17,15 @@ from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.cobs import Splitter, checked_payload, frame_with_crc, pack_fields, unpack_fields
+from tetractl.lab.cobs import (
+    Flag,
+    Splitter,
+    checked_flags,
+    checked_payload,
+    frame_with_crc,
+    pack_fields,
+    unpack_fields,
+)
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
 COMMAND, REPLY = 0x51, 0x52
@@ -25,14 +33,6 @@ ROBOTS_MAX = 32
 POLLS = 5  # most polls until each robot has replied, since frames may be lost
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
-
-
-class Flag(IntFlag):
-    """Flags of a command."""
-
-    RUN = 1  # without this flag every robot stops
-    EMERGENCY_STOP = 2  # latched stop, until the robot is switched off
-    POLL = 4  # every robot replies
 
 
 class Status(IntFlag):
@@ -79,7 +79,7 @@ def encode_command(command: BroadcastCommand) -> bytes:
     counts = [count for pair in command.wheels for count in pair]
     if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
-    head = bytes([COMMAND, command.sequence, _flags(command.flags), len(command.wheels)])
+    head = bytes([COMMAND, command.sequence, checked_flags(command.flags), len(command.wheels)])
     return frame_with_crc(head + struct.pack(f"{len(counts)}b", *counts))
 
 
@@ -95,7 +95,7 @@ def decode_command(frame: bytes) -> BroadcastCommand:
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError(f"a wheel count is -128, below -{COUNT_MAX}")
     return BroadcastCommand(
-        sequence, _flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
+        sequence, checked_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
     )
 
 
@@ -108,12 +108,6 @@ def decode_reply(frame: bytes) -> Reply:
     """Read a reply, given without the closing byte 00."""
     robot, sequence, status, *counters = unpack_fields(_REPLY, REPLY, frame)
     return Reply(robot, sequence, Status(status & 7), *counters)
-
-
-def _flags(flags: int) -> Flag:
-    if flags & ~7:
-        raise WireError(f"unknown flags 0x{flags:02X}")
-    return Flag(flags)
 
 
 class Broadcaster:

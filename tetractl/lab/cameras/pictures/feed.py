@@ -23,26 +23,26 @@ class Picture:
 class Feed(Protocol):
     """An opened source of pictures. One thread reads and closes it; any thread may interrupt.
 
-    A `live` source delivers pictures even if they are not read. `rate_hz` is the source's declared
-    rate [Hz], None if unknown. An `emulated` source does not show real robots.
+    Feeds derive from this class. A `live` source delivers pictures even if they are not read.
+    `rate_hz` is the source's declared rate [Hz], None if unknown. An `emulated` source does not
+    show real robots.
     """
 
-    live: bool
-    rate_hz: float | None
-    emulated: bool
+    live: bool = True
+    rate_hz: float | None = None
+    emulated: bool = False
 
     @property
     def damaged(self) -> int:
         """Number of parts of the stream so far that could not be read."""
-        ...
+        return 0
 
     def read(self) -> Picture:
         """Wait for the next picture; SourceEndedError if the source has ended."""
         ...
 
     def interrupt(self) -> None:
-        """End a `read` that is waiting in another thread."""
-        ...
+        """End a `read` that is waiting in another thread; unneeded if no wait is long."""
 
     def close(self) -> None:
         """Release the source."""

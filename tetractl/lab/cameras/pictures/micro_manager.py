@@ -18,7 +18,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.errors import AbortError
-from tetractl.lab.cameras.pictures.feed import Picture, SourceEndedError
+from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
 
 WAIT_NS = SECOND // 500
@@ -61,15 +61,10 @@ def require_adapters(config: str, folder: Path) -> None:
             raise AbortError(f"{config}: {folder} contains no device adapter {library!r}")
 
 
-class MicroManagerFeed:
+class MicroManagerFeed(Feed):
     """A camera configured in Micro-Manager; a picture has the upper eight bits of the camera's grey
     levels or, for a colour camera, the mean of red, green and blue.
     """
-
-    live = True
-    rate_hz: float | None = None
-    emulated = False
-    damaged = 0
 
     def __init__(self, source: MicroManagerSource, clock: Clock) -> None:
         try:

@@ -80,15 +80,21 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
         return None
 
 
-class DeviceFeed:
+class _CaptureFeed(Feed):
+    """Pictures that OpenCV captures; its own timeouts end a wait."""
+
+    _capture: cv2.VideoCapture
+
+    def close(self) -> None:
+        """Release the camera or the file."""
+        self._capture.release()
+
+
+class DeviceFeed(_CaptureFeed):
     """A camera at this computer, opened by OpenCV; not tested with a real camera."""
 
-    live = True
-    emulated = False
-    damaged = 0
-
     def __init__(self, source: DeviceSource, clock: Clock) -> None:
-        self.rate_hz: float | None = source.rate
+        self.rate_hz = source.rate
         self._name, self._clock = f"camera {source.index}", clock
         system = cv2.CAP_V4L2 if sys.platform == "linux" else cv2.CAP_ANY
         self._capture = capture = cv2.VideoCapture(source.index, system)
@@ -122,20 +128,12 @@ class DeviceFeed:
             raise SourceEndedError(f"{self._name} delivers no more pictures")
         return Picture(pixels, received)
 
-    def interrupt(self) -> None:
-        """Do nothing: the driver's own timeout ends a wait."""
 
-    def close(self) -> None:
-        """Release the camera."""
-        self._capture.release()
-
-
-class FileFeed:
+class FileFeed(_CaptureFeed):
     """A video file, played at its own rate."""
 
     live = False
     emulated = True  # robots in a film cannot be steered
-    damaged = 0
 
     def __init__(self, source: FileSource, clock: Clock) -> None:
         self._path, self._clock = source.path, clock
@@ -146,7 +144,7 @@ class FileFeed:
         if not rate > 0:
             self._capture.release()
             raise AbortError(f"{source.path} is not a video that OpenCV can read")
-        self.rate_hz: float | None = rate
+        self.rate_hz = rate
         self._start_ns: int | None = None
         self._read = 0
 
@@ -162,19 +160,9 @@ class FileFeed:
         self._read += 1
         return Picture(pixels, self._clock.now())
 
-    def interrupt(self) -> None:
-        """Do nothing: `read` waits for at most one picture's duration."""
 
-    def close(self) -> None:
-        """Close the file."""
-        self._capture.release()
-
-
-class MjpegFeed:
+class MjpegFeed(Feed):
     """A network camera's multipart stream over HTTP."""
-
-    live = True
-    rate_hz: float | None = None
 
     def __init__(self, source: MjpegSource, clock: Clock, timeout_s: float) -> None:
         self._url, self._clock = source.url, clock

@@ -18,7 +18,7 @@ from tetractl.core.poses import Pose
 from tetractl.emulate import firmware
 from tetractl.emulate.firmware import DriverLimits
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver import FieldFlag
+from tetractl.lab.cobs import Flag
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 A, SPEED = np.array([5.0, 3.5]), np.array([300.0, 330.0])
@@ -130,7 +130,7 @@ def test_a_stop_is_sent_three_times_and_says_that_cells_swim_on(emergency):
     actuator, _ = virtual()
     actuator.send(Steer(1.0), POSES, BOTH, 0)
     stop = actuator.stop(emergency)
-    flag = FieldFlag.EMERGENCY_STOP if emergency else FieldFlag(0)
+    flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
     assert [(c.flags, c.x_ma, c.y_ma) for c in actuator.driver.sent[1:]] == [(flag, 0, 0)] * 3
     assert stop.direction is None
     assert (stop.speed == SPEED).all()
@@ -151,9 +151,7 @@ def fails(actuator):
 
 def stops(stage):
     """Return how many frames came without the run flag."""
-    return sum(
-        event == "command" and facts["flags"] == FieldFlag.POLL for event, facts in stage.told
-    )
+    return sum(event == "command" and facts["flags"] == Flag.POLL for event, facts in stage.told)
 
 
 @needs_compiler

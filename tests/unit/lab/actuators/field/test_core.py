@@ -12,12 +12,12 @@ from tetractl.lab.actuators.field.driver import (
     VERSION,
     DriverStatus,
     FieldCommand,
-    FieldFlag,
     FieldReply,
     decode_command,
     encode_command,
     encode_reply,
 )
+from tetractl.lab.cobs import Flag
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 
@@ -63,8 +63,8 @@ class Twin:
             return CoreEvent.REJECTED
         self.received = (self.received + 1) % 65_536
         is_new = self.silent or 1 <= (command.sequence - self.sequence) % 256 <= 127
-        runs = FieldFlag.RUN in command.flags
-        self.latched |= FieldFlag.EMERGENCY_STOP in command.flags
+        runs = Flag.RUN in command.flags
+        self.latched |= Flag.EMERGENCY_STOP in command.flags
         if not runs or self.latched:
             self.stop()
         elif is_new:
@@ -78,7 +78,7 @@ class Twin:
             self.running = True
         if is_new:
             self.sequence, self.heard, self.silent = command.sequence, now_ms, False
-        if FieldFlag.POLL in command.flags and (is_new or not runs):
+        if Flag.POLL in command.flags and (is_new or not runs):
             self.reply = command.sequence
         return CoreEvent.ACCEPTED if is_new else CoreEvent.STALE
 
@@ -128,7 +128,7 @@ limits = st.builds(
     DriverLimits, st.integers(1, 32_767), st.integers(1, 2**32 - 1), st.integers(1, 400), ma
 )
 near = st.integers(0, 5)  # sequences that often repeat or go back
-commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(FieldFlag), ma, ma).map(
+commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(Flag), ma, ma).map(
     encode_command
 )
 replies = st.builds(FieldReply, u8, st.integers(0, 31).map(DriverStatus), *([st.just(0)] * 10))

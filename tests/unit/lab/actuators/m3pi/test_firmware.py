@@ -15,7 +15,6 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     REPLY_SLOT_MS,
     ROBOTS_MAX,
     BroadcastCommand,
-    Flag,
     Reply,
     Status,
     decode_command,
@@ -23,7 +22,7 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     encode_command,
     encode_reply,
 )
-from tetractl.lab.cobs import encode, frame_with_crc
+from tetractl.lab.cobs import Flag, encode, frame_with_crc
 
 needs_compiler = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
 FOLDER = ROOT / "firmware"

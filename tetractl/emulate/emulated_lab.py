@@ -15,10 +15,6 @@ from tetractl.emulate.sides import EmulatedActuator, EmulatedCamera, Facts, Opti
 from tetractl.emulate.wires import Wires
 from tetractl.experiment.lab_section import LabSection
 
-TICK_NS = 2_000_000  # interval between checks of the robots
-FLUSH_NS = 200_000_000
-CARRY_NS = 500_000_000  # time that carrying a robot takes
-
 Report = Callable[[str, Facts], None]
 
 
@@ -178,7 +174,7 @@ class EmulatedLab:
             self._still_since = now
             self._report("rest", {})
         self._help(now)
-        self.timeline.at(now + TICK_NS, self._tick)
+        self.timeline.at(now + 2_000_000, self._tick)
 
     def _help(self, now: int) -> None:
         """Carry the robots back to their starts once they have stood still for `replace_after`."""
@@ -190,7 +186,8 @@ class EmulatedLab:
         self._ran = False
         self.camera.hide(True)
         self.actuator.switch(False)
-        self.timeline.at(now + CARRY_NS, self._put_down)
+        # a robot is carried for half a second
+        self.timeline.at(now + 500_000_000, self._put_down)
 
     def _put_down(self) -> None:
         self._put_on_starts()
@@ -217,7 +214,7 @@ class EmulatedLab:
 
     def _flush(self) -> None:
         self._record.flush()
-        self.timeline.at(self.timeline.now_ns + FLUSH_NS, self._flush)
+        self.timeline.at(self.timeline.now_ns + 200_000_000, self._flush)
 
 
 def _check_names(script: Script, setup: Setup) -> None:

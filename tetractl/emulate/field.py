@@ -27,8 +27,6 @@ from tetractl.lab.actuators.field.section import FieldSection, Pair
 from tetractl.lab.cobs import Splitter
 from tetractl.model.swimmers import walls_of
 
-LAG_S = 0.004  # 20 mH over 5 ohm
-
 
 class CurrentDriver(SerialDevice):
     """A current driver, switched on at the timeline's present time; its owner plugs in `port`.
@@ -45,7 +43,7 @@ class CurrentDriver(SerialDevice):
         port: PseudoPort,
         limits: DriverLimits,
         baud: int = 115_200,
-        lag_s: float = LAG_S,
+        lag_s: float = 0.004,  # 20 mH over 5 ohm
         tell: Callable[..., None] = lambda event, **facts: None,
     ) -> None:
         super().__init__(timeline, port, baud)

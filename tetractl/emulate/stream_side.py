@@ -28,7 +28,6 @@ from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
 
 BOUNDARY = "emulated-by-tetractl"
-QUEUED = 32  # most pictures queued for a client that reads slowly; further ones are dropped
 WAIT_S = 0.05
 
 
@@ -132,7 +131,8 @@ class EmulatedNetworkCamera:
                     client.put_nowait((exposed + self._latency, jpeg))
 
     def _serve(self, answer: BaseHTTPRequestHandler) -> None:
-        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(QUEUED)
+        # further pictures are dropped, for a client that reads slowly
+        mine: queue.Queue[tuple[int, bytes]] = queue.Queue(32)
         self._clients.add(mine)
         try:
             answer.send_response(200)
@@ -180,10 +180,6 @@ def part(jpeg: bytes) -> bytes:
     """Return one part of the stream for a JPEG file, beginning with the boundary."""
     head = f"--{BOUNDARY}\r\nContent-Type: image/jpeg\r\nContent-Length: {len(jpeg)}\r\n\r\n"
     return head.encode() + jpeg + b"\r\n"
-
-
-KEEP_NS = 5_000_000  # interval between the scenes that are kept for drawing exposures
-SCENES_KEPT = 200
 
 
 class StreamSettings(Model):
@@ -270,7 +266,7 @@ class StreamedCamera(ABC):
         self._stage, self._settings, self._latency = stage, settings, section.latency
         port = stage.options.command_port
         self._port = urlsplit(section.source.url).port or 80 if port is None else port
-        self._past: deque[tuple[int, Floats]] = deque(maxlen=SCENES_KEPT)
+        self._past: deque[tuple[int, Floats]] = deque(maxlen=200)
         self._watched = self._opened = False
         self._exposures = 0
 
@@ -335,7 +331,8 @@ class StreamedCamera(ABC):
         """Store the present scene for exposures that are drawn later."""
         now = self._stage.timeline.now_ns
         self._past.append((now, self._scene()))
-        self._stage.timeline.at(now + KEEP_NS, self._remember)
+        # exposures are drawn between two of these scenes
+        self._stage.timeline.at(now + 5_000_000, self._remember)
 
     def _expose(self) -> None:
         """Report an exposure, and a client that begins to watch; schedule the next exposure."""

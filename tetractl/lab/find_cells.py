@@ -13,7 +13,6 @@ from tetractl.experiment.choice import Choice, FoundCell
 from tetractl.lab.rig import Rig
 
 JITTER = 0.4  # largest deviation of a direction from a multiple of a quarter turn [rad]
-STEP_UM = 35.0  # largest motion of a cell between two pictures in which it is recognised
 
 
 def manoeuvre(turn_s: float, seed: int) -> Callable[[int], float]:
@@ -63,7 +62,8 @@ def turn_field(
             raise AbortError(rig.guard.no_frame(rig.silent_ns()))
     now = rig.tracker.found_cells()
     cells = [replace(cell, free=cell.free and cell.number not in walled) for cell in now]
-    least = choice.speed * rig.setup.metres * 1e6 / STEP_UM
+    # a cell is recognised if it moves by at most 35 um between two pictures
+    least = choice.speed * rig.setup.metres * 1e6 / 35.0
     rate = (rig.frames.count - before) * SECOND / max(rig.clock.now() - began, 1)
     if sum(cell.magnetised for cell in cells) < choice.choose and rate < least:
         raise AbortError(

@@ -25,11 +25,7 @@ from tetractl.lab.motion_check import REPEATS, MotionCheck
 from tetractl.lab.pose_filter import MotionLimits, PoseFilter
 from tetractl.lab.swap_detection import SwapDetector
 
-JUMP_HEADING = 0.7  # allowed heading error beyond the turning rate [rad]
 NOISE_MM = 2.0  # largest error of a pose
-DAMAGED_FRAMES = 20  # the run aborts if more frames than this are damaged within a second
-RARELY = 3.0  # multiple of `untracked_abort`: the most time unseen, though not at once
-SWIMMERS = 0.7  # largest relative deviation of a cell's motion from the command
 
 
 class GuardState(StrEnum):
@@ -116,7 +112,8 @@ class Guard:
     def __post_init__(self) -> None:
         rules, limits, mm = self.rules, self.rules.limits, self.rules.mm
         low, high = limits.height_mm
-        each = limits.jump_mm / mm, JUMP_HEADING, low / mm, high / mm, limits.tilt, mm
+        # a heading may be 0.7 rad off beyond the turning rate
+        each = limits.jump_mm / mm, 0.7, low / mm, high / mm, limits.tilt, mm
         self._filters = [
             PoseFilter(MotionLimits(speed, turning, *each))
             for speed, turning in zip(rules.speeds, rules.turning, strict=True)
@@ -178,7 +175,7 @@ class Guard:
 
     def sent(self, now_ns: int, speed: Sequence[float], turning: Sequence[float]) -> None:
         """Take a transmission: the robots' speeds [length unit/s] and turning rates [rad/s]."""
-        share = self.rules.limits.wheel_error if self.rules.individual else SWIMMERS
+        share = self.rules.limits.wheel_error if self.rules.individual else 0.7  # cells wander
         self._motion.sent(now_ns, speed, turning, share)
         self._drift.sent(now_ns, speed, turning)
         self._swaps.sent(now_ns, turning)
@@ -343,7 +340,8 @@ class Guard:
                 self.abort(f"{name} {track.refused}")
             elif lost_ns >= limits.untracked_abort * SECOND:
                 self.lose(i, self._untracked(i, newest))
-            elif track.unseen_ns >= RARELY * limits.untracked_abort * SECOND:
+            # the most time unseen, though not at once
+            elif track.unseen_ns >= 3.0 * limits.untracked_abort * SECOND:
                 self.lose(i, f"{name} is seen too rarely: it, or frames, are missing too often")
 
     @property
@@ -393,5 +391,5 @@ class Guard:
         while self._damaged and self._damaged[0][0] < now_ns - SECOND:
             self._damaged.popleft()
         within = total - self._damaged[0][1]
-        if within > DAMAGED_FRAMES and self._active:
+        if within > 20 and self._active:
             self.abort(f"{within} damaged camera frames within a second")

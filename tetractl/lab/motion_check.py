@@ -27,7 +27,6 @@ from tetractl.lab.command_history import CommandHistory
 DELAY_NS = 3 * SECOND // 10  # delay by radio, wheels and some lost commands
 WATCHDOG_NS = SECOND // 4  # robots that received nothing for this time have stopped themselves
 WINDOW_NS = SECOND
-SPACING_NS = SECOND // 20  # interval of the window's poses with which a new pose is compared
 SLACK_S = 0.03  # time of driving at full speed that is allowed as slack
 SLACK_RAD = 0.08
 STANDS = 0.3  # a robot that makes less than this fraction of the commanded motion stands still
@@ -120,7 +119,7 @@ class MotionCheck:
                 found = _diagnosis(way, least, most, self._slack[i])
                 return found if self._radius else OF_CELLS.get(found, found)
         self.seen[i] = seen
-        if not past or self._now_ns - past[-1][0] >= SPACING_NS:
+        if not past or self._now_ns - past[-1][0] >= SECOND // 20:
             past.append((self._now_ns, np.array([seen, *allowed])))
         while len(past) > 1 and self._now_ns - past[0][0] > WINDOW_NS:
             past.popleft()

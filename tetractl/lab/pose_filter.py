@@ -14,8 +14,6 @@ from tetractl.core.poses import Pose
 
 FASTER = 2.0  # multiple of a robot's speed and turning limits above which its pose jumped
 WINDOW_NS = SECOND  # largest age of accepted poses with which a pose is compared
-FORGIVEN = 0.25  # part of the time seen that is taken off the time unseen
-SPACING_NS = SECOND // 10  # interval of the poses kept for this comparison, except the last one
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,8 @@ class PoseFilter:
         """Take the time of a frame of a run, before its pose; a pose is recent for `stale_ns`."""
         unseen_ns = max(0.0, now_ns - max(self._frame_ns, self.seen_ns + stale_ns))
         seen_ns = now_ns - self._frame_ns - unseen_ns
-        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - FORGIVEN * seen_ns)
+        # a quarter of the time seen is taken off the time unseen
+        self.unseen_ns = max(0.0, self.unseen_ns + unseen_ns - 0.25 * seen_ns)
         self._frame_ns = now_ns
 
     def lost(self) -> None:
@@ -88,7 +87,7 @@ class PoseFilter:
         self.pose, self.seen_ns = pose, at_ns
         while self._past and at_ns - self._past[0][0] > WINDOW_NS:
             self._past.popleft()
-        if not self._past or at_ns - self._past[-1][0] >= SPACING_NS:
+        if not self._past or at_ns - self._past[-1][0] >= SECOND // 10:
             self._past.append((at_ns, pose))
         return True
 

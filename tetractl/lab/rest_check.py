@@ -10,8 +10,6 @@ from tetractl.lab.rig import Rig
 
 STANDSTILL_S = 2.0  # longest time after a stop until the camera sees the robots stand still [s]
 REST_NS = SECOND // 4  # time for which the camera must see robots stand still
-WATCHED = 0.6  # fraction of REST_NS that the frames of each robot must span
-TURNING = 0.3  # a robot that turns more slowly stands still [rad/s]
 
 
 def moving_robots(rig: Rig) -> list[str]:
@@ -66,10 +64,10 @@ def _not_at_rest(rig: Rig, i: int, window: list[AcceptedFrame]) -> str:
     seen = [(f.frame.sampled_ns, pose) for f in window if (pose := f.pose(i)) is not None]
     if not seen or newest - seen[-1][0] > UNTRACKED_STOP_S * SECOND:
         return f"{rig.not_tracked(i)}, so it is not seen to stand"
-    if seen[-1][0] - seen[0][0] < WATCHED * REST_NS:
+    if seen[-1][0] - seen[0][0] < 0.6 * REST_NS:
         return f"{name} has not been watched long enough"
     speed, turning = _speeds(*seen[0], *seen[-1])
-    moves = speed * rig.mm > STANDSTILL_MM_S or turning > TURNING
+    moves = speed * rig.mm > STANDSTILL_MM_S or turning > 0.3  # rad/s
     return f"{name} still moves" if moves else ""
 
 

@@ -20,11 +20,9 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 
 WRITE_TIMEOUT_S = 0.02
-READ_TIMEOUT_S = 0.05
 # times [s] after which the process gets a second SIGTERM, gets SIGKILL, and is given up
 AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0
 SWITCH_OFF = "switch the robots off by hand if they move"
-MAX_BUFFER = 2048  # bytes in the system's send buffer above which the port counts as stuck
 
 
 class PortHeldError(AbortError):
@@ -70,7 +68,7 @@ class SerialPort:
             self._port = serial.Serial(
                 self._name,
                 self._baud,
-                timeout=READ_TIMEOUT_S,
+                timeout=0.05,
                 write_timeout=WRITE_TIMEOUT_S,
                 exclusive=alone or None,
             )
@@ -93,7 +91,7 @@ class SerialPort:
                 raise self._fail(f"takes no more bytes: {self._device} is stuck") from None
             except (serial.SerialException, OSError, TypeError) as error:
                 raise self._fail(f"is gone: {_why(error)}") from error
-            if waiting > MAX_BUFFER:
+            if waiting > 2048:
                 raise self._fail(f"holds {waiting} bytes back: {self._device} is stuck")
             return self._clock.now()
 

@@ -103,7 +103,6 @@ class Client:
 
 
 CLOCK_HZ = 10_000_000
-CLOCK_OFFSET = 0x1234_5678_9ABC  # arbitrary start of the server's clock [ticks]
 Address = tuple[str, int]
 
 
@@ -120,7 +119,8 @@ class ServerClock:
     def ticks(self, when_ns: int) -> int:
         """Return the time on the server's clock [ticks] at a time on the host's clock [ns]."""
         gained = round((self.rate - 1.0) * max(0, when_ns - self.since_ns))
-        return CLOCK_OFFSET + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
+        start = 0x1234_5678_9ABC  # of the server's clock, which is arbitrary [ticks]
+        return start + (when_ns + self.ahead_ns + gained) * CLOCK_HZ // SECOND
 
 
 class Motive:

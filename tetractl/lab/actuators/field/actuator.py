@@ -29,7 +29,6 @@ from tetractl.lab.actuators.field.section import FieldSection, Pair, approach
 from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 
-TEMPERATURE_MAX_C = 60  # a run does not start with hotter coils
 OFF: Pair = (0.0, 0.0)
 
 
@@ -213,7 +212,7 @@ def _state(reply: FieldReply, section: FieldSection) -> list[str]:
         found.append("the current driver is emergency-stopped: switch it off and on again")
     if reply.supply_mv and reply.supply_mv < 1000 * section.supply_min_v:
         found.append(f"the current driver's supply is at {reply.supply_mv / 1000:.2f} V")
-    if UNKNOWN_TEMPERATURE != reply.temperature_dc >= 10 * TEMPERATURE_MAX_C:
+    if UNKNOWN_TEMPERATURE != reply.temperature_dc >= 600:  # coils of 60 degrees would soon stop it
         found.append(f"the coils are at {reply.temperature_dc / 10:.0f} °C: let them cool down")
     return found
 

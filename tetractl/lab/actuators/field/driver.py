@@ -94,10 +94,6 @@ def decode_reply(frame: bytes) -> FieldReply:
 
 
 SILENCE_NS = SECOND // 2
-# after more frames than this, and SILENCE_NS, without a reply, the driver counts as off
-UNANSWERED_MAX = 5
-TRIES = 5
-ANSWER_S = 0.1  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
 HINT = "the driver switches the field off by its watchdog; cells swim on"
 
 
@@ -126,7 +122,8 @@ class Driver:
         newest, now_ns = self.newest, self._clock.now()
         if self._port.failure is not None:
             return self._port.failure
-        if self._unanswered > UNANSWERED_MAX and now_ns - self._unanswered_ns > SILENCE_NS:
+        # some replies may be lost, or late
+        if self._unanswered > 5 and now_ns - self._unanswered_ns > SILENCE_NS:
             return "the current driver does not answer any more"
         if newest is not None and DriverStatus.HOT in newest.status:
             return f"the current driver stopped: it is {newest.temperature_dc / 10:.0f} °C hot"
@@ -156,13 +153,13 @@ class Driver:
         first reply, None without any. AbortError if the port has failed.
         """
         self.newest = None
-        for _ in range(TRIES):
+        for _ in range(5):
             self.send(Flag(0))
             wanted = self._sequence
             wait_for(
                 self._clock,
                 lambda w=wanted: self._port.failure is not None or self._answered(w),
-                ANSWER_S,
+                0.1,  # a driver replies within 4 ms at 115200 baud, 50 ms at 9600
             )
             if self._answered(wanted):
                 return self.newest

@@ -17,9 +17,7 @@ from tetractl.lab.cobs import Flag
 from tetractl.lab.serial_port import Ports
 from tetractl.model.wheels import STOP, Counts, Drivetrains, WheelHost
 
-BATTERY_REFUSED_V = 4.0  # a run does not start with a robot below this battery voltage
 RADIO_NS = 7_000_000  # from writing a broadcast at 57600 baud until it reaches the wheels
-AHEAD_MAX_NS = SECOND // 10  # longest time over which a heading is predicted
 
 
 class M3piActuator:
@@ -99,7 +97,7 @@ class M3piActuator:
         command reaches the wheels, over at most 0.1 s. Robots without a pose get counts of 0.
         """
         arrives = self._clock.now() + RADIO_NS
-        since = max(exposed_ns, arrives - AHEAD_MAX_NS)
+        since = max(exposed_ns, arrives - SECOND // 10)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
         drives = isinstance(action, Steer)
         u = np.array(action.direction if drives else action.facing)
@@ -123,7 +121,8 @@ class M3piActuator:
         if reply.status & Status.EMERGENCY_STOPPED:
             line = f"{name} is emergency-stopped: switch it off and on again"
             return RobotStatus(True, volts, (line,))
-        if volts is not None and volts < BATTERY_REFUSED_V:
+        # its motors would soon fail
+        if volts is not None and volts < 4.0:
             line = f"{name}'s battery is at {volts:.2f} V: charge it"
             return RobotStatus(True, volts, (line,))
         if volts is not None and volts < self.section.battery_warn:

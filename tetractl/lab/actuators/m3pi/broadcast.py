@@ -30,7 +30,6 @@ from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
 COMMAND, REPLY = 0x51, 0x52
 ROBOTS_MAX = 32
-POLLS = 5  # most polls until each robot has replied, since frames may be lost
 REPLY_SLOT_MS = 10  # robot i replies i slots after a poll, so that replies do not collide
 _REPLY = struct.Struct("<BBBBHHH")
 
@@ -140,7 +139,7 @@ class Broadcaster:
         wanted = set(self._indices)
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
         deadline = self._clock.now() + round(timeout_s * SECOND)
-        for _ in range(POLLS):
+        for _ in range(5):  # frames may be lost
             splitter = Splitter()
             self._link.fetch()
             until = min(deadline, self.send(Flag.POLL) + slots + SECOND // 10)

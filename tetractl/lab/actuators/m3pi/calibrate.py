@@ -29,17 +29,8 @@ from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
 FIRST, STEP = 6, 4  # first count of the ramp, and its step
-BURST_S = 0.4
-SETTLING_S = 0.2  # time from the start of a burst until the wheels turn steadily
 STRAIGHT_S = 0.7
-TURNS = 0.25  # rad/s: a robot that turns more slowly counts as not turning
-ROAM_MM = 300.0  # largest distance of a robot from its first position
-POINTS = 3  # least number of counts for the fit of a line
 GAP_NS = 60_000_000  # longest gap between frames of a burst
-TRIES = 4
-SILENCE_NS = 3 * SECOND
-UNKNOWN = 10.0  # relative error that wheels may have before calibration
-POLL_S = 1.0
 FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot during calibration
 
 
@@ -153,7 +144,8 @@ class _Bench:
         wake = threading.Event()
         camera = lab.camera.build(setup, self.clock, wake.set)
         self.actuator = ManualActuator(section, setup, self.clock)
-        limits = lab.limits.model_copy(update={"wheel_error": UNKNOWN})
+        # before it is calibrated, a wheel may do anything
+        limits = lab.limits.model_copy(update={"wheel_error": 10.0})
         self.rig = Rig(camera, self.actuator, limits, setup, self.clock, emergency, wake)
         self.limit = min(limit, int(self.actuator.drivetrains.limit[0]))
         guard = self.rig.guard
@@ -161,7 +153,7 @@ class _Bench:
             guard.rules,
             speeds=(FASTEST_MM_S / self.rig.mm,),
             turning=(FASTEST_RAD_S,),
-            silence_ns=SILENCE_NS,
+            silence_ns=3 * SECOND,
         )
 
     def open(self) -> None:
@@ -169,7 +161,7 @@ class _Bench:
         rig = self.rig.__enter__()
         if problems := rig.camera.check().problems:
             raise AbortError("; ".join(problems))
-        (status,) = rig.actuator.poll(POLL_S)
+        (status,) = rig.actuator.poll(1.0)
         if problems := rig.actuator.check().problems:
             raise AbortError("; ".join(problems))
         if not status.answers:
@@ -238,13 +230,13 @@ class _Bench:
             for sign in (1, -1):
                 counts = [0, 0]
                 counts[which] = sign * count
-                rates.append(sign * self._run((counts[0], counts[1]), BURST_S).turning)
+                rates.append(sign * self._run((counts[0], counts[1]), 0.4).turning)
             rate = sum(rates) / 2
-            if abs(rate) > TURNS:
+            if abs(rate) > 0.25:  # rad/s: slower is noise, or a wheel that sticks
                 points.append((count, abs(rate)))
                 signs.append(rate)
         self._stand()
-        if len(points) < POINTS:
+        if len(points) < 3:  # too few for the fit of a line
             raise AbortError(
                 f"{self.name}: motor channel {which + 1} hardly turns the robot with up to "
                 f"{self.limit} counts",
@@ -266,7 +258,7 @@ class _Bench:
 
         If frames were missing, the motion is repeated, since the guard may have stopped the robot.
         """
-        for _ in range(TRIES):
+        for _ in range(4):
             first = self.rig.frames.count
             began = self._hold(counts)
             end = began + round(seconds * SECOND)
@@ -278,7 +270,8 @@ class _Bench:
             seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
             if max(np.diff(times)) <= GAP_NS:
-                return _steady(seen, began + round(SETTLING_S * SECOND), self.rig.mm)
+                # the wheels turn steadily 0.2 s after the start of a burst
+                return _steady(seen, began + round(0.2 * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place
             self._hold(_pair((-1, -1), counts))
             wait_for(self.clock, self._strayed, seconds)
@@ -303,7 +296,7 @@ class _Bench:
         if newest is not None and (pose := newest.poses[0]) is not None:
             self._home = self._home or pose
             away = math.hypot(pose.x - self._home.x, pose.y - self._home.y) * self.rig.mm
-            if away > ROAM_MM:
+            if away > 300.0:  # mm
                 guard.abort(f"the robot is {away:.0f} mm from its first position")
         return bool(guard.reason)
 

@@ -17,7 +17,6 @@ from tetractl.lab.actuators.xbee.hardware import (
 )
 from tetractl.lab.serial_port import Ports, SerialPort
 
-ANSWER_S = 0.3  # a module at 9600 baud answers within 30 ms
 QUEUED = 1024
 OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 HINT = "the robots stop by their watchdog; plug the module in and start again"
@@ -65,7 +64,8 @@ class Link:
         self._answers.clear()
         self._port.write(frames.encode(frames.at_command(self._frame_id, command)))
         asked = self._frame_id, command
-        self._wait(lambda: any(answer[:2] == asked for answer in self._answers), ANSWER_S)
+        # a module at 9600 baud answers within 30 ms
+        self._wait(lambda: any(answer[:2] == asked for answer in self._answers), 0.3)
         return next((answer[2] for answer in self._answers if answer[:2] == asked), None)
 
     def fetch(self) -> list[bytes]:

@@ -110,7 +110,6 @@ class Tracker:
 BLURRED = 0.36  # blur [modules] above which some tags cannot be read
 ODD = 0.03  # relative difference from the spec's tag size above which a warning is given
 MISPLACED_MM = 3.0  # error of a floor tag, or of a robot by a doubtful lens, that is reported
-OFTEN = 0.5  # a tag seen in a smaller fraction of the pictures counts as not seen
 
 
 Finding = tuple[bool, str]
@@ -121,7 +120,8 @@ def _findings(
     section: AprilTagSection, tracker: Tracker, looks: Sequence[Look[Seen]]
 ) -> Iterator[Finding]:
     counts = Counter(tag for look in looks for tag in set(look.seen.tags))
-    seen = sorted(tag for tag, n in counts.items() if n >= OFTEN * len(looks))
+    # a tag seen in fewer than half of the pictures counts as not seen
+    seen = sorted(tag for tag, n in counts.items() if n >= 0.5 * len(looks))
     twice = {tag for look in looks for tag, n in Counter(look.seen.tags).items() if n > 1}
     others = f"; tags seen: {_listed(seen)}"
     floor = [tag.tag for tag in section.floor]

@@ -16,8 +16,6 @@ from tetractl.core.poses import Floats, Grey
 
 MODULES = 8  # side of a tag in modules, including the black border
 ZERO = 0xD5D628584  # the AprilTag project's tag 0: one bit per module, row by row, 1 is white
-# columns; narrower pictures are enlarged, as a module is often too small to be read
-ENLARGED_BELOW = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +58,8 @@ class Detector:
 
     def find(self, picture: Grey) -> list[Sighting]:
         """Return every tag in the picture; two tags with the same number are both returned."""
-        factor = 2 if picture.shape[1] < ENLARGED_BELOW else 1
+        # narrow pictures are enlarged, as a module is often too small to be read
+        factor = 2 if picture.shape[1] < 1000 else 1
         searched = picture
         if factor > 1:
             searched = cv2.resize(
@@ -100,8 +99,6 @@ def _zero() -> Grey:
 # positions along a side, away from the corners, which blur rounds
 ALONG = np.linspace(0.15, 0.85, 15)
 ACROSS = np.linspace(-1.0, 1.0, 17)  # positions along its normal, as fractions of the reach
-# modules on either side of an edge, so that only border and margin are sampled
-REACH = 0.9
 NOTHING = 1e-9
 
 
@@ -114,7 +111,8 @@ def refined(picture: NDArray[np.uint8], corners: Floats, modules: int) -> tuple[
     """
     rough, blur = corners, np.zeros(len(corners))
     module = np.linalg.norm(rough - np.roll(rough, -1, axis=1), axis=-1).mean(axis=1) / modules
-    offsets = REACH * module[:, None] * ACROSS  # (T, A)
+    # less than a module on either side of an edge, so that only border and margin are sampled
+    offsets = 0.9 * module[:, None] * ACROSS  # (T, A)
     step = offsets[:, 1:] - offsets[:, :-1]
     between = (offsets[:, 1:] + offsets[:, :-1])[:, None, None] / 2
     for _ in range(2):

@@ -26,8 +26,6 @@ from tetractl.lab.cameras.apriltag.section import FloorTag, Lens
 # corners of a tag of side 1: top left first, clockwise; x is the direction of reading
 SQUARE = np.array([(-0.5, 0.5), (0.5, 0.5), (0.5, -0.5), (-0.5, -0.5)])
 
-ALIKE_PX = 0.1  # two fits that differ by less cannot be distinguished
-
 
 @dataclass(frozen=True, slots=True)
 class Plane:
@@ -80,7 +78,8 @@ class Plane:
         found = [
             self._upright(np.asarray(turn, float), np.asarray(shift, float))
             for turn, shift, misfit in zip(turns, shifts, misfits, strict=True)
-            if misfit <= misfits.min() + ALIKE_PX
+            # fits that differ by less than 0.1 px cannot be distinguished
+            if misfit <= misfits.min() + 0.1
         ]
         return min(found, key=lambda each: each[1], default=None)
 
@@ -96,12 +95,6 @@ def placed(tag: FloorTag, metres: float) -> Floats:
     cos, sin = np.cos(tag.heading), np.sin(tag.heading)
     turned = SQUARE @ np.array([(cos, sin), (-sin, cos)])
     return tag.size_mm * MM * turned + metres * np.array(tag.at)
-
-
-USUAL_FOCAL = 0.35  # standard deviation of log(f / width) among lenses: 40 to 70 degrees of view
-USUAL_BEND = 0.15  # standard deviation of k1 among lenses
-CORNER_PX = 0.1  # standard deviation of a detected corner
-SURE = 2.0  # assumed error of the lens for `doubt_mm`, in standard deviations
 
 
 def calibrated(
@@ -131,7 +124,8 @@ def calibrated(
         between = (centres[:, None] + centres[None]) / 2
         here = plane.locate(between, highest)
         for deviation in deviations:
-            other = _posed(*_lens(usual + SURE * deviation, size[0], middle), points, spots)
+            # a lens that is wrong by two standard deviations
+            other = _posed(*_lens(usual + 2.0 * deviation, size[0], middle), points, spots)
             gaps = np.linalg.norm(other.locate(between, highest) - here, axis=-1)
             doubt = math.hypot(doubt, float(gaps.max()) / MM)
     off = np.linalg.norm(plane.locate(points) - spots, axis=-1) / MM
@@ -147,7 +141,8 @@ def _lens(usual: Floats, width: int, middle: Sequence[float]) -> tuple[Floats, F
     """Return K and the distortion for `usual` (2,): log(f / width) and k1, each divided by its
     prior's standard deviation.
     """
-    focal, bend = width * math.exp(USUAL_FOCAL * usual[0]), USUAL_BEND * usual[1]
+    # standard deviations among lenses, of log(f / width): 40 to 70 degrees of view, and of k1
+    focal, bend = width * math.exp(0.35 * usual[0]), 0.15 * usual[1]
     return _matrix(focal, middle), np.array([bend, 0.0, 0.0, 0.0])
 
 
@@ -177,7 +172,8 @@ def _fitted(
         in standard deviations.
         """
         pixels, _ = cv2.projectPoints(_flat(spots), x[:3], x[3:6], *_lens(x[6:], width, middle))
-        return np.append((pixels.reshape(-1, 2) - points).ravel() / CORNER_PX, x[6:])
+        corner_px = 0.1  # standard deviation of a detected corner
+        return np.append((pixels.reshape(-1, 2) - points).ravel() / corner_px, x[6:])
 
     first = np.concatenate([turn.ravel(), start.shift, np.zeros(2)])
     fit = least_squares(misfit, first, method="lm", x_scale="jac")

@@ -27,7 +27,6 @@ from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
-ASKED_MAX = 4  # largest number of requests for the unit of length, which some servers ignore
 ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
 FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
@@ -249,7 +248,7 @@ class OptitrackCamera:
             return
         if stream.up is None:
             yield "up", ASK_NS, natnet.NatNetRequest(UP_AXIS)
-        elif stream.unit_mm is None and self._asked["unit"] < ASKED_MAX:
+        elif stream.unit_mm is None and self._asked["unit"] < 4:  # some servers ignore it
             yield "unit", ASK_NS, natnet.NatNetRequest(UNITS)
         if stream.model is None:
             yield "models", ASK_NS, natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF)

@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 from tetractl.lab.cameras.optitrack.natnet import MessageKind
 
-SENDERS_MAX = 64  # largest number of senders whose refused datagrams are counted separately
 ANSWERS = frozenset(MessageKind) - {MessageKind.FRAME}
 
 
@@ -45,7 +44,8 @@ class Senders:
         if host == self.server and port == expected:
             return True
         sender = Sender(host, port, frame)
-        if sender in self.refused or len(self.refused) < SENDERS_MAX:
+        # forged senders must not fill the memory
+        if sender in self.refused or len(self.refused) < 64:
             self.refused[sender] += 1
         if frame:
             self.refused_frame = datagram

@@ -21,9 +21,6 @@ from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
 from tetractl.lab.cameras.optitrack.section import TrackedRobot
 from tetractl.lab.cameras.optitrack.wire import number_in, parse
 
-ECHOES_KEPT = 120
-BEST = 0.25  # fraction of the echoes, with the shortest round trips, that are used
-DRIFT_SPAN = 5 * SECOND  # least time span of the echoes for a fit of the drift
 DRIFT_MAX = 1e-3
 
 
@@ -44,7 +41,7 @@ class ClockSync:
         self.clock_hz = clock_hz
         self.drift = 0.0  # gain of the server's clock on the host's [s/s]
         self.fault = ""  # description of the clock's first fault
-        self._echoes: deque[Echo] = deque(maxlen=ECHOES_KEPT)
+        self._echoes: deque[Echo] = deque(maxlen=120)
         self._at = Echo(0, 0, 0)
 
     @property
@@ -68,7 +65,8 @@ class ClockSync:
         self.fault = self.fault or self._contradiction(echo)
         self._echoes.append(echo)
         best = sorted(self._echoes, key=lambda echo: echo.round_trip_ns)
-        best = best[: max(1, round(BEST * len(best)))]
+        # the quarter with the shortest round trips
+        best = best[: max(1, round(0.25 * len(best)))]
         self._at = max(best, key=lambda echo: echo.host_ns)
         self.drift = _slope(best)
 
@@ -113,7 +111,7 @@ def _slope(echoes: list[Echo]) -> float:
     """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
-    if max(t) - min(t) < DRIFT_SPAN:
+    if max(t) - min(t) < 5 * SECOND:
         return 0.0
     gained = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
     slope = statistics.linear_regression(t, gained).slope
@@ -121,11 +119,8 @@ def _slope(echoes: list[Echo]) -> float:
 
 
 AGE_MAX_NS = 60 * SECOND  # a frame with a larger age was not exposed by these cameras
-MISTIMED = 5  # successive impossible exposure times that show a wrong clock, not damaged frames
-REORDERED = 10  # a frame at most this many numbers behind the newest was overtaken on its way
 UP_AXIS, UNITS = "UpAxis", "UnitsToMillimeters"
 EDIT_MODE = "Motive is in edit mode: it streams a recording"
-ECHOES_OPEN = 64  # number of unanswered time requests to which an answer can be matched
 
 
 @dataclass(slots=True)
@@ -177,7 +172,7 @@ class Stream:
         self._on_frame = on_frame
         self._asked: str | None = None
         self._awaited: Counter[type[natnet.ServerMessage]] = Counter()
-        self._echoes: deque[int] = deque(maxlen=ECHOES_OPEN)
+        self._echoes: deque[int] = deque(maxlen=64)  # requests without an answer so far
         self._fault = ""
         self._mistimed = 0  # number of successive frames with an impossible time
         self._twins = ""  # fault text if two bodies have one name, otherwise ""
@@ -288,7 +283,7 @@ class Stream:
         sampled_ns = self._exposed(frame, received_ns)
         before = self.newest
         if before is not None and frame.number <= before.number:
-            if frame.number >= before.number - REORDERED:
+            if frame.number >= before.number - 10:  # it was overtaken on its way
                 return
             self._fault = (
                 f"the frame counter went back from {before.number} to {frame.number}: "
@@ -311,7 +306,7 @@ class Stream:
             return min(received_ns, sampled_ns)
         self._mistimed += 1
         when = f"{abs(age_ns) / SECOND:.3f} s {'before' if age_ns > 0 else 'after'} reception"
-        if self._mistimed < MISTIMED:
+        if self._mistimed < 5:  # a damaged frame, not yet a wrong clock
             raise WireError(f"a frame was exposed {when}")
         self._fault = self._fault or (
             f"by the camera server's clock, frames were exposed {when}: the clock was set, or runs "

@@ -9,9 +9,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame
 
 LOOKS = 20  # number of last pictures whose results are kept
-SILENT_NS = SECOND // 2
 SLOW_HZ = 20.0  # below this rate, one lost picture looks like a lost stream
-SLOWER = 0.8  # fraction of the declared rate below which a source counts as slow
 
 S = TypeVar("S")
 
@@ -58,10 +56,10 @@ def stream_lines(
     warnings: list[str] = []
     if ended:
         problems.append(ended)
-    elif not looks or now_ns - looks[-1].received_ns > SILENT_NS:
+    elif not looks or now_ns - looks[-1].received_ns > SECOND // 2:
         problems.append(f"no picture comes from {source} any more")
     rate = rate_hz(looks)
-    if rate is not None and declared_hz is not None and rate < SLOWER * declared_hz:
+    if rate is not None and declared_hz is not None and rate < 0.8 * declared_hz:
         warnings.append(
             f"{rate:.0f} pictures per second come instead of {declared_hz:.0f}: is there too "
             "little light for short exposures, or is the cable too slow?"

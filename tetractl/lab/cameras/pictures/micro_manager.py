@@ -21,8 +21,6 @@ from tetractl.core.errors import AbortError
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.picture_section import MicroManagerSource
 
-WAIT_NS = SECOND // 500
-SILENT_NS = 10 * SECOND
 FOLDER = "MICROMANAGER_PATH"
 """Environment variable that names the folder where Micro-Manager is installed."""
 INSTALLED = {
@@ -91,7 +89,7 @@ class MicroManagerFeed(Feed):
 
     def read(self) -> Picture:
         """Wait for the next picture."""
-        silent = self._clock.now() + SILENT_NS
+        silent = self._clock.now() + 10 * SECOND
         while not self._closing.is_set():
             try:
                 if self._core.getRemainingImageCount():
@@ -101,7 +99,7 @@ class MicroManagerFeed(Feed):
                 raise SourceEndedError(f"Micro-Manager reports: {error}") from error
             if not running or self._clock.now() > silent:
                 raise SourceEndedError("Micro-Manager's camera delivers no more pictures")
-            self._clock.sleep_until(self._clock.now() + WAIT_NS)
+            self._clock.sleep_until(self._clock.now() + SECOND // 500)
         raise SourceEndedError("Micro-Manager's camera was closed")
 
     def interrupt(self) -> None:

@@ -19,7 +19,6 @@ from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms,
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
 
-FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.05
 
 Join = Callable[[Callable[[bytes], None]], Feed]
@@ -61,7 +60,7 @@ class PictureCamera(ABC, Generic[S]):
     ) -> None:
         self._source, self._join = section, join
         self._clock, self._wake = clock, wake
-        self._fresh: deque[CameraFrame] = deque(maxlen=FRAMES_KEPT)
+        self._fresh: deque[CameraFrame] = deque(maxlen=4096)  # until they are fetched
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
         self._size: tuple[int, ...] | None = None

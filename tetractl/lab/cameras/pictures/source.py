@@ -30,9 +30,7 @@ from tetractl.lab.cameras.pictures.picture_section import (
     Source,
 )
 
-CHUNK = 1 << 16
 JPEG_START, JPEG_END = b"\xff\xd8", b"\xff\xd9"
-END_WITHIN = 64  # bytes searched for a JPEG's end marker, since some cameras pad the file
 NO_CODE = b"\xff\x00" * 8  # 64 set bits: not a Huffman code, and more than a decoder reads ahead
 
 
@@ -64,7 +62,8 @@ def decoded(picture: Picture, size: tuple[int, ...] | None = None) -> Grey | Non
     if isinstance(content, np.ndarray):
         grey = cv2.cvtColor(content, cv2.COLOR_BGR2GRAY) if content.ndim == 3 else content
         return grey.astype(np.uint8, copy=False)
-    end = content.rfind(JPEG_END, max(0, len(content) - END_WITHIN))
+    # the end marker may stand before the last bytes, since some cameras pad the file
+    end = content.rfind(JPEG_END, max(0, len(content) - 64))
     if not content.startswith(JPEG_START) or end < 0:
         return None
     # if a JPEG is cut short, a decoder fills the rest with grey up to the end marker; without the
@@ -212,7 +211,7 @@ class MjpegFeed(Feed):
         """Wait for the next picture in the stream."""
         while not self._waiting:
             try:
-                data = self._answer.read1(CHUNK)
+                data = self._answer.read1(1 << 16)
             except (OSError, ValueError, http.client.HTTPException) as error:
                 raise SourceEndedError(f"{self._url} failed: {error}") from error
             if not data:

@@ -41,9 +41,9 @@ class Happenings:
 class FakePlant:
     """A camera frame every 100 ms; the robots jump to FINAL when stopped."""
 
-    def __init__(self, happenings, clock, simulated=True, verdict=None):
+    def __init__(self, happenings, clock, simulated=True):
         self.happenings, self.clock, self.simulated = happenings, clock, simulated
-        self.verdict = verdict or Verdict(Poses.of(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
+        self.verdict = Verdict(Poses.of(FINAL), (False,) * 3, (40.0, 12.0, 300.0))
         self.frames = 0
         self.steered: list[tuple[int, float]] = []
 

@@ -8,7 +8,7 @@ from tetractl.emulate.firmware import DriverLimits
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.virtual_wires import memory_wires
 from tetractl.lab.actuators.field.actuator import FieldActuator
-from tetractl.lab.actuators.field.driver import FieldCommand, encode_command
+from tetractl.lab.actuators.field.driver import FieldCommand
 from tetractl.lab.actuators.field.section import FieldSection
 
 LIMITS = DriverLimits(current_max_ma=2000, slew_ma_s=100_000)
@@ -54,16 +54,13 @@ class Bench:
 
 
 class Wire:
-    """What an actuator needs of `Driver`, in virtual time, straight into an emulated driver."""
+    """What an actuator needs of `Driver`, in virtual time."""
 
     failure = None
 
-    def __init__(self, clock, driver=None):
-        self.sent = []
-        self._clock, self._driver = clock, driver
+    def __init__(self, clock):
+        self.sent, self._clock = [], clock
 
     def send(self, flags, x_ma=0, y_ma=0):
         self.sent.append(FieldCommand((len(self.sent) + 1) % 256, flags, x_ma, y_ma))
-        if self._driver is not None:
-            self._driver.hear(encode_command(self.sent[-1]))
         return self._clock.now()

@@ -1,6 +1,6 @@
 """A lab in virtual time: a fake camera and a fake actuator around robots that move by the model."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -59,8 +59,8 @@ class FakeCamera:
     and tilt that are seen of a robot's body.
     """
 
-    def __init__(self, world: World, wake: Callable[[], None] = lambda: None) -> None:
-        self.world, self.clock, self.wake = world, world.clock, wake
+    def __init__(self, world: World) -> None:
+        self.world, self.clock = world, world.clock
         self.newest: CameraFrame | None = None
         self.damaged = 0
         self.hidden: set[str] = set()
@@ -99,7 +99,6 @@ class FakeCamera:
         while self._exposed and self._exposed[0].received_ns <= now:
             self.newest = self._exposed.pop(0)
             self._fresh.append(self.newest)
-            self.wake()
 
     def _seen(self) -> tuple[Pose | None, ...]:
         names = self.world.setup.names

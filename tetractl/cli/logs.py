@@ -63,7 +63,11 @@ def _lines(found: "Overview") -> Iterator[str]:
     yield from _section("attachments", _aligned(sizes))
     yield from _section("host", _aligned(found.host))
     yield from _section("provenance", _aligned(found.provenance))
-    yield from _section("content digest", _aligned(_digest(found)))
+    stated = {} if found.stated_digest is None else {"stated": found.stated_digest}
+    digests = stated | {"computed": found.digest}
+    if found.stated_digest == found.digest:
+        digests = {"stated and computed": found.digest}
+    yield from _section("content digest", _aligned(digests))
     if found.damage:
         lost = (f"lost: {lost}" for lost in found.damage.lost)
         yield from _section("damage", [*found.damage.problems, *lost])
@@ -129,14 +133,6 @@ def _deviating(value: float, std: float) -> str:
     digits = 1 - math.floor(math.log10(std)) if 0 < std < math.inf else 3
     digits = min(max(digits, 0), 9)
     return f"{value:.{digits}f} +- {std:.{digits}f}"
-
-
-def _digest(found: "Overview") -> dict[str, str]:
-    if found.stated_digest is None:
-        return {"computed": found.digest}
-    if found.stated_digest == found.digest:
-        return {"stated and computed": found.digest}
-    return {"stated": found.stated_digest, "computed": found.digest}
 
 
 def recover(

@@ -13,9 +13,6 @@ from tetractl.core.table.terminal_table import print_tables
 from tetractl.run.interrupt import Interrupt, leave_on_signals
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from tetractl.run.task import Task
     from tetractl.study.load_study import LoadedStudy
     from tetractl.study.options import Shard
     from tetractl.study.row_store import Store
@@ -60,9 +57,16 @@ def study(
       slurm N: Run nothing: print a Slurm job script that runs N shares.
       quiet: Print only failures.
     """
+    from rich.console import Console
+
+    from tetractl.control.build import warm_up
+    from tetractl.run.batch import run_batch
+    from tetractl.run.cluster import Cluster
+    from tetractl.run.executors import on_this_machine
     from tetractl.study.load_study import load_study
     from tetractl.study.options import Logs, Shard, job_script, lacking, repeat
     from tetractl.study.row_store import Store
+    from tetractl.view.terminal.progress import StudyProgress
 
     if cluster is not None and jobs is not None:
         raise UsageError("--jobs is for this machine, --cluster for others: give one of them")
@@ -87,51 +91,31 @@ def study(
             return _conclude(loaded, store, share, "the same command without --merge")
         tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
+            more = f" and {len(outdated) - 4} more arms" if len(outdated) > 4 else ""
+            named = ", ".join(f"{name} ({n})" for name, n in list(outdated.items())[:4])
             ui.tell(
                 f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
-                f" {_listed(outdated)}; run them again with --rerun-outdated"
+                f" {named}{more}; run them again with --rerun-outdated"
             )
-        stopped = _run(loaded, store, tasks, fail_fast, cluster, jobs, quiet)
-        return _conclude(loaded, store, share, "the same command", stopped)
-
-
-def _run(
-    loaded: "LoadedStudy",
-    store: "Store",
-    tasks: "list[Task]",
-    fail_fast: bool,
-    cluster: str | None,
-    jobs: int | None,
-    quiet: bool,
-) -> bool:
-    """Run the missing trials; return whether a signal stopped the study."""
-    from rich.console import Console
-
-    from tetractl.control.build import warm_up
-    from tetractl.run.batch import run_batch
-    from tetractl.run.cluster import Cluster
-    from tetractl.run.executors import on_this_machine
-    from tetractl.view.terminal.progress import StudyProgress
-
-    console, interrupt = Console(stderr=True), Interrupt(first_signal_callback(STOPPING))
-    if cluster is None and tasks:
-        named = {arm.controller: arm for arm in loaded.arms}
-        for arm in named.values():
-            with suppress(TetractlError):  # the failure is reported with its trial
-                warm_up(arm.spec.experiment, partial(ui.announce_compiling, quiet))
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    here = on_this_machine(jobs or available or 1, len(tasks), interrupt)
-    leave_on_signals(Exit.INTERRUPTED)
-    with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
-        if not quiet:
-            arms, count = len(loaded.arms), loaded.study.trials.count
-            ui.tell(
-                f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
-                f" {arms * count} to run, {executor.workers} at a time"
-            )
-        with interrupt.watch(), StudyProgress(console, len(tasks), quiet) as progress:
-            run_batch(tasks, store, executor, progress, fail_fast)
-    return interrupt.requested
+        interrupt = Interrupt(first_signal_callback(STOPPING))
+        if cluster is None and tasks:
+            for arm in {arm.controller: arm for arm in loaded.arms}.values():
+                with suppress(TetractlError):  # the failure is reported with its trial
+                    warm_up(arm.spec.experiment, partial(ui.announce_compiling, quiet))
+        found = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        here = on_this_machine(jobs or found or 1, len(tasks), interrupt)
+        leave_on_signals(Exit.INTERRUPTED)
+        with Cluster(cluster, interrupt) if cluster is not None else nullcontext(here) as executor:
+            if not quiet:
+                arms, count = len(loaded.arms), loaded.study.trials.count
+                ui.tell(
+                    f"{loaded.study.name}: {arms} arms of {count} trials, {len(tasks)} of"
+                    f" {arms * count} to run, {executor.workers} at a time"
+                )
+            shown = StudyProgress(Console(stderr=True), len(tasks), quiet)
+            with interrupt.watch(), shown as progress:
+                run_batch(tasks, store, executor, progress, fail_fast)
+        return _conclude(loaded, store, share, "the same command", interrupt.requested)
 
 
 def _conclude(
@@ -163,9 +147,3 @@ def _conclude(
         ui.tell("interrupted")
         return Exit.INTERRUPTED
     return Exit.FAILED if lacking > 0 or aborted else Exit.DONE
-
-
-def _listed(outdated: "Mapping[str, int]", most: int = 4) -> str:
-    """Return text that lists the arms with outdated rows, the first few by name."""
-    more = f" and {len(outdated) - most} more arms" if len(outdated) > most else ""
-    return ", ".join(f"{name} ({n})" for name, n in list(outdated.items())[:most]) + more

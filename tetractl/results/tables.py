@@ -24,7 +24,12 @@ def tables(found: GroupComparison) -> list[Table]:
     names = [group.name for group in groups] if len(groups) > 1 else ["value"]
     parts = [slice(i, i + 3) for i in range(0, len(groups), 3)]  # more are too wide
     trials = [_trials(groups[part], names[part]) for part in parts]
-    every = [_errors(groups), *trials, *_contrasts(found.contrasts), _flagged(groups)]
+    odd = [trial for group in groups for trial in flagged(group.batch)]
+    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:_SHOWN]]
+    if len(odd) > _SHOWN:
+        rows.append((f"{len(odd) - _SHOWN} more", NONE, "--format json names all"))
+    listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
+    every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
     return [table for table in every if len(table)]
 
 
@@ -169,14 +174,6 @@ def detects(one: Contrast) -> str:
     """Return the detectable difference, such as "20 pairs detect 0.66 sd at 80 %"."""
     what = one.counted if one.pairs else f"{one.counted} trials"
     return f"{what} detect {fixed(2)(one.detects)} sd at 80 %" if one.detects > 0 else NONE
-
-
-def _flagged(groups: Sequence[Group]) -> Table:
-    found = [trial for group in groups for trial in flagged(group.batch)]
-    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in found[:_SHOWN]]
-    if len(found) > _SHOWN:
-        rows.append((f"{len(found) - _SHOWN} more", NONE, "--format json names all"))
-    return Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
 
 
 def data_table(found: GroupComparison) -> Table:

@@ -142,20 +142,16 @@ class LiveView(Observer):
             ),
         )
         done, n = len(self._tally.errors), self._count
+        taken_s = self._wall() - self._began if self._began is not None else 0.0
         footer = Footer(
             left=f"trial {self._index + 1} of {n}",
             fraction=done / n,
-            right=self._left(done, n),
+            right=f"{duration(taken_s / done * (n - done))} left" if done and taken_s else "",
             hints=self._hints,
         )
         heading = f"{setup.name}, {self._plant}"
         so_far = self._tally.summary(setup.unit)
         return Dashboard(frame, self._colors, heading, footer, aside=so_far)
-
-    def _left(self, done: int, n: int) -> str:
-        if not done or self._began is None:
-            return ""
-        return f"{duration((self._wall() - self._began) / done * (n - done))} left"
 
 
 class TerminalPrompt:

@@ -1,6 +1,7 @@
 """A pseudo-terminal with a command in it: keys go in, what the screen was sent comes out."""
 
 import fcntl
+import io
 import os
 import pty
 import re
@@ -13,8 +14,19 @@ import time
 from pathlib import Path
 from typing import Self
 
+from rich.console import Console
+
 PATIENCE_S = 120.0  # before a test gives up; nothing waits for it to pass
 _CODES = re.compile(r"\x1b(?:\[[0-9;?]*(?:[A-Za-z]|$)|[=>]|$)")
+
+
+def console(width=80, height=24, encoding="utf-8", **options):
+    """A terminal with colours, in memory; what it was sent is `file.buffer`."""
+    return Console(
+        file=io.TextIOWrapper(io.BytesIO(), encoding=encoding, write_through=True), width=width,
+        height=height, force_terminal=True, color_system="truecolor", legacy_windows=False,
+        _environ={"TERM": "xterm-256color"}, **options,
+    )  # fmt: skip
 
 
 class Terminal:

@@ -1,9 +1,8 @@
-import io
 import re
 from dataclasses import replace
 
 import pytest
-from rich.console import Console
+from support.terminal import console as terminal
 from support.trials import cut_short, three_robots
 
 from tetractl.core.clock import SECOND
@@ -23,16 +22,7 @@ class StillWall:
 
 
 def screen(recording, width, height, seconds, **options):
-    console = Console(
-        file=io.TextIOWrapper(io.BytesIO(), encoding=options.pop("encoding", "utf-8")),
-        width=width,
-        height=height,
-        force_terminal=True,
-        color_system="truecolor",
-        legacy_windows=False,
-        _environ={"TERM": "xterm-256color"},
-        **options,
-    )
+    console = terminal(width, height, **options)
     player = Player(recording, StillWall(), span(recording, seconds, None), paused=True)
     shown = dashboard(player, glyphs_for(console))
     with console.capture() as captured:

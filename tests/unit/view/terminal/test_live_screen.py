@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from support.terminal import console as terminal
 from support.trials import run_three_robots, three_robots
 
 from tetractl.core.clock import SECOND
@@ -26,21 +27,9 @@ class Wall:
         return self.time
 
 
-def terminal(width=80, height=24):
-    return Console(
-        file=io.StringIO(),
-        width=width,
-        height=height,
-        force_terminal=True,
-        color_system="truecolor",
-        legacy_windows=False,
-        _environ={"TERM": "xterm-256color"},
-    )
-
-
 def written(console):
-    assert isinstance(console.file, io.StringIO)
-    return console.file.getvalue()
+    file = console.file
+    return file.getvalue() if isinstance(file, io.StringIO) else file.buffer.getvalue().decode()
 
 
 def pictures(console):

@@ -7,7 +7,6 @@ import pytest
 from support import random_trials
 from support.cli import tetractl
 from support.mutate import rewrite, stating
-from support.paths import ROOT
 from support.running import QUICK
 from support.studies import SMALL, run, write
 
@@ -20,8 +19,6 @@ from tetractl.log.read import limits
 from tetractl.log.read import rows as log_rows
 from tetractl.log.read.salvage import scan
 from tetractl.replay.identification import passes, tracks
-
-GOLDEN = ROOT / "tests" / "golden"
 
 
 def refused(done, *words, code=2):
@@ -137,13 +134,6 @@ def test_a_job_script_has_no_line_of_a_files_name(tmp_path):
     refused(tetractl(tmp_path, "study", "s\nrm -rf ~ .yaml", "--slurm", 2), r"s\nrm -rf ~ .yaml")
     write(tmp_path, SMALL)
     refused(tetractl(tmp_path, "study", "study.yaml", "--slurm", 2, "--out", "a\rb"), r"a\rb")
-
-
-@pytest.mark.parametrize("log", ["format-3-sim", "format-3-lab"])
-def test_a_golden_log_is_exported_as_parquet(log, tmp_path):
-    """Regression: their seed is above 2**63 - 1."""
-    path = GOLDEN / f"{log}.mcap"
-    tetractl(tmp_path, "export", path, "-o", "out", "--format", "parquet").ok()
 
 
 @pytest.mark.parametrize("fact", ["{", "[1]", '["x", 1, 2]', "1" * 400, "[[]]", "[1e300, 1, 1]"])

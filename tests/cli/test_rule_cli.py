@@ -85,9 +85,3 @@ def test_json_is_format_json_and_a_folder_of_one_log_is_that_log(tmp_path):
         assert tetractl(*words, cwd=tmp_path).stdout == done.stdout
     found = json.loads(tetractl("info", "logs", "--json", cwd=tmp_path).stdout)
     assert found["path"] == "logs/trial-000.mcap"
-    (tmp_path / "logs" / "trial-001.mcap").write_bytes(
-        (tmp_path / "logs" / "trial-000.mcap").read_bytes()
-    )
-    several = tetractl("info", "logs", cwd=tmp_path)
-    assert several.returncode == 2
-    assert "error: logs: 2 logs\nhint: name one of them" in several.stderr

@@ -61,10 +61,7 @@ stats '*.nothing' | matches no log
 stats logs --plot batch.gif | batch.gif: cannot write '.gif' pictures
 stats out --format yaml | --format: 'yaml' is not one of 'table', 'json' | try
 stats out/dead_time=0 --against out | out: holds 2 batches
-info none.mcap | none.mcap: no such file or folder
 info logs | logs: 3 logs | name one of them, such as logs/trial-000.mcap
-recover missing.mcap | missing.mcap: no such file or folder
-report missing | missing: no such file or folder
 report logs -o no/where.html | no/where.html: there is no folder no
 replay | LOG
 replay LOG --rate 0 | --rate must be above 0

@@ -231,20 +231,20 @@ def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
 
 
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
-    names = [f"{name}{end}" for name in ("a", "speed", "heading_bias") for end in ("", "_std")]
-    arrays = {name: _floats(getattr(message, name)) for name in names}
-    counts = {len(values) for name, values in arrays.items() if len(values) or "bias" not in name}
+    found: dict[str, Any] = {
+        field.name: value if isinstance(value, float) else _floats(value)
+        for field, value in message.ListFields()
+        if field.name != "k"
+    }
+    misfit = found.pop("misfit", np.empty(0))
+    arrays = (found.get(name, np.empty(0)) for name in ("a", "a_std", "speed", "speed_std"))
+    every = (*arrays, *(value for value in found.values() if isinstance(value, np.ndarray)))
+    counts = {len(values) for values in every}
     if counts != {robots}:
         raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
-    if len(message.misfit) not in (0, 3 * robots):
-        raise ValueError(f"an estimate has {len(message.misfit)} values of misfit")
-    known: dict[str, Any] = {name: values for name, values in arrays.items() if len(values)}
-    for name in ("dead_time", "dead_time_std"):
-        if message.HasField(name):
-            known[name] = getattr(message, name)
-    if message.misfit:
-        known["misfit"] = _floats(message.misfit).reshape(-1, 3)
-    return Estimate(**known)
+    if len(misfit) not in (0, 3 * robots):
+        raise ValueError(f"an estimate has {len(misfit)} values of misfit")
+    return Estimate(**found, misfit=misfit.reshape(-1, 3) if len(misfit) else None)
 
 
 def _encode_search(search: Search) -> pb.Search:

@@ -175,61 +175,47 @@ def inspect(reply: FieldReply | None, section: FieldSection) -> Health:
     if reply.version != VERSION:
         text = f"the current driver uses version {reply.version} of its protocol, not {VERSION}"
         return Health((text,))
+    most_a, slew_a_s = reply.current_max_ma / 1000, reply.slew_ma_s / 1000
+    volts, celsius = reply.supply_mv / 1000, reply.temperature_dc / 10
+    known = reply.temperature_dc != UNKNOWN_TEMPERATURE
+    limit_ma = round(1000 * section.current_max_a)
+    least_mt = section.coils.least_reach(section.current_max_a)
     facts = {
         "field_driver_version": str(reply.version),
-        "field_driver_current_max_a": f"{reply.current_max_ma / 1000:g}",
-        "field_driver_slew_a_s": f"{reply.slew_ma_s / 1000:g}",
+        "field_driver_current_max_a": f"{most_a:g}",
+        "field_driver_slew_a_s": f"{slew_a_s:g}",
         "field_driver_watchdog_s": f"{reply.watchdog_ms / 1000:g}",
         "field_driver_frames_rejected": str(reply.rejected),
     }
-    if reply.supply_mv:
-        facts["field_driver_supply_v"] = f"{reply.supply_mv / 1000:g}"
-    if reply.temperature_dc != UNKNOWN_TEMPERATURE:
-        facts["field_driver_temperature_c"] = f"{reply.temperature_dc / 10:g}"
-    problems = [*_limits(reply, section), *_state(reply, section)]
-    return Health(tuple(problems), tuple(_warnings(reply, section)), facts)
+    if volts:
+        facts["field_driver_supply_v"] = f"{volts:g}"
+    if known:
+        facts["field_driver_temperature_c"] = f"{celsius:g}"
+    problems = {
+        f"the current driver allows {most_a:g} A, not the spec's {section.current_max_a:g} A: "
+        "lower current_max_a": reply.current_max_ma < limit_ma,
+        f"the current driver allows {slew_a_s:g} A/s, not the spec's {section.slew_max_a_s:g} A/s: "
+        "lower slew_max_a_s": reply.slew_ma_s < round(1000 * section.slew_max_a_s),
+        f"the current driver's watchdog is {reply.watchdog_ms / 1000:g} s, not the spec's "
+        f"{section.watchdog:g} s": reply.watchdog_ms != round(1000 * section.watchdog),
+        "the current driver stopped because it was too hot: let the coils cool down": (
+            DriverStatus.HOT in reply.status
+        ),
+        "the current driver is emergency-stopped: switch it off and on again": (
+            DriverStatus.EMERGENCY_STOPPED in reply.status
+        ),
+        f"the current driver's supply is at {volts:.2f} V": 0 < volts < section.supply_min_v,
+        f"the coils are at {celsius:.0f} °C: let them cool down": known and celsius >= 60,
+    }
+    warnings = {
+        f"only {least_mt:.3g} of {section.strength_mt:g} mT can be reached in every direction: in "
+        "some directions, cells turn more slowly": least_mt < section.strength_mt,
+        f"the current driver allows {most_a:g} A: only this program limits the current to "
+        f"{section.current_max_a:g} A": reply.current_max_ma > limit_ma,
+        "the current driver does not report its supply voltage": section.supply_min_v > volts == 0,
+    }
+    return Health(_holding(problems), _holding(warnings), facts)
 
 
-def _limits(reply: FieldReply, section: FieldSection) -> list[str]:
-    found: list[str] = []
-    if reply.current_max_ma < round(1000 * section.current_max_a):
-        allowed = f"{reply.current_max_ma / 1000:g} A, not the spec's {section.current_max_a:g} A"
-        found.append(f"the current driver allows {allowed}: lower current_max_a")
-    if reply.slew_ma_s < round(1000 * section.slew_max_a_s):
-        allowed = f"{reply.slew_ma_s / 1000:g} A/s, not the spec's {section.slew_max_a_s:g} A/s"
-        found.append(f"the current driver allows {allowed}: lower slew_max_a_s")
-    if reply.watchdog_ms != round(1000 * section.watchdog):
-        has = f"{reply.watchdog_ms / 1000:g} s, not the spec's {section.watchdog:g} s"
-        found.append(f"the current driver's watchdog is {has}")
-    return found
-
-
-def _state(reply: FieldReply, section: FieldSection) -> list[str]:
-    found: list[str] = []
-    if DriverStatus.HOT in reply.status:
-        found.append("the current driver stopped because it was too hot: let the coils cool down")
-    if DriverStatus.EMERGENCY_STOPPED in reply.status:
-        found.append("the current driver is emergency-stopped: switch it off and on again")
-    if reply.supply_mv and reply.supply_mv < 1000 * section.supply_min_v:
-        found.append(f"the current driver's supply is at {reply.supply_mv / 1000:.2f} V")
-    if UNKNOWN_TEMPERATURE != reply.temperature_dc >= 600:  # coils of 60 degrees would soon stop it
-        found.append(f"the coils are at {reply.temperature_dc / 10:.0f} °C: let them cool down")
-    return found
-
-
-def _warnings(reply: FieldReply, section: FieldSection) -> list[str]:
-    found: list[str] = []
-    reach = section.coils.least_reach(section.current_max_a)
-    if reach < section.strength_mt:
-        found.append(
-            f"only {reach:.3g} of {section.strength_mt:g} mT can be reached in every direction: in "
-            "some directions, cells turn more slowly"
-        )
-    if reply.current_max_ma > round(1000 * section.current_max_a):
-        found.append(
-            f"the current driver allows {reply.current_max_ma / 1000:g} A: only this "
-            f"program limits the current to {section.current_max_a:g} A"
-        )
-    if section.supply_min_v and not reply.supply_mv:
-        found.append("the current driver does not report its supply voltage")
-    return found
+def _holding(lines: dict[str, bool]) -> tuple[str, ...]:
+    return tuple(text for text, holds in lines.items() if holds)

@@ -11,6 +11,7 @@ from tetractl.experiment.plants import Calibration, calibration_yaml
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cobs import Flag
 
 VERSIONS = [
     natnet.Version(*v) for v in [(2, 6), (2, 7), (2, 9), (2, 11), (3, 0), (3, 1), (4, 1), (4, 3)]
@@ -52,9 +53,7 @@ def datagrams() -> list[bytes]:
 
 
 def serial_bytes() -> list[bytes]:
-    command = broadcast.encode_command(
-        broadcast.BroadcastCommand(7, broadcast.Flag.RUN, ((64, -64), (1, 0)))
-    )
+    command = broadcast.encode_command(broadcast.BroadcastCommand(7, Flag.RUN, ((64, -64), (1, 0))))
     reply = broadcast.encode_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
     received = [
         b"\x81\x12\x34\x5e\1" + reply,

@@ -23,7 +23,6 @@ from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.section import Ipv4, OptitrackSection, VersionText
 
-MODELS_CHANGED, EDIT_MODE = 2, 4
 JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
 
 
@@ -276,7 +275,7 @@ class Motive:
         if self.trouble.outdated:
             self.trouble.outdated -= 1
             exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
-        params = MODELS_CHANGED * s.models_changed | EDIT_MODE * self.trouble.edit_mode
+        params = 2 * s.models_changed | 4 * self.trouble.edit_mode  # as `NatNetFrame` reads them
         frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
         leaves = now + round(delay * SECOND)
         self.timeline.at(leaves, partial(self._leave, self._exposures, frame))

@@ -4,21 +4,8 @@ from collections.abc import Sequence
 from random import Random
 from struct import Struct
 
-from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cameras.optitrack import natnet, wire
 from tetractl.lab.cameras.optitrack.payloads import RIGID_BODY, layout_of
-from tetractl.lab.cameras.optitrack.wire import (
-    ECHO,
-    SENDER,
-    SERVER_INFO,
-    datagram,
-    packed,
-    packed_name,
-    read_sender,
-    read_text,
-    sender,
-    split,
-    unpacked,
-)
 
 BITSTREAM = Struct("<?4B")  # from 4.x clients: subscribed only, the requested version
 GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
@@ -26,17 +13,17 @@ GROWN = bytes(24)  # extra bytes in descriptions of bodies above protocol 4.3
 
 def parse_request(received: bytes) -> natnet.ClientMessage:
     """Read one datagram of a client; WireError if it cannot be read."""
-    kind, payload = split(received)
+    kind, payload = wire.split(received)
     match kind:
-        case natnet.MessageKind.CONNECT if len(payload) <= SENDER.size:
-            return natnet.Connect(read_sender(payload)[1])
+        case natnet.MessageKind.CONNECT if len(payload) <= wire.SENDER.size:
+            return natnet.Connect(wire.read_sender(payload)[1])
         case natnet.MessageKind.CONNECT:
-            _, *asked = unpacked(BITSTREAM, payload[SENDER.size :])
+            _, *asked = wire.unpacked(BITSTREAM, payload[wire.SENDER.size :])
             return natnet.Connect(natnet.Version(*asked[:2]), pinned=True)
         case natnet.MessageKind.REQUEST:
-            return natnet.NatNetRequest(read_text(payload))
+            return natnet.NatNetRequest(wire.read_text(payload))
         case natnet.MessageKind.ECHO_REQUEST:
-            return natnet.EchoRequest(*unpacked(Struct("<Q"), payload))
+            return natnet.EchoRequest(*wire.unpacked(Struct("<Q"), payload))
         case _:
             return natnet.Bare(kind)
 
@@ -48,21 +35,21 @@ def pack_answer(message: natnet.ServerMessage, version: natnet.Version = natnet.
     version = max(version, natnet.OLDEST)
     match message:
         case natnet.NatNetFrame():
-            return datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
+            return wire.datagram(natnet.MessageKind.FRAME, pack_frame(message, version))
         case natnet.ModelDef():
             grown = GROWN if version > natnet.NEWEST else b""
-            return datagram(
+            return wire.datagram(
                 natnet.MessageKind.MODELDEF, pack_modeldef(message, version, grown=grown)
             )
         case natnet.ServerInfo(name, own, clock_hz, port):
-            info = SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
-            return datagram(natnet.MessageKind.SERVER_INFO, sender(name, own) + info)
+            info = wire.SERVER_INFO.pack(clock_hz, port) if own >= (3, 0) else b""
+            return wire.datagram(natnet.MessageKind.SERVER_INFO, wire.sender(name, own) + info)
         case natnet.Response(payload):
-            return datagram(natnet.MessageKind.RESPONSE, payload)
+            return wire.datagram(natnet.MessageKind.RESPONSE, payload)
         case natnet.EchoResponse(client, server):
-            return datagram(natnet.MessageKind.ECHO_RESPONSE, ECHO.pack(client, server))
+            return wire.datagram(natnet.MessageKind.ECHO_RESPONSE, wire.ECHO.pack(client, server))
         case natnet.Bare(kind):
-            return datagram(kind, b"")
+            return wire.datagram(kind, b"")
 
 
 def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
@@ -70,23 +57,25 @@ def pack_frame(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     layout, empty = layout_of(version), section([], version)
     bodies = [packed_body(body, version) for body in frame.bodies]
     after = 2 + layout.sized + layout.channels  # skeletons, assets, labelled markers, channels
-    parts = packed("i", frame.number), empty * 2, section(bodies, version), empty * after
+    parts = wire.packed("i", frame.number), empty * 2, section(bodies, version), empty * after
     return b"".join((*parts, suffix(frame, version)))
 
 
 def section(parts: Sequence[bytes], version: natnet.Version) -> bytes:
     """Pack a section of a frame from its packed elements."""
     size = sum(map(len, parts))
-    head = packed("ii", len(parts), size) if layout_of(version).sized else packed("i", len(parts))
+    head = wire.packed("i", len(parts))
+    if layout_of(version).sized:
+        head += wire.packed("i", size)
     return head + b"".join(parts)
 
 
 def packed_body(body: natnet.RigidBody, version: natnet.Version, markers: int = 0) -> bytes:
     """Pack a rigid body, in versions before 3.0 with `markers` markers."""
     error = 0.0002 if body.tracking_valid else 0.0  # mean error of its markers [m]
-    listed = b"" if layout_of(version).timed else packed("i", markers) + bytes(20 * markers)
-    pose = packed("i7f", body.id, *body.position, *body.quaternion)
-    return pose + listed + packed("fH", error, body.tracking_valid)
+    listed = b"" if layout_of(version).timed else wire.packed("i", markers) + bytes(20 * markers)
+    pose = wire.packed("i7f", body.id, *body.position, *body.quaternion)
+    return pose + listed + wire.packed("fH", error, body.tracking_valid)
 
 
 def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
@@ -95,7 +84,7 @@ def suffix(frame: natnet.NatNetFrame, version: natnet.Version) -> bytes:
     times = [0] * (len(layout.suffix.format) - 3)
     if layout.timed:
         times[3] = frame.exposure or 0
-    return packed(layout.suffix.format[1:], *times, frame.params, 0)
+    return wire.packed(layout.suffix.format[1:], *times, frame.params, 0)
 
 
 def pack_modeldef(
@@ -112,22 +101,22 @@ def pack_modeldef(
     """
     described = (_packed_body(*body, version, markers) + grown for body in model.bodies)
     sets = [*others, *((RIGID_BODY, data) for data in described)]
-    parts, sized = [packed("i", len(sets))], layout_of(version).sized
+    parts, sized = [wire.packed("i", len(sets))], layout_of(version).sized
     for kind, data in sets:
-        parts.append(packed("ii", kind, len(data)) if sized else packed("i", kind))
+        parts.append(wire.packed("ii", kind, len(data)) if sized else wire.packed("i", kind))
         parts.append(data)
     return b"".join(parts)
 
 
 def _packed_body(name: str, number: int, version: natnet.Version, markers: int) -> bytes:
-    parts = [packed_name(name), packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
+    parts = [wire.packed_name(name), wire.packed("ii3f", number, -1, 0.0, 0.0, 0.0)]
     if version >= (4, 2):
-        parts.append(packed("4f", 0.0, 0.0, 0.0, 1.0))
+        parts.append(wire.packed("4f", 0.0, 0.0, 0.0, 1.0))
     if version >= (3, 0):
-        parts.append(packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
-        parts.append(packed(f"{markers}i", *range(1, markers + 1)))
+        parts.append(wire.packed(f"i{3 * markers}f", markers, *[0.01] * (3 * markers)))
+        parts.append(wire.packed(f"{markers}i", *range(1, markers + 1)))
     if version >= (4, 0):
-        parts.extend(packed_name(f"Marker{index + 1}") for index in range(markers))
+        parts.extend(wire.packed_name(f"Marker{index + 1}") for index in range(markers))
     return b"".join(parts)
 
 

@@ -15,17 +15,9 @@ from enum import IntFlag
 from tetractl.core.clock import MILLISECOND, SECOND, Clock, MonotonicClock
 from tetractl.core.errors import WireError
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
+from tetractl.lab import cobs
 from tetractl.lab.actuators.xbee.hardware import XbeeSection
 from tetractl.lab.actuators.xbee.link import Link
-from tetractl.lab.cobs import (
-    Flag,
-    Splitter,
-    checked_flags,
-    checked_payload,
-    frame_with_crc,
-    pack_fields,
-    unpack_fields,
-)
 from tetractl.model.wheels import COUNT_MAX, STOP, Counts
 
 COMMAND, REPLY = 0x51, 0x52
@@ -49,7 +41,7 @@ class BroadcastCommand:
     """
 
     sequence: int
-    flags: Flag
+    flags: cobs.Flag
     wheels: tuple[Counts, ...] = ()
 
 
@@ -78,13 +70,15 @@ def encode_command(command: BroadcastCommand) -> bytes:
     counts = [count for pair in command.wheels for count in pair]
     if len(counts) != 2 * len(command.wheels) or any(abs(count) > COUNT_MAX for count in counts):
         raise WireError(f"wheel counts outside -{COUNT_MAX}..{COUNT_MAX}: {command.wheels}")
-    head = bytes([COMMAND, command.sequence, checked_flags(command.flags), len(command.wheels)])
-    return frame_with_crc(head + struct.pack(f"{len(counts)}b", *counts))
+    head = bytes(
+        [COMMAND, command.sequence, cobs.checked_flags(command.flags), len(command.wheels)]
+    )
+    return cobs.frame_with_crc(head + struct.pack(f"{len(counts)}b", *counts))
 
 
 def decode_command(frame: bytes) -> BroadcastCommand:
     """Read a command, given without the closing byte 00."""
-    payload = checked_payload(frame)
+    payload = cobs.checked_payload(frame)
     if len(payload) < 4 or payload[0] != COMMAND:
         raise WireError("not a command")
     sequence, flags, robots = payload[1:4]
@@ -94,18 +88,18 @@ def decode_command(frame: bytes) -> BroadcastCommand:
     if min(counts, default=0) < -COUNT_MAX:
         raise WireError(f"a wheel count is -128, below -{COUNT_MAX}")
     return BroadcastCommand(
-        sequence, checked_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
+        sequence, cobs.checked_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
     )
 
 
 def encode_reply(reply: Reply) -> bytes:
     """Pack a reply, including the closing byte 00."""
-    return pack_fields(_REPLY, REPLY, *astuple(reply))
+    return cobs.pack_fields(_REPLY, REPLY, *astuple(reply))
 
 
 def decode_reply(frame: bytes) -> Reply:
     """Read a reply, given without the closing byte 00."""
-    robot, sequence, status, *counters = unpack_fields(_REPLY, REPLY, frame)
+    robot, sequence, status, *counters = cobs.unpack_fields(_REPLY, REPLY, frame)
     return Reply(robot, sequence, Status(status & 7), *counters)
 
 
@@ -122,9 +116,9 @@ class Broadcaster:
         wheels = [STOP] * (max(self._indices) + 1)
         for index, pair in zip(self._indices, counts, strict=True):
             wheels[index] = pair
-        return self.send(Flag.RUN, tuple(wheels))
+        return self.send(cobs.Flag.RUN, tuple(wheels))
 
-    def send(self, flags: Flag, wheels: tuple[Counts, ...] = ()) -> int:
+    def send(self, flags: cobs.Flag, wheels: tuple[Counts, ...] = ()) -> int:
         """Send one frame with these flags, which stops all robots if RUN is not among them; return
         the time of sending [ns].
         """
@@ -140,9 +134,9 @@ class Broadcaster:
         slots = (max(self._indices) + 2) * REPLY_SLOT_MS * MILLISECOND
         deadline = self._clock.now() + round(timeout_s * SECOND)
         for _ in range(5):  # frames may be lost
-            splitter = Splitter()
+            splitter = cobs.Splitter()
             self._link.fetch()
-            until = min(deadline, self.send(Flag.POLL) + slots + SECOND // 10)
+            until = min(deadline, self.send(cobs.Flag.POLL) + slots + SECOND // 10)
             while not wanted <= found.keys() and (left := until - self._clock.now()) > 0:
                 self._link.wait(left / SECOND)
                 for frame in splitter.feed(b"".join(self._link.fetch())):
@@ -167,7 +161,7 @@ def stop_all(module: XbeeSection, alone: bool = True) -> str:
         link.open(checked=False, alone=alone)
         robots = Broadcaster(link, clock, ())
         for _ in range(STOPS):
-            robots.send(Flag.EMERGENCY_STOP)
+            robots.send(cobs.Flag.EMERGENCY_STOP)
             clock.sleep_until(clock.now() + STOP_GAP_NS)
     finally:
         link.close()

@@ -51,6 +51,9 @@ PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
 """The channels of a camera that follows cells."""
 HOST_END, RESULT, DIGESTS, RECOVERED = "/host/end", "/result", "/digests", "/recovered"
+SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
+"""The channels of the run and its result; of two messages of one of them, the first counts."""
+
 CHANNELS: dict[str, type[Message]] = {
     RUN: Run,
     HOST: Host,

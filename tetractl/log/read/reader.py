@@ -25,7 +25,7 @@ from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits, validate
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog
-from tetractl.log.read.salvage import scan
+from tetractl.log.read.salvage import peek, scan
 from tetractl.log.read.trial_log import Damage, Origin, ResultSummary, TrialLog
 from tetractl.model.path_check import check_path
 
@@ -103,8 +103,11 @@ def _damage(contents: RawLog, until_s: float) -> Damage | None:
 
 
 def read_result(path: Path) -> ResultSummary:
-    """Read only the result of a trial; raises the errors of `result_of`."""
-    return result_of(scan(Path(path)))
+    """Read only the result of a trial, found by the file's index if file and result are whole;
+    raises the errors of `result_of`."""
+    found = peek(Path(path))
+    whole = found is not None and found.result is not None and found.recovered is None
+    return result_of(found if found and whole else scan(Path(path)))
 
 
 def result_of(contents: RawLog) -> ResultSummary:

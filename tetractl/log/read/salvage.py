@@ -18,8 +18,10 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
     Attachment,
+    AttachmentIndex,
     Channel,
     Chunk,
+    ChunkIndex,
     DataEnd,
     Footer,
     Schema,
@@ -27,7 +29,7 @@ from mcap.records import (
 )
 
 from tetractl.core.errors import LogError
-from tetractl.log.format.channels import CHANNELS, Entry
+from tetractl.log.format.channels import CHANNELS, SUMMARY, Entry
 from tetractl.log.read import limits
 from tetractl.log.read.limits import TooMuchError
 from tetractl.log.read.raw_log import RawLog, read_file
@@ -36,6 +38,7 @@ MAGIC = b"\x89MCAP0\r\n"
 
 _HEAD = 9  # opcode and length, before the body of every record
 _FOOTER_BODY = 20
+_DATA_END_BODY = 4
 _COMPRESSION = re.compile(b"\x04\0\0\0zstd")
 """Bytes in each chunk of tetractl: the length of its compression's name, and the name."""
 _KIND = re.compile(b"\x10\0\0\0application/")
@@ -50,6 +53,19 @@ Inside = tuple[list[Schema], list[Channel], list[RawMessage]]
 
 _MESSAGE = struct.Struct("<HIQQ")
 _TOPICS = dict(enumerate(CHANNELS, start=1))  # by the number of a channel
+
+
+def peek(path: Path) -> RawLog | None:
+    """Return only attachments and the chunks with the messages of the run and its result, found by
+    the file's index, in a third of the time of `scan`; None for a damaged file.
+
+    Two checksums are tested, which together cover the whole file: of the data section and of the
+    index.
+    """
+    try:
+        return _Scan(path).indexed()
+    except TooMuchError:
+        return None
 
 
 def scan(path: Path) -> RawLog:
@@ -77,6 +93,8 @@ class _Scan:
         self._channels: dict[int, Channel] = {}
         self._schemas: dict[int, Schema] = {}
         self._read = 0  # number of bytes decoded
+        self._indexed: list[tuple[int, int]] = []  # offsets and opcodes in the index
+        self._summary = 0  # offset of the index
         self._expected: int | None = None  # number of messages stated in the index
 
     def contents(self) -> RawLog:
@@ -93,9 +111,29 @@ class _Scan:
         self._collect()
         return self._result
 
-    def _read_index(self) -> None:
-        """Read the index at the end of the file: the number of messages, and the channels and
-        schemas that messages need.
+    def indexed(self) -> RawLog | None:
+        """Read what `peek` returns; None for a damaged file."""
+        self._read_index(channels=False)
+        if self._problems or not self._sealed():
+            return None
+        if any(self._verify(offset, opcode) for offset, opcode in self._indexed):
+            return None
+        self._collect()
+        return self._result
+
+    def _sealed(self) -> bool:
+        """Return whether the data section has a checksum, and the checksum matches."""
+        offset = self._summary - _HEAD - _DATA_END_BODY
+        head = bytes([Opcode.DATA_END]) + _DATA_END_BODY.to_bytes(8, "little")
+        if offset < len(MAGIC) or self._data[offset : offset + _HEAD] != head:
+            return False
+        stated = DataEnd.read(self._stream(offset + _HEAD)).data_section_crc
+        return stated != 0 and stated == self._crc(0, offset)
+
+    def _read_index(self, channels: bool = True) -> None:
+        """Read the index at the end of the file: the number of messages, and the offsets of the
+        records that `peek` reads. With `channels`, it also reads the channels and schemas that
+        messages need, which takes most of the time.
         """
         body = len(self._data) - len(MAGIC) - _FOOTER_BODY
         head = bytes([Opcode.FOOTER]) + _FOOTER_BODY.to_bytes(8, "little")
@@ -108,17 +146,25 @@ class _Scan:
         if offset > body or self._crc(offset, body + _FOOTER_BODY - 4) != footer.summary_crc:
             self._problems.append("the index at the end of the file is damaged")
             return
+        self._summary = offset
         while 0 < offset < body - _HEAD:
             opcode, end = self._head(offset)
             self._spend(limits.RECORD_COST, "very many records in the file's index")
-            if opcode == Opcode.CHANNEL:
+            if opcode == Opcode.CHANNEL and channels:
                 channel = Channel.read(self._stream(offset + _HEAD))
                 self._channels[channel.id] = channel  # the chunk with this record may be lost
-            elif opcode == Opcode.SCHEMA:
+            elif opcode == Opcode.SCHEMA and channels:
                 schema = Schema.read(self._stream(offset + _HEAD))
                 self._schemas[schema.id] = schema
             elif opcode == Opcode.STATISTICS:
                 self._expected = Statistics.read(self._stream(offset + _HEAD)).message_count
+            elif opcode == Opcode.CHUNK_INDEX and not channels:
+                chunk = ChunkIndex.read(self._stream(offset + _HEAD))
+                if SUMMARY & {_TOPICS.get(number) for number in chunk.message_index_offsets}:
+                    self._indexed.append((chunk.chunk_start_offset, Opcode.CHUNK))
+            elif opcode == Opcode.ATTACHMENT_INDEX:
+                index = AttachmentIndex.read(self._stream(offset + _HEAD))
+                self._indexed.append((index.offset, Opcode.ATTACHMENT))
             offset = end
 
     def _walk(self) -> None:

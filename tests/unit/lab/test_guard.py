@@ -290,12 +290,6 @@ def test_a_robot_that_does_otherwise_than_commanded_ends_the_run_by_name(done, t
     assert guard.reason.startswith(reason)
 
 
-@pytest.mark.parametrize("done", [(200.0, 0.0, 0.0), (180.0, 0.0, 0.1), (220.0, 5.0, -0.1)])
-def test_one_that_nearly_does_as_commanded_goes_on(done):
-    guard = Drive(done=done).go(5.0)
-    assert (guard.state, guard.jumps) == (GuardState.RUN, 0)
-
-
 def test_a_robot_is_stopped_before_it_leaves_the_arena():
     drive = Drive()
     guard = drive.go(10.0)

@@ -79,37 +79,41 @@ def test_a_skeletons_bones_are_not_robots():
     }
 
 
-def test_frame_2_9_as_written_by_hand():
-    body = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
-    body += struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01) + struct.pack("<fH", 0.5, 1)
-    payload = struct.pack("<iiii", 42, 0, 0, 1) + body + struct.pack("<iii", 0, 0, 0)
-    payload += struct.pack("<fIIdHi", 0.25, 6, 7, 8.5, 4, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version(2, 9))
-    assert frame == natnet.NatNetFrame(
-        42, (natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, None
+POSE = struct.pack("<i7f", 3, 1, 2, 3, 0, 0, 0, 1)
+MARKER = struct.pack("<i3fif", 1, 9, 9, 9, 1, 0.01)  # in bodies before 3.0
+
+
+@pytest.mark.parametrize(
+    ("version", "head", "body", "rest", "suffix", "read"),
+    [
+        ("2.9", "iiii", MARKER, 3 * 4, ("fIIdHi", 0.25, 6, 7, 8.5, 5, 0), (True, 5, None)),
+        ("3.0", "iiii", b"", 4 * 4, ("IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0), (True, 4, 10)),
+        (
+            "4.2",
+            "iiiiiii",
+            b"",
+            5 * 8,
+            ("IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0),
+            (False, 3, 10),
+        ),
+    ],
+)
+def test_frames_as_written_by_hand(version, head, body, rest, suffix, read):
+    counts = (0, 0, 1) if len(head) == 4 else (0, 0, 0, 0, 1, 38)
+    tracked, params, exposure = read
+    payload = (
+        struct.pack("<" + head, 42, *counts)
+        + POSE
+        + body
+        + struct.pack("<fH", 0.5, 1 if tracked else 2)
     )
-    assert (frame.edit_mode, frame.models_changed) == (True, False)
-
-
-def test_frame_3_0_as_written_by_hand():
-    body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 1)
-    payload = struct.pack("<iiii", 42, 0, 0, 1) + body + bytes(4 * 4)
-    payload += struct.pack("<IIdQQQHi", 6, 7, 8.5, 10, 11, 12, 4, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, V30)
-    assert frame == natnet.NatNetFrame(
-        42, (natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), True),), 4, 10
-    )
-
-
-def test_frame_4_2_as_written_by_hand():
-    body = struct.pack("<i7ffH", 3, 1, 2, 3, 0, 0, 0, 1, 0.5, 2)
-    payload = struct.pack("<iiiiiii", 42, 0, 0, 0, 0, 1, 38) + body + bytes(5 * 8)
-    payload += struct.pack("<IIdQQQIIHi", 6, 7, 8.5, 10, 11, 12, 13, 14, 3, 0)
-    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version(4, 2))
-    body = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), False)
-    assert frame == natnet.NatNetFrame(42, (body,), 3, 10)
-    assert frame.models_changed
-    assert struct.unpack_from("<H", payload, len(payload) - 6) == (3,)  # params, from the tail
+    layout, *fields = suffix
+    payload += bytes(rest) + struct.pack("<" + layout, *fields)
+    frame = parse(struct.pack("<HH", 7, len(payload)) + payload, natnet.Version.of(version))
+    shown = natnet.RigidBody(3, (1, 2, 3), (0, 0, 0, 1), tracked)
+    assert frame == natnet.NatNetFrame(42, (shown,), params, exposure)
+    assert (frame.edit_mode, frame.models_changed) == (bool(params & 4), bool(params & 2))
+    assert struct.unpack_from("<H", payload, len(payload) - 6) == (params,)  # from the tail
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def design(
     spec: ui.Spec,
     sets: ui.Sets = None,
-    seconds: Annotated[float, ui.Bounds(1, 120)] = 10.0,
+    seconds: Annotated[float, ui.ValueRange(1, 120)] = 10.0,
     plant: ui.PlantChoice | None = None,
     logs: Path | None = None,
     yes: ui.Yes = False,

@@ -113,7 +113,7 @@ def calibrate(
     sets: ui.Sets = None,
     out: Path = Path("calibration.yaml"),
     robot: list[str] | None = None,
-    limit: Annotated[int, ui.Bounds(10, 80)] = 45,
+    limit: Annotated[int, ui.ValueRange(10, 80)] = 45,
     micrometer: str | None = None,
     yes: ui.Yes = False,
 ) -> int:

@@ -21,7 +21,7 @@ def survey(
     spec: ui.Spec,
     sets: ui.Sets = None,
     out: Path | None = None,
-    plans: Annotated[int, ui.Bounds(1, 1000)] = 48,
+    plans: Annotated[int, ui.ValueRange(1, 1000)] = 48,
     plant: ui.LabChoice = "lab",
     yes: ui.Yes = False,
     as_json: ui.AsJson = False,

@@ -11,14 +11,14 @@ from tetractl.core.errors import UsageError
 
 def run(
     spec: ui.Spec,
-    trials: Annotated[int | None, ui.Bounds(1)] = None,
-    seed: Annotated[int | None, ui.Bounds(0)] = None,
+    trials: Annotated[int | None, ui.ValueRange(1)] = None,
+    seed: Annotated[int | None, ui.ValueRange(0)] = None,
     sets: ui.Sets = None,
     plant: ui.PlantChoice | None = None,
     yes: ui.Yes = False,
     unattended: bool = False,
     out: Path | None = None,
-    jobs: Annotated[int, ui.Bounds(1)] = 1,
+    jobs: Annotated[int, ui.ValueRange(1)] = 1,
     resume: bool = False,
     dry_run: bool = False,
     strict: ui.Strict = False,

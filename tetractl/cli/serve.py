@@ -24,7 +24,7 @@ PORT = 8765
 LICHTBLICK = "http://localhost:8080"
 """Default address of Lichtblick on this machine."""
 
-TCP = ui.Bounds(0, 65535)
+TCP = ui.ValueRange(0, 65535)
 
 
 def serve(

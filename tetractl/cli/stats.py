@@ -104,7 +104,7 @@ def _described(listed: "Sequence[Source]") -> "list[Group]":
 def analyze(
     spec: Path,
     sets: ui.Sets = None,
-    plans: Annotated[int, ui.Bounds(1, 1000)] = 5,
+    plans: Annotated[int, ui.ValueRange(1, 1000)] = 5,
     form: Annotated[Literal["text", "json"], "--format"] = "text",
     as_json: ui.LikeFormatJson = False,
     out: Path | None = None,

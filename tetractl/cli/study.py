@@ -24,7 +24,7 @@ def study(
     file: Path,
     folders: list[Path] | None = None,
     out: Path | None = None,
-    jobs: Annotated[int | None, ui.Bounds(1)] = None,
+    jobs: Annotated[int | None, ui.ValueRange(1)] = None,
     logs: str = "all",
     fail_fast: bool = False,
     rerun_outdated: bool = False,
@@ -32,7 +32,7 @@ def study(
     merge: bool = False,
     cluster: str | None = None,
     trial: str | None = None,
-    slurm: Annotated[int | None, ui.Bounds(1)] = None,
+    slurm: Annotated[int | None, ui.ValueRange(1)] = None,
     quiet: Annotated[bool, "--quiet", "-q"] = False,
 ) -> int:
     """Run every arm of a study with the same seeds; write a table, and figures.

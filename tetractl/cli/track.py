@@ -11,8 +11,8 @@ from tetractl.core.table.table_files import table_files
 def track(
     film: Path,
     field: Path | None = None,
-    scale: Annotated[float | None, ui.Bounds(0.05, 100)] = None,
-    rate: Annotated[float | None, ui.Bounds(0.1, 2000)] = None,
+    scale: Annotated[float | None, ui.ValueRange(0.05, 100)] = None,
+    rate: Annotated[float | None, ui.ValueRange(0.1, 2000)] = None,
     y_down: bool = False,
     out: Path | None = None,
     as_json: ui.AsJson = False,

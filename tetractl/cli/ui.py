@@ -29,17 +29,17 @@ def argument(metavar: str, text: str) -> Any:
     return typer.Argument(metavar=metavar, help=text)
 
 
-class Bounds(NamedTuple):
+class ValueRange(NamedTuple):
     """The least and the largest value of an option."""
 
     min: float | None = None
     max: float | None = None
 
 
-UNBOUND = Bounds()
+UNBOUND = ValueRange()
 
 
-def option(metavar: str, text: str, *names: str, bounds: Bounds = UNBOUND) -> Any:
+def option(metavar: str, text: str, *names: str, bounds: ValueRange = UNBOUND) -> Any:
     """Return the declaration of an option whose value is shown as `metavar`, "" for a switch.
 
     `names` are needed if it is not named after its parameter.
@@ -55,8 +55,8 @@ def declare_options(function: Callable[..., object]) -> str:
     describes, and return the docstring without the section.
 
     An entry is "PARAMETER METAVAR: TEXT", without METAVAR for a switch. The parameter's annotation
-    may state `Bounds`, and the option's names if it is not named after the parameter. A parameter
-    without names is an argument if it has no default, or if METAVAR is in brackets.
+    may state `ValueRange`, and the option's names if it is not named after the parameter. A
+    parameter without names is an argument if it has no default, or if METAVAR is in brackets.
     """
     text, _, section = inspect.cleandoc(function.__doc__ or "").partition("\n\nOptions:\n")
     parameters = inspect.signature(function).parameters
@@ -70,7 +70,7 @@ def declare_options(function: Callable[..., object]) -> str:
         names = [one for one in more if isinstance(one, str)]
         if not names and parameters[name].default is False:
             names = [f"--{name.replace('_', '-')}"]  # without a --no- form
-        bounds = next((one for one in more if isinstance(one, Bounds)), UNBOUND)
+        bounds = next((one for one in more if isinstance(one, ValueRange)), UNBOUND)
         names, words = ["-o", "--out"] if name == "out" else names, words.replace("[", "\\[")
         needed = parameters[name].default is inspect.Parameter.empty
         if not names and (needed or metavar.startswith("[")):

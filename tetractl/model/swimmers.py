@@ -6,7 +6,9 @@ docs/explanation/cells.md states the source of each number; `guess` means that n
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import cos, sin
 from typing import Self
 
 import numpy as np
@@ -119,57 +121,52 @@ class Swimmers:
     def swim(
         self,
         field: tuple[float | Floats, float | Floats],
-        seconds: float,
+        spans: Sequence[float],
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
-    ) -> None:
-        """Advance every cell by the midpoint rule, in equal steps of at most STEP_S.
+    ) -> Floats:
+        """Advance every cell over M `spans` of time [s], one after another, by the midpoint rule in
+        equal steps of at most STEP_S; return x, y, heading and phase (4, M, N) after each span.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
         rate is proportional to its length. `drift` [um/s] is the medium's flow, `walls` [um] are
         edges along which cells slide. A resting cell only drifts.
         """
-        steps = math.ceil(seconds / STEP_S)
-        for _ in range(steps):
-            self._step(field, seconds / steps, random, drift)
-            if walls is not None:
-                self._slide(walls)
-
-    def _step(
-        self,
-        field: tuple[float | Floats, float | Floats],
-        seconds: float,
-        random: np.random.Generator,
-        drift: tuple[float, float],
-    ) -> None:
-        going = ~self.resting
-        half = self.heading + self._turning(field, self.heading) * going * seconds / 2
-        self.x += (self.speed * np.cos(half) * going + drift[0]) * seconds
-        self.y += (self.speed * np.sin(half) * going + drift[1]) * seconds
-        self.heading += self._turning(field, half) * going * seconds
-        self.heading += self.walk * math.sqrt(seconds) * random.standard_normal(len(self)) * going
-        self.phase += 2 * math.pi * self.helix_hz * seconds * going
-        pull = seconds / SINK_S
-        jolt = SINK_UM * math.sqrt(2 * pull) * random.standard_normal(len(self))
-        self.depth += jolt - pull * self.depth
-
-    def _slide(self, walls: Bounds) -> None:
-        """Keep the cells within walls.
-
-        A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and
-        leaves the wall once its heading points away from it.
-        """
-        for at, heading_to, least, most in (
-            (self.x, 0.0, walls.left, walls.right),
-            (self.y, math.pi / 2, walls.bottom, walls.top),
-        ):
-            into = np.cos(self.heading - heading_to)
-            for beyond, outwards, edge in ((at < least, -into, least), (at > most, into, most)):
-                met = beyond & (outwards > 0)
-                side = np.where(np.sin(self.heading - heading_to) >= 0, 1.0, -1.0)
-                self.heading[met] = (heading_to + side * math.pi / 2)[met]
-                at[beyond] = edge
+        # plain floats: for a few cells ten times faster than arrays
+        count, going = len(self), ~self.resting
+        steps = [math.ceil(span / STEP_S) for span in spans]
+        noise = iter(random.standard_normal((sum(steps), 2, count)).tolist())
+        state = [x, y, heading, phase, depth] = [
+            each.tolist() for each in (self.x, self.y, self.heading, self.phase, self.depth)
+        ]
+        fields = [each + np.zeros(count) for each in field]
+        values = (self.a * going, self.bias, self.speed * going, self.walk * going, *fields)
+        turns = 2 * math.pi * self.helix_hz
+        rows = zip(range(count), *(each.tolist() for each in (*values, turns * going)), strict=True)
+        cells, path = list(rows), []
+        for span, parts in zip(spans, steps, strict=True):
+            for _ in range(parts):
+                dt = span / parts
+                pull, root, (walks, jolts) = dt / SINK_S, math.sqrt(dt), next(noise)
+                jolt = SINK_UM * math.sqrt(2 * pull)
+                for i, a, bias, speed, walk, across, up, turn in cells:
+                    at = heading[i]
+                    dipole = at + bias
+                    half = at + a * (up * cos(dipole) - across * sin(dipole)) * dt / 2
+                    x[i] += (speed * cos(half) + drift[0]) * dt
+                    y[i] += (speed * sin(half) + drift[1]) * dt
+                    dipole = half + bias
+                    at += a * (up * cos(dipole) - across * sin(dipole)) * dt  # (3)
+                    heading[i] = at + walk * root * walks[i]
+                    phase[i] += turn * dt
+                    depth[i] += jolt * jolts[i] - pull * depth[i]
+                if walls is not None:
+                    _slide(x, heading, 0.0, walls.left, walls.right)
+                    _slide(y, heading, math.pi / 2, walls.bottom, walls.top)
+            path.append([each.copy() for each in state[:4]])
+        self.x, self.y, self.heading, self.phase, self.depth = (np.array(each) for each in state)
+        return np.array(path).transpose(1, 0, 2)
 
     def rest(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""
@@ -192,10 +189,19 @@ class Swimmers:
         daughter.heading -= turn
         return both.joined(daughter)
 
-    def _turning(self, field: tuple[float | Floats, float | Floats], heading: Floats) -> Floats:
-        """Return turning rates [rad/s] at headings (N,): a (field x dipole), as in equation (3)."""
-        dipole = heading + self.bias
-        return self.a * (field[1] * np.cos(dipole) - field[0] * np.sin(dipole))
+
+def _slide(at: list[float], heading: list[float], axis: float, least: float, most: float) -> None:
+    """Keep coordinates `at` of cells between walls, to which the direction `axis` [rad] is normal.
+
+    A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and leaves
+    the wall once its heading points away from it.
+    """
+    for i, place in enumerate(at):
+        if place < least or place > most:
+            outwards = 1.0 if place > most else -1.0
+            at[i], off = most if place > most else least, heading[i] - axis
+            if cos(off) * outwards > 0:
+                heading[i] = axis + (math.pi / 2 if sin(off) >= 0 else -math.pi / 2)
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:
@@ -220,16 +226,21 @@ class Bodies:
     tilt: Floats
 
 
+def to_the_left(heading: Floats, way: Floats) -> tuple[Floats, Floats]:
+    """Return the displacement x, y by a `way` to the left of a heading [rad]."""
+    return -way * np.sin(heading), way * np.cos(heading)
+
+
 def bodies(cells: Swimmers) -> Bodies:
     """Return the bodies at their positions on the helices.
 
     At the speed v on a helix of frequency f and radius r, the tilt is at most atan(2 pi f r / v).
     """
     across, deep = cells.helix_um * np.cos(cells.phase), cells.helix_um * np.sin(cells.phase)
-    turning = 2 * math.pi * cells.helix_hz
+    turning, (left_x, left_y) = 2 * math.pi * cells.helix_hz, to_the_left(cells.heading, across)
     return Bodies(
-        x=cells.x - across * np.sin(cells.heading),
-        y=cells.y + across * np.cos(cells.heading),
+        x=cells.x + left_x,
+        y=cells.y + left_y,
         height=cells.depth + deep,
         axis=cells.heading - np.arctan2(turning * deep, cells.speed),
         tilt=np.arctan2(turning * across, cells.speed),

@@ -9,7 +9,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, bodies, walls_of
+from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, to_the_left, walls_of
 from tetractl.plant.direct import NEVER
 
 
@@ -60,20 +60,21 @@ class CellDrive:
         self._walls = walls_of(setup, rim_um) if section.walls else None
         cells.resting[:] = True
         self.vary(a, speed)
+        self._across = cells.helix_um * np.cos(cells.phase)  # from the helix's axis to the body
         self.poses = starts
 
     @property
     def poses(self) -> Poses:
         """The present poses of the bodies."""
-        seen = bodies(self.cells)
-        return Poses(seen.x / self._um, seen.y / self._um, self.cells.heading.copy())
+        return self._poses
 
     @poses.setter
     def poses(self, poses: Poses) -> None:
-        self.cells.heading = poses.heading.copy()
-        seen = bodies(self.cells)
-        self.cells.x += poses.x * self._um - seen.x
-        self.cells.y += poses.y * self._um - seen.y
+        cells, um = self.cells, self._um
+        cells.heading, (x, y) = poses.heading, to_the_left(poses.heading, self._across)
+        cells.x = cells.x + (poses.x * um - (cells.x + x))
+        cells.y = cells.y + (poses.y * um - (cells.y + y))
+        self._poses = Poses((cells.x + x) / um, (cells.y + y) / um, poses.heading)
 
     @property
     def commanded(self) -> Floats:
@@ -91,13 +92,14 @@ class CellDrive:
 
         `ticks` (M,), 1 at times at which the true path is sampled, is not used.
         """
-        found, now = [], 0.0
-        for until in seconds.tolist():
-            field = (self._field[0], self._field[1])
-            self.cells.swim(field, until - now, self._random, self._drift, self._walls)
-            now, p = until, self.poses
-            found.append((p.x, p.y, p.heading))
-        x, y, heading = np.array(found).transpose(1, 0, 2)
+        cells, um, times = self.cells, self._um, seconds.tolist()
+        spans = [until - since for since, until in zip([0.0, *times], times, strict=False)]
+        field = self._field[0], self._field[1]
+        x, y, heading, phase = cells.swim(field, spans, self._random, self._drift, self._walls)
+        across = cells.helix_um * np.cos(phase)
+        left = to_the_left(heading, across)
+        x, y, self._across = (x + left[0]) / um, (y + left[1]) / um, across[-1]
+        self._poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
 
     def apply(self, command: DelayedCommand) -> None:

@@ -64,6 +64,7 @@ def step_0(settings: Settings) -> Report:
     )
     for problem, name in ((printed(), "as printed"), (recommended(), "as recommended")):
         rows = []
+        peers.compile_for(problem, LENGTH)
         for who, peer in everybody:
             progress(f"(b) {LENGTH} signals, {name}: {who}")
             if "reference" in who and name != "as printed":

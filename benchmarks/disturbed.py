@@ -27,7 +27,6 @@ from solverbench.report import load, progress
 
 from tetractl.control.build import build_controller
 from tetractl.control.filter import Ahead, FilterBank
-from tetractl.control.holding import CircleSearch
 from tetractl.control.mpc import Mpc
 from tetractl.control.mpc_section import RecommendedMpc
 from tetractl.control.prior import nothing
@@ -39,6 +38,7 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.core.protocols import Controller, LabSupervision, Plant
 from tetractl.core.setup import Setup
 from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.results.estimate import distributions, percent
@@ -187,8 +187,7 @@ def knowing(spec: Experiment, key: int, plant: Plant) -> Controller:
 def counted(kind: type[M], section: RecommendedMpc, setup: Setup, key: int) -> M:
     """Return a controller whose deadline is kept by the work of its searches."""
     work = WorkClock()
-    optimizers = work.wrap(section.optimizer), work.wrap(CircleSearch())
-    return kind(section, setup, key, *optimizers, work)
+    return kind(section, setup, key, Host(work.wrap, work))
 
 
 def as_specified(spec: Experiment, key: int, plant: Plant) -> Controller:

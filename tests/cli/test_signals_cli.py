@@ -24,6 +24,7 @@ from support.running import (
     assert_interrupted,
     environment,
     first_of,
+    is_worker,
 )
 from support.studies import SMALL, tetractl, write
 
@@ -88,17 +89,11 @@ def test_workers_end_with_their_parent(tmp_path, spec):
         running.process.kill()
         running.process.wait()
         deadline = time.monotonic() + PATIENCE_S
-        while any(map(alive, workers)):
+        while any(map(is_worker, workers)):
             assert time.monotonic() < deadline
             time.sleep(0.05)
         logs = sorted(running.logs.glob("*.mcap"))
         assert [read_result(log).outcome for log in logs] == ["interrupted"] * 2
-
-
-def alive(pid):
-    with suppress(OSError):
-        return b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()
-    return False
 
 
 @contextmanager

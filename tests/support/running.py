@@ -100,19 +100,28 @@ class Running(Started):
         return list(self.logs.glob("*.part")) if self.logs.exists() else []
 
     def workers(self):
-        """Process ids of the workers, those that still start too."""
-        children = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
-        found = []
-        for pid in children.read_text().split():
-            with suppress(OSError):
-                if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes():
-                    found.append(int(pid))
-        return found
+        """Process ids of the workers, those that still start too: children of the server of forks,
+        as the process that tracks semaphores has none."""
+        children = (worker for child in _children(self.process.pid) for worker in _children(child))
+        return [pid for pid in children if is_worker(pid)]
 
     def end(self):
         code = super().end()
         assert self._parts() == []
         return code
+
+
+def _children(pid):
+    with suppress(OSError):
+        return [int(one) for one in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
+    return []
+
+
+def is_worker(pid):
+    """Whether a process is, still, a worker that the server of forks has started."""
+    with suppress(OSError):
+        return b"multiprocessing.forkserver" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    return False
 
 
 def assert_interrupted(running, trials, reason=""):

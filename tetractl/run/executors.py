@@ -22,6 +22,9 @@ from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 
+PRELOADED = ["tetractl.run.task", "tetractl.control.mpc", "tetractl.control.kernels.bank"]
+"""Modules that are imported once, by the process from which the workers are forked."""
+
 Ended = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
 
@@ -97,8 +100,9 @@ class Processes:
 
     def __init__(self, workers: int, interrupt: Interrupt) -> None:
         self.workers, self._interrupt = workers, interrupt
-        # not a fork, which would copy locks held by other threads
-        self._context = multiprocessing.get_context("spawn")
+        # not a fork of this process, which would copy locks held by other threads
+        self._context = multiprocessing.get_context("forkserver")
+        self._context.set_forkserver_preload(PRELOADED)
         self._ending: Event | None = None
         self._again = 0.0  # earliest time of the next SIGTERM [s]
 
@@ -130,7 +134,8 @@ class Processes:
         BrokenProcessPool, and the others stay in `waiting`."""
         assert self._ending is not None
         running, broken = dict[Future[Finished], Task](), False
-        with ProcessPoolExecutor(workers, self._context, _start_worker, (self._ending,)) as pool:
+        start = _start_worker, (self._ending, dict(os.environ))
+        with ProcessPoolExecutor(workers, self._context, *start) as pool:
             while True:
                 if self._interrupt.requested:
                     self._ending.set()
@@ -203,11 +208,13 @@ class _SharedInterrupt(Interrupt):
 _interrupt: Interrupt = Interrupt()  # the interrupt of this process, if it is a worker
 
 
-def _start_worker(ending: Event) -> None:
-    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent process ends.
+def _start_worker(ending: Event, environment: dict[str, str]) -> None:
+    """Prepare a worker to ignore all signals but SIGTERM, and to end when its parent process ends;
+    its environment variables are those of its parent now, not when the server was started.
     A terminal sends Ctrl-C to workers too, but only the parent reacts to it, and sends SIGTERM.
     """
     global _interrupt
+    os.environ.update(environment)
     _interrupt = interrupt = _SharedInterrupt(ending)
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -87,10 +87,10 @@ class CellDrive:
         """Change the true turning rates a and speeds from now on, (N,) each."""
         self.cells.a, self.cells.speed = a.copy(), speed * self._um
 
-    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
         """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        `ticks` (M,), 1 at times at which the true path is sampled, is not used.
+        `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
         cells, um, times = self.cells, self._um, seconds.tolist()
         spans = [until - since for since, until in zip([0.0, *times], times, strict=False)]

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
-from tetractl.core.poses import Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.motion import Held, Motion
 
@@ -58,10 +58,10 @@ class DirectDrive:
         self._a, self._speed = np.maximum(a, LEAST_A), speed
         self._held.turning = a * self._sine
 
-    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
         """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
-        `ticks` (M,), 1 at times at which the true path is sampled, is not used.
+        `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
         p, held = self.poses, self._held
         t = seconds[:, None] * self.moving

@@ -12,14 +12,20 @@ from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance, overriding
 
 
-def due_ns(first: int, rate_hz: float, until: int) -> list[int]:
-    """Return the times [ns] up to `until` of samples at a rate [Hz], from number `first` on; sample
-    0 is at time 0."""
-    times, when = list[int](), round(first * SECOND / rate_hz)
-    while when <= until:
-        times.append(when)
-        when = round((first + len(times)) * SECOND / rate_hz)
-    return times
+class Beat:
+    """The times k / `rate_hz` [ns] for k = 0, 1, 2, ...; `next_ns` is the next of them."""
+
+    def __init__(self, rate_hz: float) -> None:
+        self.rate_hz, self._count, self.next_ns = rate_hz, 0, 0
+
+    def due(self, until: int) -> list[int]:
+        """Pass the times up to `until`, and return them."""
+        times = list[int]()
+        while self.next_ns <= until:
+            times.append(self.next_ns)
+            self._count += 1
+            self.next_ns = round(self._count * SECOND / self.rate_hz)
+        return times
 
 
 class MeasurementNoise(Model):
@@ -42,7 +48,7 @@ class SimCamera:
         rng: np.random.Generator,
         disturbances: Sequence[Disturbance],
     ) -> None:
-        self.rate_hz, self._noise, self._rng = rate_hz, noise, rng
+        self.beat, self._noise, self._rng = Beat(rate_hz), noise, rng
         self._measured = overriding(disturbances, "measured")
         self._received = overriding(disturbances, "received")
         self._tracked = np.ones(robots, dtype=np.bool_)
@@ -55,18 +61,9 @@ class SimCamera:
         """The newest frame that the host has received."""
 
     @property
-    def next_ns(self) -> int:
-        """The time of the next exposure [ns]."""
-        return round(self._exposed * SECOND / self.rate_hz)
-
-    @property
     def arriving_ns(self) -> int | None:
         """The time when the next frame reaches the host [ns], None if no frame is in transit."""
         return self._under_way[0].observation.received_ns if self._under_way else None
-
-    def due(self, until: int) -> list[int]:
-        """Return the times of exposures due up to `until`, oldest first [ns]."""
-        return due_ns(self._exposed, self.rate_hz, until)
 
     def expose(self, when: int, truth: Poses) -> None:
         """Expose the next frame at `when` [ns] with the robots at the poses `truth`."""

@@ -349,7 +349,7 @@ class SimPlant:
         patience = self.clock.now() + NO_FRAME_S * SECOND
         while self._camera.newest is None or self._camera.newest.sampled_ns < since:
             arriving = self._camera.arriving_ns
-            self.clock.sleep_until(self._camera.next_ns if arriving is None else arriving)
+            self.clock.sleep_until(self._camera.beat.next_ns if arriving is None else arriving)
             if self.clock.now() > patience:
                 raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
             self._motion.advance(self.clock.now())

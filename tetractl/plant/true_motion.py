@@ -16,7 +16,7 @@ from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overrid
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
 from tetractl.plant.direct import NEVER, DirectDrive
-from tetractl.plant.sim_camera import SimCamera, due_ns
+from tetractl.plant.sim_camera import Beat, SimCamera
 from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
@@ -53,44 +53,46 @@ class TrueMotion:
         self._varying = overriding(disturbances, "varied")
         # per disturbance in `_varying`: which robots it holds, (N,)
         self._held = [np.zeros(len(setup.names), dtype=np.bool_) for _ in self._varying]
-        self._walk, self._walking = heading_walk / np.sqrt(camera.rate_hz), walking
+        self._walk, self._walking = heading_walk / np.sqrt(camera.beat.rate_hz), walking
         self._disturbs = bool(self._moving or self._varying)
         self._by_frame = self._disturbs or heading_walk > 0
-        self._truth_rate = truth_rate
+        self._beat = Beat(truth_rate)  # of the samples of the true path
         self._under_way: deque[DelayedCommand] = deque()  # commands in transit, ordered by `due_ns`
         # times at which the last command sent acts on each robot [ns]
-        self._acting_ns = np.zeros(len(setup.names), dtype=np.int64)
+        self._acting_ns = [0] * len(setup.names)
         self._watchdog_s = setup.watchdog_s
         self._stopping_ns = np.full(len(setup.names), NEVER)  # times of the watchdogs [ns]
+        self._stops_ns = NEVER  # the first of them
         self._time = 0
         self._disturbed_ns = -1  # time up to which the disturbances have acted
-        self._ticks = 0  # number of samples of the true path taken so far
         self._path: list[tuple[Floats, Floats]] = []  # x, y of samples not yet checked
 
     @property
     def settled_ns(self) -> int:
         """The time when the last command sent so far acts on the last robot [ns]."""
-        return int(self._acting_ns.max(initial=0))
+        return max(self._acting_ns, default=0)
 
     def dispatch(self, command: DelayedCommand) -> DelayedCommand:
         """Schedule a command, and return the command as the robots will receive it."""
         for disturbance in self._disturbances:
             command = disturbance.sent(command)
-        late = 0 if command.late_ns is None else command.late_ns
-        due = np.maximum(command.due_ns + late, np.maximum(self._acting_ns, self._time))
+        late = [0] * len(self._acting_ns) if command.late_ns is None else command.late_ns.tolist()
+        due = [
+            max(command.due_ns + each, acting, self._time)
+            for each, acting in zip(late, self._acting_ns, strict=True)
+        ]
         self._acting_ns = due
-        for when in np.unique(due).tolist():
-            part = replace(command, due_ns=when, reached=command.reached & (due == when))
+        for when in sorted(set(due)):
+            reached = command.reached & (np.array(due) == when)
+            part = replace(command, due_ns=when, reached=reached)
             insort(self._under_way, part, key=lambda one: one.due_ns)
         return command
 
     def advance(self, until: int) -> None:
         """Advance the robots to `until` [ns], in intervals with constant held commands."""
         while True:
-            frame = self._camera.next_ns
-            end = min(until, frame) if self._by_frame else until
-            stopping = int(self._stopping_ns.min())
-            end = min(end, self.drive.repeats_ns, stopping)
+            frame, stopping = self._camera.beat.next_ns, self._stops_ns
+            end = min(until, self.drive.repeats_ns, stopping, frame if self._by_frame else until)
             command = None
             if self._under_way and self._under_way[0].due_ns <= end:
                 command = self._under_way.popleft()
@@ -117,6 +119,7 @@ class TrueMotion:
             silent_ns = command.due_ns + round(self._watchdog_s * SECOND)
             until = NEVER if isinstance(command.action, Stop) else silent_ns
             self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
+            self._stops_ns = int(self._stopping_ns.min())
 
     def _silent(self, now: int) -> DelayedCommand:
         """Return a stop command for the robots whose watchdog expires now [ns]."""
@@ -160,41 +163,26 @@ class TrueMotion:
         drive that sums up its path advances only to the last sample before `end`, unless there is
         an `event` at `end`, so that the result does not depend on how often the plant is read.
         """
-        nothing_due = min(self._camera.next_ns, self._next_tick_ns) > end
-        # disturbances by frame may move robots even if nothing else is due
-        if end == self._time and nothing_due and not self._by_frame:
+        still = end == self._time and not (event and self._by_frame)
+        open_end = self.drive.sampled and not event
+        if (still or open_end) and min(self._camera.beat.next_ns, self._beat.next_ns) > end:
             return
-        frames = self._camera.due(end)
-        ticks = due_ns(self._ticks, self._truth_rate, end)
-        self._ticks += len(ticks)
-        ends = [] if self.drive.sampled and not event else [end]
-        times = sorted({*frames, *ticks, *ends})
-        if not times:
-            return
+        frames, ticks = self._camera.beat.due(end), self._beat.due(end)
+        times = sorted({*frames, *ticks} if open_end else {*frames, *ticks, end})
         sampled = set(ticks)
-        seconds = np.array([when - self._time for when in times]) / SECOND
-        is_tick = np.array([1.0 if when in sampled else 0.0 for when in times])
-        x, y, heading = self.drive.advance(seconds, is_tick)
+        seconds = (np.array(times) - self._time) / SECOND
+        x, y, heading = self.drive.advance(seconds, np.array([when in sampled for when in times]))
         self._time = times[-1]
         if disturbed:
             self._disturb(end)
-            p = self.drive.poses
-            x, y, heading = (
-                np.vstack([column[:-1], last])
-                for column, last in ((x, p.x), (y, p.y), (heading, p.heading))
-            )
+            p, x, y, heading = self.drive.poses, x.copy(), y.copy(), heading.copy()
+            x[-1], y[-1], heading[-1] = p.x, p.y, p.heading
         self._path.append((x, y))
         if len(self._path) > UNCHECKED:
             self.check()
-        at = {when: i for i, when in enumerate(times)}
         for due in frames:
-            i = at[due]
+            i = times.index(due)
             self._camera.expose(due, Poses(x[i], y[i], heading[i]))
-
-    @property
-    def _next_tick_ns(self) -> int:
-        """The time at which the true path is sampled next [ns]."""
-        return round(self._ticks * SECOND / self._truth_rate)
 
     def check(self) -> None:
         """Check the true path since the last call."""

@@ -11,7 +11,7 @@ from pydantic import Field
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff, Steer, Turn
-from tetractl.core.poses import Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
 from tetractl.experiment.disturbance import DelayedCommand
@@ -179,17 +179,17 @@ class WheelDrive(WheeledRobots):
         scaled = np.divide(speed, known.speed, out=np.ones(speed.size), where=known.speed > 0)
         self.scale(a / known.a, scaled)
 
-    def advance(self, seconds: Floats, ticks: Floats) -> tuple[Floats, Floats, Floats]:
+    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
         """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
         The heading's random walk is applied at the times at which the true path is sampled, where
-        `ticks` (M,) is 1.
+        `ticks` (M,) is True.
         """
         swerves = None
         if self._walk > 0:
             swerves = np.zeros((seconds.size, self._radius.size))
             drawn = self._walking.standard_normal((np.count_nonzero(ticks), self._radius.size))
-            swerves[ticks > 0] = self._walk * drawn * self.moving
+            swerves[ticks] = self._walk * drawn * self.moving
         return self.drive(seconds, swerves)
 
     def apply(self, command: DelayedCommand) -> None:

@@ -56,6 +56,8 @@ class CellDrive:
         towards = random.uniform(-math.pi, math.pi)
         self._drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
         self._field = np.zeros((2, count))
+        # 1 for cells whose last command lets them swim, 0 for others
+        self.commanded = self.moving = np.zeros(count)
         rim_um = float(cells.helix_um.max())
         self._walls = walls_of(setup, rim_um) if section.walls else None
         cells.resting[:] = True
@@ -75,13 +77,6 @@ class CellDrive:
         cells.x = cells.x + (poses.x * um - (cells.x + x))
         cells.y = cells.y + (poses.y * um - (cells.y + y))
         self._poses = Poses((cells.x + x) / um, (cells.y + y) / um, poses.heading)
-
-    @property
-    def commanded(self) -> Floats:
-        """1 for cells whose last command lets them swim, 0 for others, (N,)."""
-        return (~self.cells.resting).astype(np.float64)
-
-    moving = commanded  # a cell drifts even if it does not swim
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
@@ -105,7 +100,8 @@ class CellDrive:
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the cells that it reaches."""
         got: Bools = command.reached
-        self.cells.resting = np.where(got, isinstance(command.action, Stop), self.cells.resting)
+        self.cells.resting[got] = isinstance(command.action, Stop)
+        self.commanded = self.moving = (~self.cells.resting).astype(np.float64)
         new = (0.0, 0.0)
         if isinstance(command.action, Steer):
             new = math.cos(command.action.direction), math.sin(command.action.direction)

@@ -79,21 +79,17 @@ class DirectDrive:
         With the motion `arc`, wheel speeds are computed from the headings that were measured when
         the command was sent; with `euler`, the chords begin at the true headings.
         """
-        got, held = command.reached, self._held
+        got, held, action = command.reached, self._held, command.action
         heading = self.poses.heading
-        action = command.action
-        held.moving = np.where(got, float(not isinstance(action, Stop)), held.moving)
-        self._ahead = np.where(got, float(not isinstance(action, Turn)), self._ahead)
-        self._free = np.where(got, isinstance(action, FieldOff), self._free)
-        if isinstance(action, Stop | FieldOff):
-            self._sine = np.where(got, 0.0, self._sine)
-            held.turning = self._a * self._sine
-            held.course = np.where(got, heading, held.course)
-            return
-        u, answered = aim(action, heading), heading
-        if self._motion.name == "arc" and command.headings is not None:
-            answered = command.headings
-        self._sine = np.where(got, np.sin(u - answered), self._sine)
-        held.direction = np.where(got, u, held.direction)
+        held.moving[got] = not isinstance(action, Stop)
+        held.course[got] = heading[got]
+        self._ahead[got] = not isinstance(action, Turn)
+        self._free[got] = isinstance(action, FieldOff)
+        self._sine[got] = 0.0
+        if isinstance(action, Steer | Turn):
+            u, answered = aim(action, heading), heading
+            if self._motion.name == "arc" and command.headings is not None:
+                answered = command.headings
+            self._sine[got] = np.sin(u - answered)[got]
+            held.direction[got] = u[got]
         held.turning = self._a * self._sine
-        held.course = np.where(got, heading, held.course)

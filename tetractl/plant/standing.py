@@ -46,8 +46,8 @@ class StandingCheck:
         if seconds < STRIDE_S:
             return []
         self._last = seen
-        x, y = (seen.poses.xy - last.poses.xy).T
-        stands = (np.hypot(x, y) < STANDS * self._setup.speed * seconds) & seen.valid & last.valid
+        slow = seen.poses.distances(last.poses.xy) < STANDS * self._setup.speed * seconds
+        stands = slow & seen.valid & last.valid
         self._stood_s = np.where(stands, self._stood_s + seconds, 0.0)
         new = np.flatnonzero((self._stood_s >= LEAST_S) & (self._longest_s < LEAST_S))
         self._longest_s = np.maximum(self._longest_s, self._stood_s)

@@ -155,6 +155,7 @@ class WheelDrive(WheeledRobots):
         self._walk, self._walking = walk / np.sqrt(truth_rate), walking
         self._setup = setup
         radii = setup.wheel_radius * (1 + section.radius_error * erring.uniform(-1, 1, a.size))
+        self.commanded = np.zeros(a.size)  # 1 for robots whose last command moves them, else 0
         super().__init__(starts, radii, section.lag, REST * float(setup.speed.max(initial=0.0)))
         self.vary(a, speed)
 
@@ -163,21 +164,12 @@ class WheelDrive(WheeledRobots):
         """The time of the next transmission [ns]."""
         return self.host.repeats_ns
 
-    @property
-    def commanded(self) -> Floats:
-        """1 for robots whose last command moves them, 0 for others, (N,)."""
-        return (self.targets != 0).any(axis=0).astype(np.float64)
-
-    @property
-    def moving(self) -> Floats:
-        """1 for robots that move, 0 for robots that stand, (N,)."""
-        return self.commanded * self._able
-
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
         known, self._able = self._setup, (a > 0) | (speed > 0)
         scaled = np.divide(speed, known.speed, out=np.ones(speed.size), where=known.speed > 0)
         self.scale(a / known.a, scaled)
+        self.moving = self.commanded * self._able  # 1 for robots that move, 0 for others
 
     def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
         """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
@@ -196,3 +188,5 @@ class WheelDrive(WheeledRobots):
         """Apply a command to the wheels of the robots that received it."""
         assert command.wheels is not None, "the command must have wheel speeds"
         self.targets = np.where(command.reached, command.wheels, self.targets)
+        self.commanded = self.targets.any(axis=0).astype(np.float64)
+        self.moving = self.commanded * self._able

@@ -137,7 +137,7 @@ def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:
         made = list[Entry]()
         for message in raw.messages(topic):
             message.DiscardUnknownFields()
-            made.append(Entry.of(topic, message, at_ns))
+            made.append(Entry(topic, at_ns, at_ns, message.SerializeToString()))
         if len(made) != 1 or made != raw.by_topic[topic]:
             yield Difference(None, topic, "is not the one message that tetractl writes")
     used = provenance.plugins(packages(log.experiment))

@@ -4,7 +4,7 @@ Host records describe the machine and the time, so they differ between two runs 
 all other records of a simulated trial's log repeat byte for byte.
 """
 
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
@@ -97,9 +97,3 @@ class Entry(NamedTuple):
     log_ns: int
     publish_ns: int
     data: bytes
-
-    @classmethod
-    def of(cls, topic: str, message: Message, log_ns: int, publish_ns: int | None = None) -> Self:
-        """Return a message with its bytes; both times are `log_ns` unless `publish_ns` is given."""
-        sampled_ns = log_ns if publish_ns is None else publish_ns
-        return cls(topic, log_ns, sampled_ns, message.SerializeToString())

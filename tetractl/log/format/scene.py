@@ -4,10 +4,13 @@ Positions are converted from the spec's unit to metres. Non-finite values are no
 viewers drop a whole message for one NaN.
 """
 
+from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Log_pb2 import Log
@@ -19,6 +22,7 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
 from foxglove_schemas_protobuf.TriangleListPrimitive_pb2 import TriangleListPrimitive
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.message import Message
 from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
@@ -36,6 +40,8 @@ GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
 _LEVELS = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 _STRIP = LinePrimitive.LINE_STRIP
 _UPRIGHT = Quaternion(w=1.0)  # must be set: the default is a zero quaternion
+_PAIR = np.dtype([("tags", "V3"), ("one", "<f8"), ("tag", "V1"), ("two", "<f8")])
+"""A serialised message of two doubles."""
 
 
 def frame_of(name: str) -> str:
@@ -71,41 +77,47 @@ class Scene:
         radius, arena = setup.wheel_radius, setup.arena
         body = 2 * radius if radius else 0.03 * min(arena.width, arena.height)
         self._body = body * self._metres
+        # What the messages of a robot have in common: the frames of its transforms; the entity of
+        # its plan; that entity's line before and after the points.
+        self._frame_ids, self._plans = list[bytes](), list[tuple[bytes, bytes, bytes]]()
+        point = _point(self._metres, self._metres).SerializeToString()
+        for name, color in zip(setup.names, self._colors, strict=True):
+            ids = FrameTransform(parent_frame_id=WORLD, child_frame_id=frame_of(name))
+            self._frame_ids.append(ids.SerializeToString())
+            entity = self._entity(f"plan/{name}", 0).SerializeToString().removeprefix(_time(0))
+            line = self._line(np.ones((1, 2)), color).SerializeToString()
+            before, _, after = line.partition(point)
+            self._plans.append((entity, before, after))
 
-    def transforms(self, frames: Frames, start_ns: int) -> FrameTransforms:
-        """Return the poses in camera frames as transforms; the trial began at `start_ns` [Unix ns].
+    def transforms(self, frames: Frames, start_ns: int) -> bytes:
+        """Serialise the poses in camera frames as FrameTransforms; the trial began at `start_ns`
+        [Unix ns].
 
         Transforms are ordered by robot; a robot has none for a frame in which it is not tracked.
         """
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
-        made = FrameTransforms()
-        for i, name in enumerate(self._setup.names):
+        times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
+        number, made = FrameTransforms.TRANSFORMS_FIELD_NUMBER, list[bytes]()
+        for i, frame_ids in enumerate(self._frame_ids):
             x, y, heading = frames.poses[known[:, i], i].T
             rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
-            times = frames.sampled_ns[known[:, i]] + start_ns
-            numbers = np.transpose(rows).tolist()
-            for unix_ns, (x, y, z, w) in zip(times.tolist(), numbers, strict=True):
-                made.transforms.add(
-                    timestamp=stamp(unix_ns),
-                    parent_frame_id=WORLD,
-                    child_frame_id=frame_of(name),
-                    translation=Vector3(x=x, y=y),
-                    rotation=Quaternion(z=z, w=w),
-                )
-        return made
+            at, poses = np.flatnonzero(known[:, i]), _filled(_pose, np.transpose(rows))
+            parts = (times[k] + frame_ids + pose for k, pose in zip(at, poses, strict=True))
+            made += [_nested(number, part) for part in parts]
+        return b"".join(made)
 
-    def plan(self, path: Floats, unix_ns: int) -> SceneUpdate:
-        """Return a line along each robot's predicted path (length + 1, N, 3), shown until the next
-        plan.
+    def plan(self, path: Floats, unix_ns: int) -> bytes:
+        """Serialise a line along each robot's predicted path (length + 1, N, 3), shown until the
+        next plan, as SceneUpdate.
         """
-        return SceneUpdate(
-            entities=[
-                self._entity(f"plan/{name}", unix_ns, lines=[self._line(xy, color)])
-                for name, color, xy in zip(
-                    self._setup.names, self._colors, path[..., :2].swapaxes(0, 1), strict=True
-                )
-            ]
-        )
+        time, made = _time(unix_ns), list[bytes]()
+        known = np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])
+        for i, (entity, before, after) in enumerate(self._plans):
+            points = path[known[:, i], i, :2] * self._metres
+            line = b"".join((before, *_filled(_point, points), after))
+            drawn = time + entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
+            made.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, drawn))
+        return b"".join(made)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""
@@ -194,6 +206,52 @@ class Scene:
             points=points,
             color=color,
         )
+
+
+def _pose(x: float, y: float, z: float, w: float) -> FrameTransform:
+    return FrameTransform(translation=Vector3(x=x, y=y), rotation=Quaternion(z=z, w=w))
+
+
+def _point(x: float, y: float) -> LinePrimitive:
+    return LinePrimitive(points=[Point3(x=x, y=y)])
+
+
+def _filled(make: Callable[..., Message], rows: Floats) -> list[bytes]:
+    """Serialise `make` of each row (M, C), whose doubles are in messages of two.
+
+    One message is serialised, and its doubles are replaced, unless one is zero, which protobuf
+    leaves out.
+    """
+    if not rows.all():
+        return [make(*row).SerializeToString() for row in rows.tolist()]
+    template = _template(make, rows.shape[1])
+    pairs, size = np.repeat(template, len(rows), axis=0), template.nbytes
+    pairs["one"], pairs["two"] = rows[:, ::2], rows[:, 1::2]
+    data = pairs.tobytes()
+    return [data[at : at + size] for at in range(0, len(data), size)]
+
+
+@lru_cache
+def _template(make: Callable[..., Message], count: int) -> NDArray[np.void]:
+    return np.frombuffer(make(*np.ones(count)).SerializeToString(), _PAIR)[np.newaxis]
+
+
+def _time(unix_ns: int) -> bytes:
+    """Serialise the time stamp of a transform or an entity."""
+    return _nested(FrameTransform.TIMESTAMP_FIELD_NUMBER, stamp(unix_ns).SerializeToString())
+
+
+def _nested(field: int, data: bytes) -> bytes:
+    """Serialise a field, of number 1 to 15, whose message was serialised to `data`."""
+    return _head(field, len(data)) + data
+
+
+@lru_cache
+def _head(field: int, size: int) -> bytes:
+    head = bytes([field << 3 | 2])
+    while size > 127:
+        head, size = head + bytes([size & 127 | 128]), size >> 7
+    return head + bytes([size])
 
 
 def _color(text: str) -> Color:

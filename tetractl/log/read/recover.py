@@ -112,7 +112,7 @@ def _write(contents: RawLog, damage: Damage, path: Path) -> None:
             elif record.topic != RECOVERED:
                 sink.messages([record])
         last_ns = max((entry.log_ns for entry in contents.entries), default=0)
-        sink.messages([Entry.of(RECOVERED, told, last_ns)])
+        sink.messages([Entry(RECOVERED, last_ns, last_ns, told.SerializeToString())])
         sink.close(complete=True)
     except BaseException:  # such as a full disk: remove the copy, the source is unchanged
         sink.discard()

@@ -133,7 +133,8 @@ class Encoder:
             for one, i in ((frames, -1), (shown, 0))
         )
         self._add(channels.FRAMES, codec.encode_frames(frames), *last)
-        self._add(channels.TRANSFORMS, self._scene.transforms(shown, self._start_ns), *first)
+        transforms = self._scene.transforms(shown, self._start_ns)
+        self._add_bytes(channels.TRANSFORMS, transforms, *first)
 
     def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""
@@ -152,7 +153,7 @@ class Encoder:
         plan = self._scene.plan(step.plan.path, self._start_ns + sent_ns)
         self._add(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
         self._add_command(step.command)
-        self._add(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
+        self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
         if step.plan.estimate is not None:
             estimate = codec.encode_estimate(step.k, step.plan.estimate)
@@ -212,5 +213,9 @@ class Encoder:
     def _add(
         self, topic: str, message: Message, log_ns: int, publish_ns: int | None = None
     ) -> None:
-        sampled = None if publish_ns is None else self._start_ns + publish_ns
-        self._sink.messages([Entry.of(topic, message, self._start_ns + log_ns, sampled)])
+        sampled_ns = log_ns if publish_ns is None else publish_ns
+        self._add_bytes(topic, message.SerializeToString(), log_ns, sampled_ns)
+
+    def _add_bytes(self, topic: str, data: bytes, log_ns: int, publish_ns: int) -> None:
+        begin = self._start_ns
+        self._sink.messages([Entry(topic, begin + log_ns, begin + publish_ns, data)])

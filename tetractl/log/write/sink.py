@@ -120,7 +120,7 @@ class Sink:
 
     def seal(self, unix_ns: int) -> None:
         """Add the digests of all records so far."""
-        self.messages([Entry.of(DIGESTS, self.digests.stated(), unix_ns)])
+        self.messages([Entry(DIGESTS, unix_ns, unix_ns, self.digests.stated().SerializeToString())])
 
     @_while_open
     def flush(self) -> None:

@@ -5,14 +5,24 @@ from collections import defaultdict
 
 import numpy as np
 import pytest
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.message import Message
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 from support.random_trials import experiment, trial, write
 
 from tetractl.core.trial import EPOCH_NS
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.scene import Scene
+from tetractl.log.format.scene import Scene, frame_of, stamp
 
 
 @pytest.fixture(scope="module")
@@ -111,14 +121,62 @@ def test_nothing_that_is_not_finite_is_drawn(bad):
     poses[0, 0, 0] = poses[2, 1, 2] = bad
     numbers, valid = np.arange(3), np.array([[True, True], [True, False], [True, True]])
     frames = Frames(numbers, numbers, numbers, poses, valid, None)
-    transforms = scene.transforms(frames, EPOCH_NS)
+    transforms = FrameTransforms.FromString(scene.transforms(frames, EPOCH_NS))
     found = [(item.child_frame_id, _stamp(item) - EPOCH_NS) for item in transforms.transforms]
     assert found == [("robot/robot 0", 1), ("robot/robot 0", 2), ("robot/robot 1", 0)]
     path = np.ones((4, 2, 3))
     path[2, 0] = bad
-    lines = scene.plan(path, EPOCH_NS)
+    lines = SceneUpdate.FromString(scene.plan(path, EPOCH_NS))
     assert [len(entity.lines[0].points) for entity in lines.entities] == [3, 4]
     assert all(map(math.isfinite, (*_numbers(transforms), *_numbers(lines))))
+
+
+NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, math.pi, 5e-324, 1e308])
+UNIX_NS = st.integers(0, 2**62) | st.sampled_from([0, 1, 2**21, EPOCH_NS, EPOCH_NS + 2**28])
+
+
+@settings(deadline=None)
+@given(data=st.data(), robots=st.integers(1, 3), count=st.integers(0, 12))
+def test_the_bytes_are_those_of_protobufs_own_encoder(data, robots, count):
+    """For any poses and times: zeros that protobuf leaves out, varints of every length, NaN."""
+    setup = experiment(robots).setup
+    scene = Scene(setup)
+    colors = {e.id: e.lines[0].color for e in scene.static(0).entities if e.lines}
+    poses = data.draw(arrays(float, (count, robots, 3), elements=NUMBERS))
+    valid = data.draw(arrays(bool, (count, robots)))
+    times = data.draw(arrays(np.int64, count, elements=UNIX_NS))
+    unix_ns = data.draw(UNIX_NS)
+    transforms, plans = FrameTransforms(), SceneUpdate()
+    for i, name in enumerate(setup.names):
+        seen = valid[:, i] & np.isfinite(poses[:, i]).all(axis=1)
+        x, y, heading = poses[seen, i].T
+        columns = x * setup.metres, y * setup.metres, np.sin(heading / 2), np.cos(heading / 2)
+        for t, row in zip(times[seen].tolist(), np.transpose(columns).tolist(), strict=True):
+            transforms.transforms.add(
+                timestamp=stamp(t),
+                parent_frame_id="world",
+                child_frame_id=frame_of(name),
+                translation=Vector3(x=row[0], y=row[1]),
+                rotation=Quaternion(z=row[2], w=row[3]),
+            )
+        xy = poses[np.isfinite(poses[:, i, :2]).all(axis=1), i, :2] * setup.metres
+        line = LinePrimitive(
+            pose=Pose(orientation=Quaternion(w=1)),
+            thickness=2,
+            scale_invariant=True,
+            points=[Point3(x=x, y=y) for x, y in xy.tolist()],
+            color=colors[f"target/{name}"],
+        )
+        plans.entities.add(
+            timestamp=stamp(unix_ns),
+            frame_id="world",
+            id=f"plan/{name}",
+            frame_locked=True,
+            lines=[line],
+        )
+    frames = Frames(times, times, times, poses, valid, None)
+    assert scene.transforms(frames, 0) == transforms.SerializeToString()
+    assert scene.plan(poses, unix_ns) == plans.SerializeToString()
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("um", 1e-6), ("mm", 1e-3), ("cm", 1e-2), ("m", 1)])

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.model.motion.arc import chain
 from tetractl.model.motion.exact import step as exact
 
 COUNT_MAX = 127
@@ -187,10 +188,6 @@ class WheelHost:
         return speed, turning
 
 
-SMALL = 0.3
-"""Angle h [rad] below which sin(h)/h is computed by its series, to 1e-9."""
-
-
 class WheeledRobots:
     """The true motion of N robots, whose wheels follow the speeds `targets` (2, N) with a
     first-order lag.
@@ -200,17 +197,19 @@ class WheeledRobots:
     all wheels are slower than `still` [length unit/s]. `wheels` (2, N) are the present speeds.
     """
 
+    chain = staticmethod(chain)
+
     def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
         self.poses = poses
         self.targets = np.zeros((2, radius.size))
         self.wheels = np.zeros((2, radius.size))
-        self._radius, self._lag, self._still = radius, lag_s, still
+        self._radius, self._lag, self._still = radius, lag_s + 0 * radius, still
         self._lags = bool(np.any(lag_s))
         self.scale(np.ones(radius.size), np.ones(radius.size))
 
     def scale(self, turning: Floats, speed: Floats) -> None:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
-        self._turn_of, self._way_of = turning / (2 * self._radius), speed / 2
+        self._rates = np.array([turning / (2 * self._radius), speed / 2])
 
     def wheels_in(self, seconds: float) -> Floats:
         """Return the wheel speeds (2, N) after a time [s] from now."""
@@ -227,45 +226,17 @@ class WheeledRobots:
         each that of an arc: exact for settled wheels, otherwise the error falls with the square of
         the time between two.
         """
-        p = self.poses
-        ways = self._follow(seconds[:, None, None])
-        turned = self._turn_of * (ways[:, 1] - ways[:, 0])  # (23)
-        gone = self._way_of * (ways[:, 1] + ways[:, 0])  # (21)-(22)
-        half, way = turned / 2, gone.copy()
-        half[1:] -= turned[:-1] / 2
-        way[1:] -= gone[:-1]
-        heading = p.heading + turned
-        middle = heading - half
-        if swerves is not None:
-            walks = swerves.cumsum(axis=0)
-            heading += walks
-            middle[1:] += walks[:-1]
-        chord = way * _sinc(half)
-        x = p.x + (chord * np.cos(middle)).cumsum(axis=0)
-        y = p.y + (chord * np.sin(middle)).cumsum(axis=0)
+        p, target, share = self.poses, self.targets, np.ones((seconds.size, self._radius.size))
+        if self._lags:  # completed fraction of the change
+            share = -np.expm1(seconds[:, None] / -self._lag)
+        behind = self.wheels - target
+        self.wheels = target + behind * (1 - share[-1])
+        if not target.any() and np.abs(self.wheels).max() < self._still:
+            self.wheels = target
+        wheels = np.concatenate([target, self._lag * behind])
+        swerves = np.zeros_like(share) if swerves is None else swerves
+        x, y, heading = self.chain(
+            np.array([p.x, p.y, p.heading]), wheels, seconds, share, self._rates, swerves
+        )
         self.poses = Poses(x[-1], y[-1], heading[-1])
         return x, y, heading
-
-    def _follow(self, t: Floats) -> Floats:
-        """Return the distances driven by the wheels (M, 2, N) up to the times t (M, 1, 1) from now,
-        and advance the wheel speeds to the last of these times.
-        """
-        target = self.targets
-        if not self._lags:
-            self.wheels = target
-            return target * t
-        share = -np.expm1(t / -self._lag)  # completed fraction of the change
-        behind = self.wheels - target
-        wheels = target + behind * (1 - share[-1])
-        if not target.any() and np.abs(wheels).max() < self._still:
-            wheels = target
-        self.wheels = wheels
-        return target * t + (self._lag * behind) * share
-
-
-def _sinc(half: Floats) -> Floats:
-    """Return sin(h)/h, the ratio of an arc's chord to its length, for half the arc's angle h."""
-    if np.abs(half).max() > SMALL:
-        return np.sinc(half / np.pi)
-    square = half * half
-    return 1 - square / 6 * (1 - square / 20 * (1 - square / 42))

@@ -149,8 +149,10 @@ class WheelDrive(WheeledRobots):
         walking: np.random.Generator,
         erring: np.random.Generator,
     ) -> None:
+        from tetractl.control.kernels.wheels import chain
+
         assert setup.wheel_radius is not None, "the wheels need a radius"
-        self.host = SimHost(section, setup, erring)
+        self.chain, self.host = chain, SimHost(section, setup, erring)
         self.rest_s = section.lag * -np.log(REST) + 1 / truth_rate
         self._walk, self._walking = walk / np.sqrt(truth_rate), walking
         self._setup = setup

@@ -75,14 +75,18 @@ def check(sets, played):
 
 
 def check_poses(played, trial):
-    """The log's poses are the true ones, frame by frame."""
+    """The log's poses are the true ones, frame by frame.
+
+    Regression: on a busy host, a trial's log goes on after its robots were carried back to their
+    starts; until new poses are accepted, it keeps the last ones.
+    """
     first = {e["frame"]: e["poses"] for e in played.of("truth")}
-    true = np.array([first[number] for number in trial.frames])
+    accepted = trial.valid.all(axis=1)
+    true = np.array([first[number] for number in trial.frames])[accepted]
     assert len(true) > 100
-    np.testing.assert_allclose(trial.mocap[:, :, :2], true[:, :, :2], atol=0.05)
-    turned = np.vectorize(lambda a: math.remainder(a, math.tau))(
-        trial.mocap[:, :, 2] - true[:, :, 2]
-    )
+    seen = trial.mocap[accepted]
+    np.testing.assert_allclose(seen[:, :, :2], true[:, :, :2], atol=0.05)
+    turned = np.vectorize(lambda a: math.remainder(a, math.tau))(seen[:, :, 2] - true[:, :, 2])
     np.testing.assert_allclose(turned, 0.0, atol=1e-3)
     steps = np.diff(true[:, :, :2], axis=0)
     assert (np.hypot(steps[..., 0], steps[..., 1]).sum(axis=0) > 50).all()

@@ -15,7 +15,6 @@ from tetractl.control.kernels.filter_state import (
     LN_V,
     LN_W,
     PACE,
-    SIZE,
     STUCK,
     SWING,
     X,
@@ -33,7 +32,7 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
     directions held (N,) [rad] that robots follow then, NaN for a robot that stands. Lagging wheels
     then stop: the states are those in which the robots come to rest.
     """
-    scale, cov = np.zeros(2), np.zeros((SIZE, SIZE))
+    scale = np.zeros(2)
     for i in range(tau.size):
         b, s, z = best[i], slot[i], states[i]
         z[:] = bank.state[b, i, s]
@@ -46,7 +45,7 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
             drives = min(max(stops, t), end) - t
             for way, seconds in ((now, drives), (math.nan, end - t - drives)):
                 if seconds > 0:
-                    advance(model, i, z, cov, way, scale, seconds)
+                    advance(model, i, z, None, way, scale, seconds)
             t = end
             if c < when.size and acts > begin and s != STUCK:
                 now, stops = u[c], acts + model.watchdog

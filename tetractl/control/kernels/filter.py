@@ -36,7 +36,8 @@ _wrap = inlined(wrap)
 
 @compiled(**INLINE_FAST)
 def advance(model, i, z, cov, u, scale, seconds):
-    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule.
+    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule;
+    without a covariance, None, the compiler leaves out what it needs.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
     the robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
@@ -81,10 +82,11 @@ def advance(model, i, z, cov, u, scale, seconds):
             slopes[SINE, SINE], slopes[SINE, COSINE] = c - 1, s
             slopes[COSINE, SINE], slopes[COSINE, COSINE] = -s, c - 1
             slopes[SINE, LN_W], slopes[COSINE, LN_W] = angle * z[COSINE], -angle * z[SINE]
-        _spread(cov, slopes)
-        for k in range(SIZE):
-            factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
-            cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
+        if cov is not None:
+            _spread(cov, slopes)
+            for k in range(SIZE):
+                factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
+                cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
 
 
 @compiled(**INLINE_FAST)

@@ -35,7 +35,8 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
     scale = np.zeros(2)
     for i in range(tau.size):
         b, s, z = best[i], slot[i], states[i]
-        z[:] = bank.state[b, i, s]
+        for k in range(z.size):
+            z[k] = bank.state[b, i, s, k]
         now, stops = bank.u[b, i, s], bank.until[b, i, s]
         t, until = begin, max(sent + tau[i], begin)
         held[i] = now if stops > until else math.nan
@@ -72,8 +73,9 @@ def select(bank, score, steps, begun, which, tau, own):
     """
     changed, size = False, score.shape[0]
     keep, grid, new = np.empty(size, np.bool_), np.empty(size + 1), np.empty(3)
-    which[:] = -1
     for i in range(steps.size):
+        for b in range(which.shape[0]):
+            which[b, i] = -1
         count, best = 0, 0
         while count < size and bank.score[count, i] > -math.inf:
             best = count if score[count, i] > score[best, i] else best
@@ -104,7 +106,8 @@ def select(bank, score, steps, begun, which, tau, own):
                 while place < m and grid[place] < bank.tau[b, i]:
                     place += 1
                 if place == m or grid[place] != bank.tau[b, i]:
-                    grid[place + 1 : m + 1] = grid[place:m].copy()
+                    for k in range(m, place, -1):
+                        grid[k] = grid[k - 1]
                     grid[place], m = bank.tau[b, i], m + 1
         changed |= n < count
         if m > 3 or not begun:
@@ -132,7 +135,8 @@ def select(bank, score, steps, begun, which, tau, own):
                 which[n, i], tau[n, i] = near, time
                 own[n, i] = _interpolated(bank, group, i, time)
                 n += 1
-        which[n:, i] = -1
+        for b in range(n, which.shape[0]):
+            which[b, i] = -1
     return changed
 
 

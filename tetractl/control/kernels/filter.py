@@ -95,13 +95,16 @@ def _spread(cov, slopes):
     more = np.zeros((MOVED, SIZE))
     for _ in range(2):  # rows, then columns, which are the rows of the transposed matrix
         for j in range(MOVED):
-            more[j, :] = 0.0
+            for k in range(SIZE):
+                more[j, k] = 0.0
             for m in range(SIZE):
                 by = slopes[j, m]
                 if by != 0.0:
                     for k in range(SIZE):
                         more[j, k] += by * cov[m, k]
-        cov[:MOVED] += more
+        for j in range(MOVED):
+            for k in range(SIZE):
+                cov[j, k] += more[j, k]
         for j in range(SIZE):
             for k in range(j):
                 cov[j, k], cov[k, j] = cov[k, j], cov[j, k]
@@ -158,7 +161,9 @@ def _measure(model, i, z, cov, scale, pose, found):
     `found` (3,) is filled with the innovations along and across the course and of the heading, over
     their deviations; an outlier has the likelihood of a pose at the gate.
     """
-    slopes, before = np.zeros((3, SIZE)), z[:SIZE].copy()
+    slopes, before = np.zeros((3, SIZE)), np.empty(SIZE)
+    for k in range(SIZE):
+        before[k] = z[k]
     expected = _expected(model, i, z, slopes)
     c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
     off, var, sure = np.empty(3), np.empty(3), np.empty(3)
@@ -189,8 +194,11 @@ def _measure(model, i, z, cov, scale, pose, found):
 @compiled(**INLINE_FAST)
 def _copy(bank, b, i, source, slot):
     """Copy the state of one hypothesis to another."""
-    bank.state[b, i, slot] = bank.state[b, i, source]
-    bank.cov[b, i, slot] = bank.cov[b, i, source]
+    for k in range(bank.state.shape[3]):
+        bank.state[b, i, slot, k] = bank.state[b, i, source, k]
+    for k in range(SIZE):
+        for m in range(SIZE):
+            bank.cov[b, i, slot, k, m] = bank.cov[b, i, source, k, m]
 
 
 @compiled(**INLINE_FAST)
@@ -217,7 +225,8 @@ def _switch(bank, model, b, i, u, step, now):
             until[s] = now + model.watchdog
             return
     _copy(bank, b, i, best, place)
-    weight[:FOLLOWS] += math.log(ASSUMED.lost)
+    for s in range(FOLLOWS):
+        weight[s] += math.log(ASSUMED.lost)
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
     before = held[best] if now < until[best] else math.nan
     changes = _rate(model, i, z, u) - _rate(model, i, z, before)
@@ -259,7 +268,9 @@ def _weigh(bank, b, i, model, pose, seconds):
             z, cov = bank.state[b, i, s], bank.cov[b, i, s]
             weight[s] += _measure(model, i, z, cov, scale, pose, found)
             if weight[s] > most:
-                most, best[:] = weight[s], found
+                most = weight[s]
+                for k in range(3):
+                    best[k] = found[k]
     total = most + math.log(np.exp(weight - most).sum())
     for s in range(SLOTS):
         if weight[s] > -math.inf:
@@ -288,13 +299,15 @@ def _test(white, found):
     If the model is right, innovations are independent, so that the squared sum of a block's
     innovations over their number is 1 in the mean, and chi-square over all blocks.
     """
-    white[0, :3] += found
+    for j in range(3):
+        white[0, j] += found[j]
     white[0, 3] += 1
     if white[0, 3] >= ASSUMED.block:
         for j in range(3):
             white[1, j] += min(white[0, j] ** 2 / ASSUMED.block, ASSUMED.most_square)
         white[1, 3] += 1
-        white[0] = 0.0
+        for j in range(4):
+            white[0, j] = 0.0
 
 
 @compiled(**ENTRY_FAST)
@@ -305,7 +318,8 @@ def place(bank, b, i, model, pose):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
         z[X], z[Y], z[HEADING] = pose[0], pose[1], pose[2] - z[MARKER]
         for j in (X, Y, HEADING):
-            cov[j, :] = cov[:, j] = 0.0
+            for k in range(SIZE):
+                cov[j, k] = cov[k, j] = 0.0
             cov[j, j] = 4 * model.noise[j, i] ** 2
 
 
@@ -342,6 +356,9 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                 found[b, i] = _weigh(bank, b, i, model, poses[i], until - since)
                 bank.score[b, i] += found[b, i]
             _stick(bank, b, i, until - since, until)
-        scores = bank.score[:, i]
-        scores[:] = (scores - scores.max()) * math.exp(-(until - since) / ASSUMED.forget_s)
+        most, memory = -math.inf, math.exp(-(until - since) / ASSUMED.forget_s)
+        for b in range(bank.tau.shape[0]):
+            most = max(most, bank.score[b, i])
+        for b in range(bank.tau.shape[0]):
+            bank.score[b, i] = (bank.score[b, i] - most) * memory
     return found

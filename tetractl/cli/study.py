@@ -91,11 +91,11 @@ def study(
             return _conclude(loaded, store, share, "the same command without --merge")
         tasks, outdated = lacking(loaded, store, rule, share, rerun_outdated)
         if outdated:
-            more = f" and {len(outdated) - 4} more arms" if len(outdated) > 4 else ""
-            named = ", ".join(f"{name} ({n})" for name, n in list(outdated.items())[:4])
+            named = [f"{name} ({n})" for name, n in outdated.items()]
+            more = f" and {len(named[4:])} more arms" if named[4:] else ""
             ui.tell(
                 f"notice: {sum(outdated.values())} trials were run by outdated code and are kept:"
-                f" {named}{more}; run them again with --rerun-outdated"
+                f" {', '.join(named[:4])}{more}; run them again with --rerun-outdated"
             )
         interrupt = Interrupt(first_signal_callback(STOPPING))
         if cluster is None and tasks:

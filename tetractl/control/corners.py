@@ -2,7 +2,6 @@
 along a way with more room, or turn on the spot first if that gives such a way.
 """
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from tetractl.control.evaluate import compiled_branches
 from tetractl.control.margins import Margins
 from tetractl.core.plan import Problem
-from tetractl.core.poses import Floats, Poses, wrap
+from tetractl.core.poses import Floats, wrap
 from tetractl.model.motion.exact import step as exact
 
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
@@ -42,7 +41,7 @@ def way_out(
     clearance is at least the way that the fastest robot drives in `keep_s` [s], or the fraction
     OUT.share of the present clearance if that is less.
     """
-    signals, least, _ = _roomiest(problem, margins, apart, keep_s)
+    signals, least, _ = _roomiest(problem, problem.poses.array(), margins, apart, keep_s)
     return signals if least > -np.inf else None
 
 
@@ -64,21 +63,23 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
     bias, found = 0.0 if problem.bias is None else problem.bias, []
     for facing in TURN_TO.tolist():
         towards = facing + bias + np.zeros_like(heading)
-        turned = Poses(x, y, exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2])
-        _, *room = _roomiest(replace(problem, poses=turned), margins, apart, OUT.room_s)
+        turned = exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2]
+        start = np.column_stack([x, y, turned])
+        _, *room = _roomiest(problem, start, margins, apart, OUT.room_s)
         found.append((*room, facing))
     least, _, facing = max(found)
     return facing if least > -np.inf else None
 
 
 def _roomiest(
-    problem: Problem, margins: Margins, apart: float, keep_s: float
+    problem: Problem, start: Floats, margins: Margins, apart: float, keep_s: float
 ) -> tuple[Floats, float, float]:
-    """Return the best signals for `way_out`; the least clearance on their path [length unit], -inf
-    for an unsafe path; and that clearance plus OUT.final times the clearance at the path's end."""
+    """Return the best signals for `way_out` from start (N, 3); the least clearance on their path
+    [length unit], -inf for an unsafe path; and that clearance plus OUT.final times the clearance at
+    the path's end."""
     turns = problem.period * OUT_RATES[:, None] * np.arange(OUT.signals)
     part = problem.period / OUT.parts  # a robot that turns comes nearest within a signal
-    stand = problem.poses.array()[None].repeat(len(OUT_STARTS), axis=0)
+    stand = start[None].repeat(len(OUT_STARTS), axis=0)
     rooms = []
     for each in np.repeat(turns, OUT.parts, axis=1):
         path = compiled_branches(problem, stand, OUT_STARTS, each, part)

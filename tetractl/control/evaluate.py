@@ -54,14 +54,11 @@ def compiled_path(problem: Problem, signals: Floats) -> Floats:
     from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import predict
 
-    of, u, times = (
-        flat(problem),
-        np.ascontiguousarray(signals),
-        (problem.first_period, problem.period),
-    )
+    of, u = flat(problem), np.ascontiguousarray(signals)
+    first, rest = problem.first_period, problem.period
     path = np.empty((u.size + 1, *of.start.shape))
     path[0] = of.start
-    predict(u, problem.a, problem.speed, of.drift, *times, of.rest, path)
+    predict(u, problem.a, problem.speed, of.drift, first, rest, of.rest, path)
     return path
 
 

@@ -40,7 +40,7 @@ the prediction over the dead time remains.
 
 import math
 from collections.abc import Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,20 +94,6 @@ class Usual(NamedTuple):
 
 
 USUAL = Usual()
-
-
-def _kernel() -> Any:
-    """Import the compiled filter and return it: late, as checking a spec does not need it."""
-    from tetractl.control.kernels import filter as kernel
-
-    return kernel
-
-
-def _bank_kernel() -> Any:
-    """Import the compiled functions of a whole bank, and return their module."""
-    from tetractl.control.kernels import bank as kernel
-
-    return kernel
 
 
 class Ahead(NamedTuple):
@@ -228,11 +214,13 @@ class FilterBank:
         """Set the poses to those of a frame, and let robots follow the last command that acts at
         or before the frame's exposure.
         """
+        from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
+
         bank, poses = self._bank, frame.poses.array()
         acting = np.searchsorted(self._when, frame.sampled_ns / SECOND - bank.tau, "right")
         for i in range(len(poses)) if robots is None else robots:
             for b in range(len(bank.tau)):
-                _kernel().place(bank, b, i, self._model, poses[i])
+                place(bank, b, i, self._model, poses[i])
                 if acting[b, i]:
                     bank.next[b, i] = acting[b, i]
                     bank.u[b, i] = self._u[acting[b, i] - 1]
@@ -240,6 +228,8 @@ class FilterBank:
                     bank.until[b, i] = stops + bank.tau[b, i]
 
     def _follow(self, frame: Observation) -> None:
+        from tetractl.control.kernels.filter import follow
+
         assert self._last is not None
         last, now = self._last.poses.array(), frame.poses.array()
         same = (last == now).all(axis=1)
@@ -249,17 +239,9 @@ class FilterBank:
         # measurements with noise differ, so an equal pose is a repeated one
         seen = frame.valid & ~(same & (self._noisy | frozen))
         since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
-        _kernel().follow(
-            self._bank,
-            self._model,
-            float(self._steps.max()),
-            since,
-            until,
-            self._when,
-            self._u,
-            now,
-            seen,
-        )
+        step = float(self._steps.max())
+        commands = self._when, self._u
+        follow(self._bank, self._model, step, since, until, *commands, now, seen)
 
     def _share(self) -> None:
         """Compute the ln of each filter's probability (B, N), up to a constant, by its own frames
@@ -283,13 +265,13 @@ class FilterBank:
 
     def _select(self) -> None:
         """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
+        from tetractl.control.kernels.bank import select
+
         self._share()
         size = max(len(self._bank.tau), 3 * len(PITCHES)), len(self.prior.a)
         which, tau, own = np.empty(size, np.int64), np.empty(size), np.empty(size)
-        changed = _bank_kernel().select(
-            self._bank, self._score, self._steps, self._when.size > 0, which, tau, own
-        )
-        if changed:
+        begun = self._when.size > 0
+        if select(self._bank, self._score, self._steps, begun, which, tau, own):
             there, robots = which >= 0, np.arange(size[1])
             last = there.sum(axis=0) - 1
             rows = np.minimum(np.arange(last.max() + 1)[:, None], last)  # the last fills the rest
@@ -343,13 +325,15 @@ class FilterBank:
 
     def ahead(self, sent: int) -> Ahead:
         """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
+        from tetractl.control.kernels import bank as kernel
+
         assert self._last is not None
         _, (best, _, slots) = self._likely()
         z, held = np.empty((len(best), STATE)), np.empty(len(best))
         begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
         moments = tau, begin, sent / SECOND
         commands = self._when, self._u
-        _bank_kernel().ahead(self._bank, self._model, best, slots, *commands, *moments, z, held)
+        kernel.ahead(self._bank, self._model, best, slots, *commands, *moments, z, held)
         a, speed = self.prior.a * np.exp(z[:, LN_A]), self.prior.speed * np.exp(z[:, LN_V])
         return Ahead(Poses.of(z[:, :3]), a, speed, z[:, BIAS], z[:, [FLOW_X, FLOW_Y]], held)
 

@@ -26,6 +26,7 @@ from dataclasses import replace
 import numpy as np
 
 from tetractl.control.evaluate import compiled_branches
+from tetractl.control.kernels import clearance
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
 from tetractl.core.poses import Floats, Poses
@@ -59,8 +60,6 @@ class Margins:
     def __init__(
         self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
     ) -> None:
-        from tetractl.control.kernels import clearance
-
         self._unheard: tuple[Problem, Obstacles] | None = None
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
@@ -106,8 +105,6 @@ class Margins:
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
-        from tetractl.control.kernels import clearance
-
         found = np.empty((self._bare.count, len(x)))
         clearance.gaps(self._bare.rows, self._bare.walls, x, y, found)
         return found
@@ -116,8 +113,6 @@ class Margins:
         """Return whether a body would touch an obstacle or another body, margins ignored, on the
         way along x, y (M, N), or would go deeper if it touches one at the beginning.
         """
-        from tetractl.control.kernels import clearance
-
         bare, bodies = self._bare, self._bodies
         obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
         return clearance.enters(*obstacles, self._radius, x, y)
@@ -138,8 +133,6 @@ class Margins:
         Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
         that is less, and `apart` from each other, or the problem's separation if that is less.
         """
-        from tetractl.control.kernels import clearance
-
         steps = max(1, math.ceil(seconds / SAMPLE_S))
         ways = compiled_branches(problem, path, signals, np.zeros(steps), seconds / steps)
         if self._unheard is None or self._unheard[0] is not problem:
@@ -162,8 +155,6 @@ class Margins:
         """Return the separation to keep: `wanted`, or the least present distance between two robots
         or two targets if that is less, but two radii if robots and targets are so far apart.
         """
-        from tetractl.control.kernels import clearance
-
         if len(self._targets) < 2 or wanted <= 0:
             return 0.0
         least = min(clearance.least_apart(poses.x, poses.y), self._apart)

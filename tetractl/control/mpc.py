@@ -188,17 +188,15 @@ class Mpc:
         spent_s = (self.k - self.leg.k) * self.section.period
         value = Worth(self.section.accept_error, spent_s, problem.period)
         if self._warm is None:
-            return self._at_rest(problem, observation, value, gaps, holds)
+            return self._at_rest(problem, value, gaps, holds)
         if self._state is State.LEAVING:
             left = self._warm
-            if not len(left) or self._enters(problem, observation, left):
+            if not len(left) or self._enters(problem, left):
                 return self._given(problem, State.RESTING)
             return self._given(problem, State.LEAVING, left)
-        return self._under_way(problem, observation, value, holds)
+        return self._under_way(problem, value, holds)
 
-    def _under_way(
-        self, problem: Problem, observation: Observation, value: Worth, holds: bool
-    ) -> Plan | Outcome | End:
+    def _under_way(self, problem: Problem, value: Worth, holds: bool) -> Plan | Outcome | End:
         """Decide while a plan is under way."""
         warm = self._warm
         assert warm is not None
@@ -226,7 +224,7 @@ class Mpc:
             if self.stands and worth > rest:
                 break
             plan = self._planned(searcher, search)
-            if not (self.stands and self._enters(problem, observation, plan.signals)):
+            if not (self.stands and self._enters(problem, plan.signals)):
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
 
@@ -277,14 +275,7 @@ class Mpc:
         """Return a plan found, after its value."""
         return self._worth(searcher.problem, search.signals, value, search.cost), search
 
-    def _at_rest(
-        self,
-        problem: Problem,
-        observation: Observation,
-        value: Worth,
-        gaps: Floats,
-        holds: bool,
-    ) -> Plan | Outcome:
+    def _at_rest(self, problem: Problem, value: Worth, gaps: Floats, holds: bool) -> Plan | Outcome:
         """Decide while no plan is under way."""
         error = float(gaps.sum())
         least = least_length(problem)
@@ -297,7 +288,7 @@ class Mpc:
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
         plan = self._planned(searcher, self._search_afresh(searcher, value))
         touches = self.stands and plan.obstacle_cost > 0
-        enters = self.stands and self._enters(problem, observation, plan.signals)
+        enters = self.stands and self._enters(problem, plan.signals)
         if enters or (touches and self._cornered(problem)):
             out, facing = away(problem, self.margins, self.section.collision.separation)
             if out is not None:
@@ -365,7 +356,7 @@ class Mpc:
         room = self.margins.room(problem.poses.x, problem.poses.y, collision.separation)
         return bool(room < collision.margin + off)
 
-    def _enters(self, problem: Problem, observation: Observation, signals: Floats) -> bool:
+    def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
         held = self.estimator.held_at_action
         seconds = self.section.period + LATE * self.estimator.dead_time_s

@@ -157,7 +157,7 @@ class SearchFields(PlainSection):
 
 @defaults(
     period=0.05,
-    # 160 s
+    # a trial lasts at most 160 s
     steps_max=lambda given: max(1, round(160.0 / given.get("period", SIGNAL_S))),
     motion="exact",
 )

@@ -89,7 +89,7 @@ class Rrt(PlainController):
     ) -> Plan | Outcome | End:
         """Point the field at the next corner of the path, or end the trial."""
         signals = np.array([self._towards(problem, step_key)])
-        ended = self._passing(problem, observation, signals, float(gaps[0]))
+        ended = self._passing(problem, signals, float(gaps[0]))
         return ended or make_plan(problem, [given_search(problem, signals)], 0, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
@@ -113,9 +113,7 @@ class Rrt(PlainController):
         beside = len(self._path) == 1 and np.hypot(*corner) <= self._reach
         return heading if beside and np.cos(u - heading) < self.section.ahead else u
 
-    def _passing(
-        self, problem: Problem, observation: Observation, signals: Floats, gap: float
-    ) -> Outcome | End | None:
+    def _passing(self, problem: Problem, signals: Floats, gap: float) -> Outcome | End | None:
         """Return the end of the trial for the moment when the robot passes its target, None if that
         does not happen in this step.
         """

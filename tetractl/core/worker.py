@@ -2,10 +2,18 @@
 
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeVar
 
 from tetractl.core.errors import TetractlError
+
+T = TypeVar("T")
+
+
+def drained(waiting: deque[T]) -> list[T]:
+    """Remove and return a queue's items, oldest first; another thread may add items meanwhile."""
+    return [waiting.popleft() for _ in range(len(waiting))]
 
 
 def _nothing() -> float | None:

@@ -73,6 +73,7 @@ def worth(cells: Sequence[FoundCell], experiment: Experiment) -> tuple[bool, flo
     arena = experiment.setup.arena
     x, y = np.array([(cell.pose.x, cell.pose.y) for cell in cells]).T
     speed = np.array([cell.speed for cell in cells])
+    # cells that could swim to the arena's edge within half a second are chosen last
     free = bool((arena.inside(x, y) > 0.5 * speed).all()) and all(c.free for c in cells)
     a = np.array([cell.a for cell in cells])
     apart = unlikeness(a, np.array([cell.a_sd for cell in cells]))

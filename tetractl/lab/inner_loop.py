@@ -15,6 +15,7 @@ from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
+from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
@@ -124,11 +125,11 @@ class InnerLoop:
 
     def sent(self) -> list[Transmission]:
         """Return the transmissions since the last call, oldest first."""
-        return [self._sent.popleft() for _ in range(len(self._sent))]
+        return drained(self._sent)
 
     def warnings(self) -> list[tuple[int, str]]:
         """Return the guard's warnings since the last call, each as (time [ns], text)."""
-        return [self._warnings.popleft() for _ in range(len(self._warnings))]
+        return drained(self._warnings)
 
     def close(self) -> None:
         """End the loop's thread; may be called twice, never raises."""

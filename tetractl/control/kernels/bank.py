@@ -32,7 +32,6 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
     directions held (N,) [rad] that robots follow then, NaN for a robot that stands. Lagging wheels
     then stop: the states are those in which the robots come to rest.
     """
-    scale = np.zeros(2)
     for i in range(tau.size):
         b, s, z = best[i], slot[i], states[i]
         for k in range(z.size):
@@ -46,7 +45,7 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
             drives = min(max(stops, t), end) - t
             for way, seconds in ((now, drives), (math.nan, end - t - drives)):
                 if seconds > 0:
-                    advance(model, i, z, None, way, scale, seconds)
+                    advance(model, i, z, None, way, None, seconds)
             t = end
             if c < when.size and acts > begin and s != STUCK:
                 now, stops = u[c], acts + model.watchdog

@@ -5,7 +5,16 @@ asks at every control step. Obstacles are `rows` and `walls` of `tetractl.model.
 import math
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.obstacles import CORNERS, FIRST, RADIUS, touches
+from tetractl.control.kernels.obstacles import (
+    BOTTOM,
+    CORNERS,
+    FIRST,
+    LEFT,
+    RADIUS,
+    RIGHT,
+    TOP,
+    touches,
+)
 from tetractl.control.kernels.options import ENTRY, INLINE_EXACT
 
 
@@ -51,9 +60,11 @@ def _crosses(rows, walls, x0, y0, x1, y1):
             return True
     for o in range(rows.shape[0]):
         row = rows[o]
-        if max(x0, x1) < row[2] or min(x0, x1) > row[4]:
+        if max(x0, x1) < row[LEFT] or min(x0, x1) > row[RIGHT]:
             continue
-        if max(y0, y1) >= row[3] and min(y0, y1) <= row[5] and touches(row, x0, y0, x1, y1):
+        if max(y0, y1) < row[BOTTOM] or min(y0, y1) > row[TOP]:
+            continue
+        if touches(row, x0, y0, x1, y1):
             return True
     return False
 

@@ -25,7 +25,7 @@ _FILES = files("tetractl.log.format")
 
 def layout(setup: Setup) -> str:
     """Return the layout for an experiment: the arena from above, and plots of four quantities."""
-    robots = range(min(len(setup.names), 20))
+    robots = range(min(len(setup.names), 20))  # largest number of robots with curves
     curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
     step, timing, estimate = channels.STEP, channels.HOST_TIMING, channels.ESTIMATE
     parts = json.loads((_FILES / "layout.json").read_text())

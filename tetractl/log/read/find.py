@@ -24,7 +24,7 @@ def attempt_name(log: str, number: int) -> str:
 
 
 def is_set_aside(name: str) -> bool:
-    """Return whether a file's name, marks a log set aside."""
+    """Return whether a file's name marks a log set aside."""
     return _SET_ASIDE.search(name) is not None
 
 

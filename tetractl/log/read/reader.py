@@ -106,8 +106,9 @@ def read_result(path: Path) -> ResultSummary:
     """Read only the result of a trial, found by the file's index if file and result are whole;
     raises the errors of `result_of`."""
     found = peek(Path(path))
-    whole = found is not None and found.result is not None and found.recovered is None
-    return result_of(found if found and whole else scan(Path(path)))
+    if found is None or found.result is None or found.recovered is not None:
+        found = scan(Path(path))
+    return result_of(found)
 
 
 def result_of(contents: RawLog) -> ResultSummary:

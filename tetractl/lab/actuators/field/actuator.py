@@ -124,6 +124,7 @@ class FieldActuator:
         with self._lock:
             self._currents = self._now(self._clock.now())
             flag = Flag.EMERGENCY_STOP if emergency else Flag(0)
+            # three frames, so that one damaged frame does not lose the stop
             self._sent_ns = [self.driver.send(flag) for _ in range(3)][-1]
             self._held_until_ns = self._sent_ns
         return self._transmission(Stop(), OFF, np.full(len(self._a), np.nan))

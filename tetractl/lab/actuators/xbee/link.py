@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
+from tetractl.core.worker import drained
 from tetractl.lab.actuators.xbee import frames
 from tetractl.lab.actuators.xbee.hardware import (
     BAUDS,
@@ -70,7 +71,7 @@ class Link:
 
     def fetch(self) -> list[bytes]:
         """Return the data received from other modules since the last call."""
-        return [self._fresh.popleft() for _ in range(len(self._fresh))]
+        return drained(self._fresh)
 
     def wait(self, timeout_s: float) -> None:
         """Wait at most `timeout_s` until data from other modules can be fetched."""

@@ -18,6 +18,7 @@ from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
+from tetractl.core.worker import drained
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
@@ -132,7 +133,7 @@ class OptitrackCamera:
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
-        return [self._fresh.popleft() for _ in range(len(self._fresh))]
+        return drained(self._fresh)
 
     def __exit__(self, *_: object) -> None:
         """Disconnect and end the receiver's thread; may be called twice, never raises."""

@@ -111,7 +111,7 @@ def _slope(echoes: list[Echo]) -> float:
     """
     first = echoes[0]
     t = [echo.host_ns - first.host_ns for echo in echoes]
-    if max(t) - min(t) < 5 * SECOND:
+    if max(t) - min(t) < 5 * SECOND:  # too short a span for a fit of the drift
         return 0.0
     gained = [(echo.server_ns - first.server_ns) - x for echo, x in zip(echoes, t, strict=True)]
     slope = statistics.linear_regression(t, gained).slope

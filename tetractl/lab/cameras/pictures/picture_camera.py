@@ -14,6 +14,7 @@ from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
+from tetractl.core.worker import drained
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
@@ -92,7 +93,7 @@ class PictureCamera(ABC, Generic[S]):
 
     def frames(self) -> list[CameraFrame]:
         """Return the frames since the last call, oldest first."""
-        return [self._fresh.popleft() for _ in range(len(self._fresh))]
+        return drained(self._fresh)
 
     def __enter__(self) -> Self:
         """Open the source and wait for a first frame; AbortError if none comes."""

@@ -1,9 +1,9 @@
-"""Checks a motion, or the section of a shape, optimiser, controller, disturbance, camera or
-actuator, of tetractl or of another package, against tetractl's requirements.
+"""Checks a kind of tetractl or of another package against tetractl's requirements.
 
-Each check is a generator of findings; `failed` names those with a problem, for a test of your own.
-`tetractl kinds --check` calls them from the command line. Random numbers come from a fixed seed, so
-findings repeat.
+A kind is a motion, or the section of a shape, optimiser, controller, disturbance, camera or
+actuator. Each check is a generator of findings; `failed` names those with a problem, for a test of
+your own. `tetractl kinds --check` calls them from the command line. Random numbers come from a
+fixed seed, so findings repeat.
 """
 
 from collections.abc import Callable, Mapping

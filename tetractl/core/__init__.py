@@ -1,1 +1,1 @@
-"""Types that all packages share: poses, commands, plans, trials, protocols, clock, errors."""
+"""What all packages share: poses, commands, plans, trials, protocols, kinds, clock, errors."""

@@ -1,4 +1,8 @@
-"""All registries of kinds. A new kind needs a file, and a line in this module or an entry point."""
+"""All registries of kinds: the names by which a spec finds optimisers, cameras, figures and so on.
+
+A new kind needs a file, and a line in this module or an entry point; docs/how-to/extend.md has the
+rest. Kinds are text, "module:attribute", so that `core` imports no package above it.
+"""
 
 from tetractl.core.registry import Registry
 

@@ -1,7 +1,7 @@
 """Way-points, a hold at the targets, and measures of how accurately robots kept to them.
 
-All robots pass their way-points together: leg j ends when the robots are nearest to their j-th
-way-points, and the last leg at the targets. Leg M + 1, after M way-points, is the hold.
+All robots pass their M way-points together: leg j = 0, ..., M - 1 ends when the robots are nearest
+to their way-points j + 1, leg M at the targets, and leg M + 1 is the hold.
 
 A robot, for example a cell that swam away or died, is lost if it was not tracked for too long.
 """
@@ -74,8 +74,7 @@ class TourMeasure:
     `legs` (M + 1, N, 2) are the M way-points of each robot and then its target [length unit].
 
     For each control step, call `step` with its leg and observation, then `add` with its frames;
-    frames after `until_ns` are ignored. True poses are used if known. `loss` is the rule by which
-    a robot is lost.
+    frames after `until_ns` are ignored. `loss` is the rule by which a robot is lost.
     """
 
     def __init__(self, legs: Floats, hold: HoldTask | None, loss: LossRule | None = None) -> None:
@@ -97,7 +96,8 @@ class TourMeasure:
 
     def add(self, samples: Iterable[Sample], until_ns: int | None = None) -> None:
         """Count how often robots are lost and, for each robot, in how many frames of the hold it
-        is within the hold's radius of its target; a robot that is not tracked counts as outside."""
+        is within the hold's radius of its target, by its true pose if that is known; otherwise a
+        robot that is not tracked counts as outside."""
         for one in samples:
             seen = one.observation
             if until_ns and seen.sampled_ns > until_ns:

@@ -17,23 +17,14 @@ import numpy as np
 from tetractl.control.cost import evaluate
 from tetractl.core.clock import SECOND
 from tetractl.core.errors import TetractlError
-from tetractl.core.plan import (
-    PAUSE_S,
-    End,
-    Limits,
-    Outcome,
-    Plan,
-    Problem,
-    Search,
-    StopReason,
-)
+from tetractl.core.plan import PAUSE_S, End, Limits, Outcome, Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import Host, OptimizerSection
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
-from tetractl.replay.difference import (
+from tetractl.replay.comparison import (
     SAME_BITS,
     Difference,
     Tolerance,

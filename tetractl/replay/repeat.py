@@ -7,14 +7,14 @@ follows. The sink receives the same records in both cases as the log writer rece
 
 import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Command
 from tetractl.core.errors import AbortError
-from tetractl.core.plan import End, Plan
+from tetractl.core.plan import End, Outcome, Plan
 from tetractl.core.poses import Observation
 from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.trial import Result, Start, Step
@@ -26,8 +26,7 @@ from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.write.encoder import Encoder
-from tetractl.replay.comparison import Comparison
-from tetractl.replay.difference import first_difference
+from tetractl.replay.comparison import Comparison, first_difference
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 from tetractl.run.task import trial_seeds
@@ -49,7 +48,7 @@ class Repetition(Encoder):
         self._left = len(log.commands) - 1  # commands still to come, without the stop
         self._period_ns = round(log.experiment.controller.period * SECOND)
         self._standing, self._misses = True, 0
-        self.ending: _Ending | None = None
+        self.ending: _LoggedPlans | None = None
 
     def on_step(self, step: Step) -> None:
         """Add a control step."""
@@ -86,31 +85,26 @@ class Repetition(Encoder):
         return tuple(step.solve_ns for step in self._log.steps), self._misses
 
 
-@dataclass
-class _Ending:
-    """Computes when to stop a repeated trial so that the stop is sent at the logged time."""
+class _LoggedPlans:
+    """The controller of a repeated trial: the logged plans, then an end such that the stop is sent
+    at the logged time.
+    """
 
-    plant: Plant
-    clock: Clock
-    sent_ns: int
-    plans: bool  # whether the plant simulates the time of planning
+    def __init__(
+        self, log: TrialLog, outcome: Outcome, stop: Command, plant: Plant, clock: Clock
+    ) -> None:
+        self._steps, self._outcome, self._k = log.steps, outcome, 0
+        self._plant, self._clock, self._sent_ns = plant, clock, stop.sent_ns
+        self._period_ns = round(log.start.setup.period_s * SECOND)
+        self._planned = log.experiment.plant.planning_max_s > 0  # planning takes simulated time
 
     @property
     def delay_ns(self) -> int:
         """Time from now until the logged stop was decided [ns]."""
-        now = self.clock.now()
-        if self.plans:  # the delay of the stop is random: a copy of the plant draws it
-            now = copy.deepcopy(self.plant).stop().sent_ns
-        return self.sent_ns - now
-
-
-class _LoggedPlans:
-    """The controller of a repeated trial: the logged plans, then the end at the logged time."""
-
-    def __init__(self, log: TrialLog, result: Result, ending: _Ending) -> None:
-        self._steps, self._ending, self._k = log.steps, ending, 0
-        self._period_ns = round(log.start.setup.period_s * SECOND)
-        self._outcome = result.outcome
+        now = self._clock.now()
+        if self._planned:  # the delay of the stop is random: a copy of the plant draws it
+            now = copy.deepcopy(self._plant).stop().sent_ns
+        return self._sent_ns - now
 
     def plan(
         self,
@@ -120,7 +114,7 @@ class _LoggedPlans:
     ) -> Plan | End:
         """Return the logged plan of the next step; AbortError for an impossible delay."""
         if self._k == len(self._steps):
-            return End(self._outcome, max(0, self._ending.delay_ns))
+            return End(self._outcome, max(0, self.delay_ns))
         step = self._steps[self._k]
         self._k += 1
         if not 0 <= step.plan.delay_ns <= self._period_ns:
@@ -151,11 +145,11 @@ def simulate(log: TrialLog, stop: Command, encoder: Repetition) -> None:
     _, seed = trial_seeds(log.start.seed, log.start.trial)
     clock = section.clock()
     plant = section.build(setup, clock, seed, LabSupervision())
-    encoder.ending = ending = _Ending(plant, clock, stop.sent_ns, section.planning_max_s > 0)
+    encoder.ending = plans = _LoggedPlans(log, encoder.result.outcome, stop, plant, clock)
     Trial(
         start=_start(log),
         plant=plant,
-        controller=_LoggedPlans(log, encoder.result, ending),
+        controller=plans,
         first_plan=log.experiment.controller.first_plan,
         clock=clock,
         observers=[encoder],

@@ -24,9 +24,9 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
 from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
-from tetractl.replay.comparison import Comparison
-from tetractl.replay.difference import (
+from tetractl.replay.comparison import (
     SAME_BITS,
+    Comparison,
     Difference,
     Tolerance,
     TooLongError,

@@ -18,7 +18,7 @@ from tetractl.log.format.run_records import encode_result
 from tetractl.log.provenance import host, processor
 from tetractl.log.read.reader import content_digest, read_result
 from tetractl.log.read.rows import Row
-from tetractl.replay.difference import first_difference
+from tetractl.replay.comparison import first_difference
 from tetractl.run.interrupt import interrupted_once
 from tetractl.run.store import set_aside
 from tetractl.run.task import Task, log_path, run_trial

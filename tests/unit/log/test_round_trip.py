@@ -8,7 +8,7 @@ from support.random_trials import trial, write
 from tetractl.core.commands import Command, Steer
 from tetractl.log.read.reader import read_result, read_trial
 from tetractl.log.write.writer import LogWriter
-from tetractl.replay.difference import first_difference
+from tetractl.replay.comparison import first_difference
 
 
 def assert_same_trial(log, made):

@@ -16,15 +16,7 @@ from support.mutate import chunk, rewrite, stating
 from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
-from tetractl.log.format.channels import (
-    COMMANDS,
-    FRAMES,
-    HOST_END,
-    HOST_TIMING,
-    RESULT,
-    RUN,
-    STEP,
-)
+from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, HOST_TIMING, RESULT, RUN, STEP
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     ControllerStep,

@@ -15,7 +15,7 @@ from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.recover import PART_SUFFIX, recover, recovered_path
 from tetractl.log.read.salvage import scan
 from tetractl.log.write.sink import Sink
-from tetractl.replay.difference import first_difference
+from tetractl.replay.comparison import first_difference
 from tetractl.results.describe import describe
 from tetractl.results.open_batch import open_batch
 

@@ -16,7 +16,7 @@ from tetractl.log.format.channels import FRAMES, RESULT, RUN
 from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read.reader import content_digest, read_result, read_trial
 from tetractl.log.read.salvage import MAGIC, scan
-from tetractl.replay.difference import first_difference
+from tetractl.replay.comparison import first_difference
 
 
 @pytest.fixture(scope="module")

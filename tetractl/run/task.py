@@ -15,13 +15,13 @@ import numpy as np
 
 from tetractl.control.build import build_controller, warm_up
 from tetractl.core.clock import Clock
-from tetractl.core.commands import Command, Note, PlantInfo, Sample
+from tetractl.core.commands import PlantInfo
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.core.plan import Outcome
 from tetractl.core.plugin_fault import plugins_blamed
 from tetractl.core.protocols import LabSupervision, Observer, Plant
-from tetractl.core.trial import EPOCH_NS, Result, Start, Step
-from tetractl.core.worker import Worker
+from tetractl.core.trial import EPOCH_NS, Result
+from tetractl.core.worker import Relay, Worker
 from tetractl.experiment.choosing import chosen_cells, settled
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.experiment.registry_fields import packages
@@ -33,51 +33,18 @@ from tetractl.run.interrupt import Interrupt
 from tetractl.run.run_trial import Trial
 
 
-class Relay:
-    """Queues every call for `observer`, in order, until the relay is closed.
-
-    After an exception of the observer, or with a full queue, the next call raises an exception and
-    later calls are dropped.
-    """
+class ObserverRelay(Relay):
+    """A relay for an observer that may be slow."""
 
     def __init__(self, observer: Observer) -> None:
-        self._observer = observer
-        self._worker = Worker(
+        self.observer = observer
+        self.worker = Worker(
             "observer",
             size=2000,  # largest number of queued calls: over two minutes of a trial
             wait_s=0.0,
             patience_s=30.0,  # time for the last calls after the robots were stopped [s]
             too_slow=TetractlError("an observer is too slow for the trial"),
         )
-
-    def close(self) -> None:
-        """Process the queued calls, and end the thread."""
-        self._worker.close()
-
-    def on_start(self, start: Start) -> None:
-        """Pass the start to the observer directly, since no robot moves yet."""
-        self._observer.on_start(start)
-
-    def on_samples(self, samples: list[Sample]) -> None:
-        """Queue camera frames for the observer."""
-        self._worker.put(self._observer.on_samples, samples)
-
-    def on_step(self, step: Step) -> None:
-        """Queue a control step for the observer."""
-        self._worker.put(self._observer.on_step, step)
-
-    def on_command(self, command: Command) -> None:
-        """Queue a command for the observer."""
-        self._worker.put(self._observer.on_command, command)
-
-    def on_note(self, note: Note) -> None:
-        """Queue an operator message for the observer."""
-        self._worker.put(self._observer.on_note, note)
-
-    def on_stop(self, stop: Command, result: Result) -> None:
-        """Queue the stop and the result; wait until the observer has received everything."""
-        self._worker.put(self._observer.on_stop, stop, result)
-        self._worker.drain()
 
 
 @dataclass(frozen=True, slots=True)
@@ -238,7 +205,7 @@ def run_with(
     key, seed = trial_seeds(spec.experiment.trials.seed, trial)
     with plugins_blamed(), ExitStack() as stack:
         if real_time:
-            observers = [stack.enter_context(closing(Relay(observer))) for observer in observers]
+            observers = [stack.enter_context(closing(ObserverRelay(one))) for one in observers]
         unsupervised = LabSupervision(cancelled=lambda: interrupt.requested)
         spec, plant = _built(spec, clock, seed, supervision or unsupervised)
         return Trial(

@@ -1,13 +1,12 @@
 """The log writer: an observer that stores a trial in an MCAP file."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Self
 
-from tetractl.core.commands import Command, Note, Sample
+from tetractl.core.commands import Command
 from tetractl.core.errors import LogError
-from tetractl.core.trial import Result, Start, Step
-from tetractl.core.worker import Worker
+from tetractl.core.trial import Result, Start
+from tetractl.core.worker import Relay, Worker
 from tetractl.log.write.encoder import Encoder
 from tetractl.log.write.sink import Sink
 
@@ -15,7 +14,7 @@ QUEUE_MAX = 1000  # length of the queue for the disk: over a minute of a trial i
 DISK_PATIENCE_S = 30.0  # time after which a disk that accepts no data is given up [s]
 
 
-class LogWriter:
+class LogWriter(Relay):
     """Stores one trial as `path`, which is called `path`.part until the trial has ended.
 
     One thread encodes and writes; calls only put records in a queue. While the queue is full, a
@@ -26,7 +25,6 @@ class LogWriter:
 
     def __init__(self, path: Path, real_time: bool = False) -> None:
         self._path, self._real_time = path, real_time
-        self._worker: Worker | None = None
 
     @property
     def digest(self) -> str:
@@ -36,18 +34,18 @@ class LogWriter:
     @property
     def warnings(self) -> int:
         """The number of operator warnings and errors so far."""
-        return self._encoder.warnings if self._worker else 0
+        return self._encoder.warnings if self.worker else 0
 
     @property
     def failure(self) -> Exception | None:
         """The reason why the log can no longer be written; None while it can."""
-        return self._worker.failure if self._worker else None
+        return self.worker.failure if self.worker else None
 
     def on_start(self, start: Start) -> None:
         """Create the file; store metadata, specs and scene, and wait until the disk has them."""
         self._sink, self._start_ns = Sink(self._path), start.start_unix_ns
-        self._encoder = Encoder(self._sink, self._real_time, hosted=True)
-        self._worker = Worker(
+        self.observer = self._encoder = Encoder(self._sink, self._real_time, hosted=True)
+        self.worker = Worker(
             f"log {self._path.name}",
             size=QUEUE_MAX,
             wait_s=0.0 if self._real_time else DISK_PATIENCE_S,
@@ -60,42 +58,21 @@ class LogWriter:
             # time for which calls are collected in a simulation [s]
             batch_s=0.0 if self._real_time else 0.5,
         )
-        self._put(Encoder.on_start, start)
-        self._worker.put(self._sink.sync)
-        self._worker.drain()  # no robot moves before the start of the log is on the disk
-
-    def on_samples(self, samples: list[Sample]) -> None:
-        """Queue camera frames."""
-        self._put(Encoder.on_samples, samples)
-
-    def on_command(self, command: Command) -> None:
-        """Queue a command sent outside the control steps."""
-        self._put(Encoder.on_command, command)
-
-    def on_note(self, note: Note) -> None:
-        """Queue an operator message."""
-        self._put(Encoder.on_note, note)
-
-    def on_step(self, step: Step) -> None:
-        """Queue a control step."""
-        self._put(Encoder.on_step, step)
+        self.put(lambda: self.observer.on_start(start))
+        self.worker.put(self._sink.sync)
+        self.worker.drain()  # no robot moves before the start of the log is on the disk
 
     def on_stop(self, stop: Command, result: Result) -> None:
         """Store the stop and the result, wait until the disk has them, and rename the log."""
-        if self._worker:
-            self._put(Encoder.on_stop, stop, result)
-            self._worker.put(self._sink.seal, self._start_ns + stop.sent_ns)
+        if self.worker:
+            self.put(lambda: self.observer.on_stop(stop, result))
+            self.worker.put(self._sink.seal, self._start_ns + stop.sent_ns)
             self._close(complete=True)
-            self._worker.check()
+            self.worker.check()
 
     def close(self) -> None:
         """Close the log; if the trial has not ended, the file keeps the suffix .part."""
         self._close(complete=False)
-
-    def drain(self) -> None:
-        """Wait until every chunk that has ended is written."""
-        if self._worker:
-            self._worker.drain()
 
     def __enter__(self) -> Self:
         return self
@@ -103,15 +80,10 @@ class LogWriter:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _put(self, call: Callable[..., None], *records: object) -> None:
-        """Queue a call of the encoder's, unless the file could not be created."""
-        if self._worker:
-            self._worker.put(call, self._encoder, *records)
-
     def _close(self, complete: bool) -> None:
         """Process the calls in the queue, finish the file and end the thread."""
-        if self._worker:
-            self._worker.close(lambda: self._finish(complete and self.failure is None))
+        if self.worker:
+            self.worker.close(lambda: self._finish(complete and self.failure is None))
 
     def _finish(self, complete: bool) -> None:
         self._encoder.flush_frames()

@@ -4,6 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from google.protobuf.message import Message
 
 from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
 from tetractl.core.errors import printable
@@ -12,6 +13,8 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
+OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
+"""The numbers of a plan that are fields of `ControllerStep`."""
 STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
 
 
@@ -107,17 +110,23 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     )
 
 
-def _named(record: object, *names: str) -> dict[str, Any]:
+def named(record: object, *names: str) -> dict[str, Any]:
     """Return the named fields of a record as arguments of a message; None leaves a field unset."""
     found = ((name, getattr(record, name)) for name in names)
     return {k: value.tolist() if isinstance(value, np.ndarray) else value for k, value in found}
 
 
+def stated(message: Message, *names: str) -> dict[str, Any]:
+    """Return the named fields of a message as arguments of a record, repeated ones as tuples."""
+    found = {name: getattr(message, name) for name in names}
+    return {k: v if isinstance(v, int | float | str) else tuple(v) for k, v in found.items()}
+
+
 def encode_observation(observation: Observation) -> pb.MocapSample:
     """Encode the camera frame on which a control step is decided."""
     return pb.MocapSample(
-        **_named(observation, "frame", "sampled_ns", "received_ns", "valid"),
-        **_named(observation.poses, "x", "y", "heading"),
+        **named(observation, "frame", "sampled_ns", "received_ns", "valid"),
+        **named(observation.poses, "x", "y", "heading"),
     )
 
 
@@ -138,7 +147,7 @@ def decode_observation(message: pb.MocapSample, robots: int) -> Observation:
 def encode_command(command: Command) -> pb.WheelCommand:
     """Encode a command."""
     facing = command.action.facing if isinstance(command.action, Turn) else None
-    fields = _named(command, "direction", "sent_ns", "delivered", "left", "right")
+    fields = named(command, "direction", "sent_ns", "delivered", "left", "right")
     return pb.WheelCommand(stop=command.stops, facing=facing, **fields)
 
 
@@ -170,8 +179,7 @@ def encode_step(step: Step) -> pb.ControllerStep:
         path_x=x,
         path_y=y,
         path_heading=heading,
-        **_named(plan, "signals", "cost", "target_cost", "obstacle_cost"),
-        **_named(plan, "chosen", "generator", "leg", "delay_ns", "state"),
+        **named(plan, "signals", "state", *OF_PLAN),
     )
 
 
@@ -193,17 +201,11 @@ def decode_step(
     plan = Plan(
         signals=_floats(message.signals),
         path=np.stack(flat, axis=-1).reshape(-1, robots, 3),
-        cost=message.cost,
-        target_cost=message.target_cost,
-        obstacle_cost=message.obstacle_cost,
         searches=tuple(_decode_search(search) for search in message.searches),
-        chosen=message.chosen,
-        generator=message.generator,
         estimate=_decode_estimate(estimate, robots) if estimate else None,
         instead=None if isinstance(command.action, Steer) else command.action,
         state=State(message.state),
-        leg=message.leg,
-        delay_ns=message.delay_ns,
+        **stated(message, *OF_PLAN),
     )
     return Step(
         k=message.k,
@@ -217,14 +219,13 @@ def decode_step(
 
 def encode_timing(step: Step) -> pb.StepTiming:
     """Encode the solve time of a control step."""
-    return pb.StepTiming(**_named(step, "k", "solve_ns", "deadline_missed"))
+    return pb.StepTiming(**named(step, "k", "solve_ns", "deadline_missed"))
 
 
 def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
     """Encode the estimate of control step `k`."""
     each = (
-        _named(estimate, name, f"{name}_std")
-        for name in ("a", "speed", "heading_bias", "dead_time")
+        named(estimate, name, f"{name}_std") for name in ("a", "speed", "heading_bias", "dead_time")
     )
     misfit = [] if estimate.misfit is None else estimate.misfit.ravel()
     return pb.Estimate(k=k, misfit=misfit, **{key: v for two in each for key, v in two.items()})
@@ -248,7 +249,7 @@ def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
 
 
 def _encode_search(search: Search) -> pb.Search:
-    fields = _named(search, "length", "signals", "cost", "history", "evaluations")
+    fields = named(search, "length", "signals", "cost", "history", "evaluations")
     return pb.Search(stopped=printable(search.stopped, STOP_REASON_MAX), **fields)
 
 

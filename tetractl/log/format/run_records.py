@@ -13,6 +13,13 @@ from tetractl.core.poses import Poses
 from tetractl.core.trial import Result, Start
 from tetractl.log.format import tetractl_pb2 as pb
 from tetractl.log.format.channels import FORMAT_VERSION
+from tetractl.log.format.codec import named, stated
+
+OF_RESULT = ("reason", "steps", "duration_s", "passed", "inside", "lost")
+OF_ERRORS = ("total_error", "robot_errors")
+OF_VERDICT = ("entered", "clearance", "edge", "apart")
+OF_POSES = ("x", "y", "heading")
+"""Fields that a result, its verdict and its final poses share with their message."""
 
 
 def encode_facts(facts: Mapping[str, str]) -> Iterable[pb.Fact]:
@@ -68,26 +75,9 @@ def encode_result(result: Result, unit: str, warnings: int = 0) -> pb.Result:
     `warnings` is the number of operator messages that are warnings or errors.
     """
     verdict = result.verdict
-    return pb.Result(
-        outcome=result.outcome.value,
-        reason=result.reason,
-        unit=unit,
-        steps=result.steps,
-        duration_s=result.duration_s,
-        total_error=result.total_error,
-        robot_errors=result.robot_errors,
-        entered=verdict.entered,
-        clearance=verdict.clearance,
-        edge=verdict.edge,
-        apart=verdict.apart,
-        final_x=verdict.final.x.tolist(),
-        final_y=verdict.final.y.tolist(),
-        final_heading=verdict.final.heading.tolist(),
-        passed=result.passed,
-        inside=result.inside,
-        lost=result.lost,
-        warnings=warnings,
-    )
+    final = {f"final_{name}": value for name, value in named(verdict.final, *OF_POSES).items()}
+    numbers = named(result, *OF_RESULT, *OF_ERRORS) | named(verdict, *OF_VERDICT) | final
+    return pb.Result(outcome=result.outcome.value, unit=unit, warnings=warnings, **numbers)
 
 
 def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Result:
@@ -103,21 +93,11 @@ def decode_result(message: pb.Result, end: pb.HostEnd | None, robots: int) -> Re
         raise ValueError("the result and the run have different numbers of robots")
     return Result(
         outcome=Outcome(m.outcome),
-        reason=m.reason,
-        steps=m.steps,
-        duration_s=m.duration_s,
-        total_error=m.total_error,
-        robot_errors=tuple(m.robot_errors),
         verdict=Verdict(
             final=Poses(*(np.array(column, dtype=np.float64) for column in final)),
-            entered=tuple(m.entered),
-            clearance=tuple(m.clearance),
-            edge=tuple(m.edge),
-            apart=tuple(m.apart),
+            **stated(m, *OF_VERDICT),
         ),
         solve_ns=tuple(end.solve_ns) if end else (),
         deadline_misses=end.deadline_misses if end else 0,
-        passed=tuple(m.passed),
-        inside=tuple(m.inside),
-        lost=tuple(m.lost),
+        **stated(m, *OF_RESULT, *OF_ERRORS),
     )

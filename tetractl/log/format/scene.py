@@ -185,11 +185,7 @@ class Scene:
     def _entity(self, entity_id: str, unix_ns: int, **primitives: Any) -> SceneEntity:
         """Return an entity that stays until it is replaced and moves with its frame."""
         return SceneEntity(
-            timestamp=stamp(unix_ns),
-            frame_id=WORLD,
-            id=entity_id,
-            frame_locked=True,
-            **primitives,
+            timestamp=stamp(unix_ns), frame_id=WORLD, id=entity_id, frame_locked=True, **primitives
         )
 
     def _line(

@@ -12,7 +12,6 @@ from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
-from google.protobuf.message import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -42,15 +41,6 @@ def messages(made, tmp_path_factory):
     return found
 
 
-def _numbers(message):
-    for field, value in message.ListFields():
-        for item in value if field.is_repeated else [value]:
-            if isinstance(item, Message):
-                yield from _numbers(item)
-            elif isinstance(item, float):
-                yield item
-
-
 def corners_of(entity):
     return np.array([(point.x, point.y, point.z) for point in entity.triangles[0].points])
 
@@ -78,16 +68,6 @@ def _stamp(item):
     return item.timestamp.seconds * 10**9 + item.timestamp.nanos
 
 
-def test_plans_are_drawn_per_robot_in_metres_under_fixed_ids(made, messages):
-    for step, lines in zip(made.steps, messages["/scene/plan"], strict=True):
-        assert [item.id for item in lines.entities] == [f"plan/robot {i}" for i in range(3)]
-        for i, entity in enumerate(lines.entities):
-            assert entity.frame_id == "world"
-            assert _stamp(entity) == EPOCH_NS + step.command.sent_ns
-            points = [(point.x, point.y) for point in entity.lines[0].points]
-            assert np.allclose(points, step.plan.path[:, i, :2] / 1000)
-
-
 def test_the_scene_stands_where_the_spec_says(made, messages):
     (scene,) = messages["/scene/static"]
     entities = {item.id: item for item in scene.entities}
@@ -112,23 +92,6 @@ def test_colors_are_the_specs_or_the_lists(messages):
     colors = [entities[f"robot/robot {i}"].triangles[0].color for i in range(3)]
     rgb = [tuple(round(255 * part) for part in (c.r, c.g, c.b)) for c in colors]
     assert rgb == [(0x00, 0x9E, 0x73), (0x00, 0x72, 0xB2), (0xD5, 0x5E, 0x00)]
-
-
-@pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_nothing_that_is_not_finite_is_drawn(bad):
-    scene = Scene(experiment(2).setup)
-    poses = np.ones((3, 2, 3))
-    poses[0, 0, 0] = poses[2, 1, 2] = bad
-    numbers, valid = np.arange(3), np.array([[True, True], [True, False], [True, True]])
-    frames = Frames(numbers, numbers, numbers, poses, valid, None)
-    transforms = FrameTransforms.FromString(scene.transforms(frames, EPOCH_NS))
-    found = [(item.child_frame_id, _stamp(item) - EPOCH_NS) for item in transforms.transforms]
-    assert found == [("robot/robot 0", 1), ("robot/robot 0", 2), ("robot/robot 1", 0)]
-    path = np.ones((4, 2, 3))
-    path[2, 0] = bad
-    lines = SceneUpdate.FromString(scene.plan(path, EPOCH_NS))
-    assert [len(entity.lines[0].points) for entity in lines.entities] == [3, 4]
-    assert all(map(math.isfinite, (*_numbers(transforms), *_numbers(lines))))
 
 
 NUMBERS = st.floats(width=64) | st.sampled_from([0.0, -0.0, math.pi, 5e-324, 1e308])

@@ -53,13 +53,36 @@ class Contrast:
 
     @property
     def verdict(self) -> str | None:
-        """ "lower", "higher" or "undecided", None with a `reason`."""
-        return _verdict(self)[0]
+        """The verdict, None if there is none."""
+        return self.judged[0]
 
     @property
     def reason(self) -> str | None:
         """Why there is no verdict."""
-        return _verdict(self)[1]
+        return self.judged[1]
+
+    @property
+    def judged(self) -> tuple[str | None, str | None]:
+        """The verdict and None, or None and the reason why there is no verdict.
+
+        "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
+        difference below or above 0, and a corrected p below 0.05.
+        """
+        if not self.alike:
+            return None, "plants are not alike"
+        if (self.pairs or min(self.one.counted, self.other.counted)) < ENOUGH:
+            what = "pairs" if self.pairs else "complete trials on each side"
+            return None, f"a verdict needs {ENOUGH} {what}"
+        intervals = [self.difference.ci95] if self.pairs else [self.difference.ci95, self.both]
+        for interval in intervals:
+            if not interval.known:
+                return None, f"no interval: {interval.reason}"
+        if self.p_holm < 1 - CONFIDENCE:
+            if all(interval.high < 0 for interval in intervals):
+                return "lower", None
+            if all(interval.low > 0 for interval in intervals):
+                return "higher", None
+        return "undecided", None
 
     @property
     def name(self) -> str:
@@ -224,27 +247,3 @@ def _by_world(trials: Sequence[ResultSummary]) -> dict[tuple[int, int], float]:
     return {
         (trial.seed, trial.trial): trial.result.total_error for trial in trials if counts(trial)
     }
-
-
-def _verdict(found: Contrast) -> tuple[str | None, str | None]:
-    """Return the verdict and None, or None and the reason why there is no verdict.
-
-    "lower" or "higher" needs ENOUGH pairs (or trials on each side), every interval of the
-    difference below or above 0, and a corrected p below 0.05.
-    """
-    if not found.alike:
-        return None, "plants are not alike"
-    n = found.pairs or min(found.one.counted, found.other.counted)
-    if n < ENOUGH:
-        what = "pairs" if found.pairs else "complete trials on each side"
-        return None, f"a verdict needs {ENOUGH} {what}"
-    intervals = [found.difference.ci95] if found.pairs else [found.difference.ci95, found.both]
-    for interval in intervals:
-        if not interval.known:
-            return None, f"no interval: {interval.reason}"
-    if found.p_holm < 1 - CONFIDENCE:
-        if all(interval.high < 0 for interval in intervals):
-            return "lower", None
-        if all(interval.low > 0 for interval in intervals):
-            return "higher", None
-    return "undecided", None

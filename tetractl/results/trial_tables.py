@@ -167,6 +167,5 @@ def of_log(path: Path, names: Container[str]) -> dict[str, Table]:
 
 def _table(name: str, columns: Mapping[str, Any]) -> Table:
     return Table(
-        name,
-        tuple(Column(key, values, words=key in _WORDS) for key, values in columns.items()),
+        name, tuple(Column(key, values, words=key in _WORDS) for key, values in columns.items())
     )

@@ -5,7 +5,7 @@ docs/reference/warnings.md explains the warnings.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from pydantic import BaseModel
@@ -46,10 +46,10 @@ Found = Iterator[tuple[Loc, str, str]]
 class CheckContext:
     """An experiment, and data of its controller for the checks.
 
-    `signal_s` is the time for which a signal of a plan is held [s]; `signals_max` is None if the
-    length of plans is not limited; `motion` is "" if the controller has no model of the motion.
-    `margin` is the distance that plans keep to obstacles, including a robot's radius. `longest_s`
-    [s] is the longest time for which robots move.
+    `signal_s` is the time for which a signal of a plan is held [s] and `plan_s` the longest time of
+    a plan [s], inf if it is not limited; `motion` is "" if the controller has no model of the
+    motion. `margin` is the distance that plans keep to obstacles, including a robot's radius.
+    `longest_s` is the longest time for which robots move [s].
     """
 
     def __init__(self, experiment: Experiment) -> None:
@@ -58,18 +58,14 @@ class CheckContext:
         self.tolerance = control.arrival_tolerance
         periods = control.signal_periods if isinstance(control, HoldsSignals) else 1
         self.signal_s = control.period * periods
-        self.signals_max = control.horizon_max if isinstance(control, PlansSignals) else None
+        signals_max = control.horizon_max if isinstance(control, PlansSignals) else math.inf
+        self.plan_s = signals_max * self.signal_s
         self.motion = control.motion if isinstance(control, Modelled) else ""
         self.estimates = control.estimate if isinstance(control, Estimating) else False
         self.keeps = control.collision if isinstance(control, KeepsClear) else None
         self.margin = self.keeps.margin + self.keeps.radius if self.keeps else 0.0
         self.walls = self.keeps is not None and self.keeps.walls
         self.longest_s = (self.setup.steps_max + 1) * self.setup.period_s
-
-    @property
-    def least_total_error(self) -> float:
-        """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
-        return bounds.least_total_error(self.setup, self.longest_s)
 
     def counts(self, least: float, robots: int) -> bool:
         """Return whether a least total error of some robots is above the tolerance and rounding."""
@@ -112,12 +108,11 @@ def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
 
 def plan_outlasts_trial(spec: CheckContext) -> Found:
     """Warn of plans that take longer than a trial."""
-    seconds = (spec.signals_max or 0) * spec.signal_s
-    if seconds > spec.longest_s * (1 + 1e-9):
+    if spec.longest_s * (1 + 1e-9) < spec.plan_s < math.inf:
         yield (
             ("controller", "horizon_max"),
-            f"plans of {seconds:.4g} s outlast the trial, which ends after steps_max + 1 control "
-            f"steps, {spec.longest_s:.4g} s",
+            f"plans of {spec.plan_s:.4g} s outlast the trial, which ends after steps_max + 1 "
+            f"control steps, {spec.longest_s:.4g} s",
             "raise controller.steps_max, or lower horizon_max to "
             f"{max(int(spec.longest_s / spec.signal_s * (1 + 1e-9)), 1)}",
         )
@@ -173,9 +168,9 @@ def out_of_reach(spec: CheckContext) -> Found:
 
 def beyond_the_plan(spec: CheckContext) -> Found:
     """Warn of targets that a robot can reach in a trial, but not in the longest plan."""
-    if spec.signals_max is None:
+    if spec.plan_s == math.inf:
         return
-    seconds = spec.signals_max * spec.signal_s
+    seconds = spec.plan_s
     left = reach(spec.setup, seconds)
     far = (left > spec.tolerance) & (reach(spec.setup, spec.longest_s) <= spec.tolerance)
     if not far.any():
@@ -184,7 +179,8 @@ def beyond_the_plan(spec: CheckContext) -> Found:
     i = int(needed.argmax())
     yield (
         ("controller", "horizon_max"),
-        f"{spec.setup.names[i]} is {spec.way(i)} from its target; in {spec.signals_max} signals, "
+        f"{spec.setup.names[i]} is {spec.way(i)} from its target; in "
+        f"{round(seconds / spec.signal_s)} signals, "
         f"{seconds:.4g} s, it {spec.too_few(i, seconds, left[i])}",
         f"set it to more than {math.ceil(needed[i] / spec.signal_s)}",
     )
@@ -236,7 +232,7 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
 
 def error_left(spec: CheckContext) -> Found:
     """Warn if no plan can reach all targets: the lower bound of the total error is not 0."""
-    least = spec.least_total_error
+    least = bounds.least_total_error(spec.setup, spec.longest_s)
     if spec.counts(least, len(spec.setup.a)):
         message = f"least total error of any plan: {least:.4g} {spec.unit}"
         hint = "no controller can do better with these a, speeds, starts and targets"
@@ -341,8 +337,5 @@ def find_warnings(loaded: LoadedSpec, sets: Sequence[str] = ()) -> tuple[PlacedW
     found: list[PlacedWarning] = []
     for loc, message, hint in (each for check in SPEC_CHECKS for each in check(context)):
         place = document.place(loc)
-        at = place.problem(loc, message, place.text)
-        found.append(
-            PlacedWarning(at.origin, at.message, at.line, at.column, at.field, at.value, hint)
-        )
+        found.append(PlacedWarning(**asdict(place.problem(loc, message, place.text)), hint=hint))
     return tuple(sorted(found, key=lambda w: (w.line is None, w.line or 0, w.column or 0)))

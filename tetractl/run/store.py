@@ -21,16 +21,26 @@ LOCK_FILE = ".tetractl-lock"
 OWNER_BYTES = 300
 
 
+def make_folder(folder: Path) -> None:
+    """Create the folder; LogError if that fails."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
+
+
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Hold the lock of a folder, a flock(2) on its file `.tetractl-lock`, which names the owner.
+    """Create a folder and hold its lock, a flock(2) on its file `.tetractl-lock`, which names the
+    owner.
 
     The kernel releases the lock when the process that holds it ends, so a leftover file of this
     host does not lock the folder. A file of another host locks the folder, because not every
     network file system shares locks between hosts.
 
-    Raises UsageError if another run holds the lock, LogError if the file cannot be written.
+    Raises UsageError if another run holds the lock, LogError if folder or file cannot be written.
     """
+    make_folder(folder)
     path = folder / LOCK_FILE
     try:
         file = _acquire(path)
@@ -99,22 +109,6 @@ def default_folder(name: str, now: datetime) -> Path:
     return Path("logs") / f"{name}-{now:%Y%m%dT%H%M%SZ}"
 
 
-def make_folder(folder: Path) -> None:
-    """Create the folder; LogError if that fails."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise LogError(f"{folder}: cannot create the folder: {error.strerror}") from error
-
-
-@contextmanager
-def made_and_locked(folder: Path) -> Iterator[None]:
-    """Create a folder and hold its lock; raises the errors of `make_folder` and `locked`."""
-    make_folder(folder)
-    with locked(folder):
-        yield
-
-
 class TrialFolder:
     """The folder of a run: of a batch (`LogStore`) or of a study with its rows (`Store`)."""
 
@@ -147,10 +141,10 @@ class LogStore(TrialFolder):
     def opened(self, resume: bool) -> Iterator[list[int]]:
         """Create and lock the folder, and yield the numbers of the trials to run.
 
-        Raises the errors of `lacking` and `made_and_locked`.
+        Raises the errors of `lacking` and `locked`.
         """
         self.lacking(resume)  # checked first, so that a refused batch creates no folder
-        with made_and_locked(self.folder):
+        with locked(self.folder):
             yield self.lacking(resume)
 
     def lacking(self, resume: bool) -> list[int]:

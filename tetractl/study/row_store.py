@@ -12,7 +12,7 @@ from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format.channels import RESOLVED_SPEC, TEXT
 from tetractl.log.read.find import ROWS
 from tetractl.log.read.rows import Row, check_rows, read_rows
-from tetractl.run.store import TrialFolder, made_and_locked, make_folder
+from tetractl.run.store import TrialFolder, locked, make_folder
 from tetractl.run.task import Finished, Task, log_path
 from tetractl.study.load_study import Arm
 
@@ -36,7 +36,7 @@ class Store(TrialFolder):
 
         Raises UsageError if another run holds the lock, or if the rows belong to another study.
         """
-        with made_and_locked(self.folder):
+        with locked(self.folder):
             for arm in self._arms.values():
                 self.rows[arm.name] = rows_of(self.folder, arm, mend=True)
                 if self.rows[arm.name]:

@@ -49,7 +49,7 @@ $(DEMO)/figure-3.png:
 $(DEMO)/all-trials.png:
 	$(BIN)/tetractl plot $(DEMO)/ours/trial-*.mcap -o $@
 
-PYTEST := $(BIN)/python -m pytest -n auto --dist loadgroup --no-loadscope-reorder
+PYTEST := $(BIN)/python -m pytest -n auto
 
 test: $(STAMP)
 	$(PYTEST) -m "not system"

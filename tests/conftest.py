@@ -62,27 +62,37 @@ SYSTEM = (  # wires in real time, browsers, packages that are installed, kernels
 CELLS = re.compile(  # of the contracts: one cell a kind of promise is enough for every change
     r"contract/test_plants.py::.*\[sim, (?!undisturbed|everything|wheels, radio|dish)"
 )
-TURNS = ("cli/test_study", "emulated", "cli/test_docs", "cli", "plays", "")  # the longest first
+TURNS = ("cli/test_study", "emulated", "cli/test_docs", "plays", "cli", "")  # the longest first
+APART = ("tests/plays/", "tests/unit/film/test_film_containers")  # which share no fixtures
 LANES = 2  # plays on real wires at a time: each has deadlines to keep
 
 
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark each test's tier, and choose which tests follow one another in one process.
-
-    A module's tests do, as they share fixtures, but for those marked as slow one by one.
-    """
+    """Mark each test's tier, and put those first that take longest."""
     places = {item: item.path.relative_to(FOLDER).as_posix() for item in items}
     items.sort(key=lambda item: next(i for i, t in enumerate(TURNS) if places[item].startswith(t)))
-    for number, item in enumerate(items):
-        folder = places[item].partition("/")[0]
+    for item in items:
         node = f"{places[item]}::{item.name}"
-        alone = any(mark.name == "slow" for mark in item.own_markers) or folder == "plays"
-        group = item.name if alone else places[item]
         if node.startswith(SYSTEM) or CELLS.search(node):
             item.add_marker(pytest.mark.system)
         if places[item].startswith(SLOW) or item.get_closest_marker("system"):
             item.add_marker(pytest.mark.slow)
-        if folder == "emulated":
-            group = f"lane {number % LANES}"
-        item.add_marker(pytest.mark.xdist_group(group))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Give the tests of a module, which share fixtures, to one process, but for those `APART`.
+
+    xdist 3.8 passes over its own groups in pytest 9.2, and says nothing.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Modules(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            if nodeid.startswith("tests/emulated/"):
+                return f"lane {len(nodeid) % LANES}"
+            return nodeid if nodeid.startswith(APART) else nodeid.partition("::")[0]
+
+    config.option.loadscopereorder = False
+    return Modules(config, log)

@@ -10,7 +10,7 @@ import pytest
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel
-from support.commands import COSTLY
+from support.commands import COSTLY, READERS
 from support.mutate import chunk, rewrite, stating
 from support.paths import ROOT
 from support.random_trials import trial, write
@@ -130,7 +130,7 @@ def only_in_the_summary(contents, path):
     return path
 
 
-QUICK = [steps_of_searches, huge_spec, far_pose, escapes, only_in_the_summary]
+QUICK = [huge_spec, far_pose, escapes, only_in_the_summary]
 SLOW = [zeros_behind, endless]
 
 
@@ -140,21 +140,28 @@ def contents(tmp_path_factory):
     return scan(write(trial(steps=12, robots=2, index=1), folder / "trial.mcap"))
 
 
-@pytest.mark.parametrize("builders", [QUICK, pytest.param(SLOW, marks=pytest.mark.system)])
-def test_a_log_costs_its_reader_little(contents, tmp_path, builders):
+@pytest.mark.parametrize(
+    ("builders", "commands"),
+    [
+        (QUICK, COSTLY),
+        ([steps_of_searches], READERS),
+        pytest.param(SLOW, COSTLY, marks=pytest.mark.system),
+    ],
+)
+def test_a_log_costs_its_reader_little(contents, tmp_path, builders, commands):
     """All in one process of its own, whose most memory is bounded."""
     paths = [build(contents, tmp_path / f"{build.__name__}.mcap") for build in builders]
     (tmp_path / "out").mkdir()
     script = ROOT / "tests" / "support" / "commands.py"
     done = subprocess.run(
-        [sys.executable, script, tmp_path / "out", *paths],
+        [sys.executable, script, tmp_path / "out", ",".join(commands), *paths],
         env=os.environ | {"PYTHONPATH": os.pathsep.join([str(ROOT), str(ROOT / "tests")])},
         capture_output=True,
         text=True,
     )
     assert done.returncode == 0, done.stderr
     lines = done.stdout.splitlines()
-    assert len(lines) == len(paths) * len(COSTLY)
+    assert len(lines) == len(paths) * len(commands)
     for line in lines:
         name, seconds, memory = line.split("\t")
         assert float(seconds) < SECONDS, name

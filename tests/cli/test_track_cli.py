@@ -8,7 +8,7 @@ import pytest
 from mcap.reader import make_reader
 from support.cli import tetractl
 from support.dish_films import film
-from support.film_containers import CONTAINERS, RATE_HZ, UM_PX, folder, stack
+from support.film_containers import UM_PX, folder, stack
 from support.needs_opencv import cv2
 
 
@@ -59,46 +59,6 @@ def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):
     assert found["scale_guessed"] is True and found["pictures"] == 120
     speeds = [cell["speed_um_s"] for cell in found["cells"] if cell["speed_um_s"]]
     assert speeds and all(s["ci95"][0] < s["value"] < s["ci95"][1] for s in speeds)
-
-
-# the others are those of which the pictures are compared in tests/unit/film
-TEN = sorted(
-    set(CONTAINERS) - {"deep.tif", "zlib.tif", "lzw.tif", "big imagej.tif", "camera of 16 bits"}
-)
-
-
-@pytest.fixture(scope="module")
-def tables(tmp_path_factory):
-    """A folder with one film in every container, and the tables of each."""
-    where, found = tmp_path_factory.mktemp("containers"), {}
-    made = film(seed=41, side=256, cells=3, crossings=False, seconds=2.0)
-    pictures = np.array(list(made.pictures()))
-    for name in TEN:
-        write, has_scale, has_rate = CONTAINERS[name]
-        write(where / name, pictures)
-        words = [] if has_scale else ["--scale", UM_PX]
-        words += [] if has_rate else ["--rate", RATE_HZ]
-        done = tetractl(where, "track", name, *words, "--json")
-        assert (done.returncode, done.stderr) == (0, ""), (name, done)
-        found[name] = json.loads(done.stdout)
-    return found
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", TEN)
-def test_every_container_of_a_film_gives_the_same_table(tables, name):
-    assert tables["png"]["pictures"] == 60 and tables["png"]["cells"]
-    # times in milliseconds differ in the last digit from those that follow from the rate
-    assert tables[name] == nearly(tables["png"])
-
-
-def nearly(found):
-    """The same, as far as rounding goes."""
-    if isinstance(found, dict):
-        return {key: nearly(value) for key, value in found.items()}
-    if isinstance(found, list):
-        return [nearly(value) for value in found]
-    return pytest.approx(found, rel=1e-6, abs=1e-9) if isinstance(found, float) else found
 
 
 @pytest.mark.slow

@@ -120,7 +120,8 @@ def test_a_cell_that_rests_is_still_that_cell(tmp_path):
 def test_a_survey_lists_cells_ranks_choices_and_writes_a_spec_that_finds_them_again(tmp_path):
     with virtual_dish(tmp_path, 1, SMALL, FEW) as dish:
         words = [word for setting in dish.settings for word in ("--set", setting)]
-        done = tetractl(tmp_path, "lab", "survey", DISH, "--yes", "-o", "found.yaml", *words).ok()
+        survey = ("lab", "survey", DISH, "--yes", "--plans", "4", *words)
+        done = tetractl(tmp_path, *survey, "-o", "found.yaml").ok()
         magnets = np.sort(dish.cells.a[dish.cells.a > 0])
         again = tetractl(
             tmp_path, "lab", "survey", DISH, "--yes", "--json", "--plans", "1", *words

@@ -89,9 +89,7 @@ def test_cells_are_surveyed_and_steered_through_pictures(tmp_path):
     )
     words = ("lab", "survey", DISH, "--plant", "emulated", "--plans", "1", "-o", "found.yaml")
     done = tetractl(tmp_path, *words, *small).ok()
-    for out in ("one", "two"):
-        done = run(tmp_path, out, "--trials", "1", spec="found.yaml").ok()
-    assert digests(tmp_path / "one") == digests(tmp_path / "two")
+    run(tmp_path, "one", "--trials", "1", spec="found.yaml").ok()
     wanted = read_trial(tmp_path / "one" / "trial-000.mcap").experiment
     for robot, cell in zip(wanted.robots, wanted.chosen.wanted, strict=True):
         assert robot.a == pytest.approx(cell.a, rel=0.15)

@@ -41,6 +41,8 @@ COMMANDS = {
 
 
 COSTLY = ("info", "info --json", "replay", "plot", "stats", "stats --csv", "verify", "recover")
+READERS = ("info", "replay", "stats", "verify", "recover")
+"""One command for each way to read a log."""
 LOGS = tuple(COMMANDS)
 STUDIES = ("study stats", "study stats --json", "study report", "study --merge")
 SPECS = ("validate", "run --dry-run")
@@ -107,9 +109,9 @@ def check(command: str, log: Path, out: Path) -> Cost:
     return found
 
 
-if __name__ == "__main__":  # FOLDER LOG...: a line for each log and command
-    out, *logs = (Path(name).absolute() for name in sys.argv[1:])
+if __name__ == "__main__":  # FOLDER COMMAND,... LOG...: a line for each log and command
+    out, *logs = (Path(name).absolute() for name in (sys.argv[1], *sys.argv[3:]))
     for log in logs:
-        for name in COSTLY:
+        for name in sys.argv[2].split(","):
             cost = check(name, log, out)
             print(f"{log.name} {name}\t{cost.seconds:.2f}\t{cost.memory_mb:.0f}")

@@ -180,8 +180,7 @@ class TrueMotion:
         self._path.append((x, y))
         if len(self._path) > UNCHECKED:
             self.check()
-        for due in frames:
-            i = times.index(due)
+        for due, i in zip(frames, np.searchsorted(times, frames), strict=True):
             self._camera.expose(due, Poses(x[i], y[i], heading[i]))
 
     def check(self) -> None:

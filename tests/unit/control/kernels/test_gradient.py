@@ -5,20 +5,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numba import njit
 from support import problems
 
 from tetractl.control.cost import predict
 from tetractl.control.kernels import gradient
+from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import lay_out_polish
 
 
-@njit
+@compiled()
 def trace(*args):
     gradient.trace(*args)
 
 
-@njit
+@compiled()
 def backward(*args):
     gradient.backward(*args)
 

@@ -56,7 +56,7 @@ def parse_cost() -> None:
         ours = best_of(lambda data=data: parse(data, version))
         theirs = best_of(
             lambda data=data: DataFrame.read_from_buffer(
-                PacketBuffer(data[HEADER:]), TheirVersion(3, 0)
+                PacketBuffer(data[HEADER.size :]), TheirVersion(3, 0)
             )
         )
         print(f"| {count} | {ours:.1f} | {theirs:.1f} | {theirs / ours:.1f} |")

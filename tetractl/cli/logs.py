@@ -10,13 +10,12 @@ from typing import TYPE_CHECKING, Any
 from tetractl.cli import ui
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
+from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.log.read.find import find_log, find_logs
 
 if TYPE_CHECKING:
     from tetractl.log.read.overview import Overview
     from tetractl.replay.verify import Verification
-
-PROBLEMS = 20  # largest number of problems that `verify` prints per log
 
 
 def info(
@@ -211,8 +210,8 @@ def _verdict(found: "Verification") -> "Iterator[str]":
     yield f"{found.path}: {verdict}: {text} ({found.seconds:.2f} s)"
     if found.method is Method.REEVALUATED:
         yield from (f"  written elsewhere: {line}" for line in found.elsewhere)
-    for problem in found.problems[:PROBLEMS]:
+    for problem in found.problems[:LISTED_MAX]:
         yield f"  {problem}"
-    if len(found.problems) > PROBLEMS:
-        yield f"  and {len(found.problems) - PROBLEMS} more"
+    if len(found.problems) > LISTED_MAX:
+        yield f"  and {len(found.problems) - LISTED_MAX} more"
     yield from (f"  note: {note}" for note in found.notes)

@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 from tetractl.core.poses import Bools, Floats, Grey
 
 Integers = NDArray[np.int64]
+SURE = 0.9
+"""Least probability of a cell's identity; below it the cell counts as unknown."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from itertools import count
 
 from tetractl.core.clock import SECOND
+from tetractl.core.worker import IDLE_S
 
 Act = Callable[[], None]
 LAG_NS = 5_000_000
-IDLE_S = 0.05  # longest wait without events, so that a request to end is noticed
 
 
 class Timeline:

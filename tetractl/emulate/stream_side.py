@@ -21,6 +21,7 @@ from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import EMULATED_NAME
 from tetractl.core.errors import SpecError, TetractlError
 from tetractl.core.poses import Floats, Grey
+from tetractl.core.worker import IDLE_S
 from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
 from tetractl.emulate.loop import Loop
 from tetractl.emulate.sides import Facts, Stage
@@ -28,7 +29,7 @@ from tetractl.experiment.base import Model, NonNegative, Positive
 from tetractl.lab.cameras.pictures.picture_section import MjpegSource, PictureSection
 
 BOUNDARY = "emulated-by-tetractl"
-WAIT_S = 0.05
+SPARE_PX = 64  # margin by which a field of noise is larger than a picture [px]
 
 
 class EmulatedNetworkCamera:
@@ -83,7 +84,7 @@ class EmulatedNetworkCamera:
         self._server.daemon_threads = True
         self._threads = [
             threading.Thread(
-                target=self._server.serve_forever, args=(WAIT_S,), name="emulated-http", daemon=True
+                target=self._server.serve_forever, args=(IDLE_S,), name="emulated-http", daemon=True
             ),
             threading.Thread(target=self._expose, name="emulated-camera", daemon=True),
         ]
@@ -140,12 +141,12 @@ class EmulatedNetworkCamera:
             answer.send_header("Content-Type", f"multipart/x-mixed-replace; boundary={BOUNDARY}")
             if self._drips:
                 answer.flush_headers()
-            while self._drips and not self._closing.wait(WAIT_S):
+            while self._drips and not self._closing.wait(IDLE_S):
                 answer.wfile.write(b"X")
             answer.end_headers()
             while not self._closing.is_set():
                 with suppress(queue.Empty):
-                    due, jpeg = mine.get(timeout=WAIT_S)
+                    due, jpeg = mine.get(timeout=IDLE_S)
                     self._clock.sleep_until(due)
                     answer.wfile.write(self.mangle(part(jpeg)))
         except OSError:

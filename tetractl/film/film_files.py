@@ -15,6 +15,7 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
+from tetractl.core.setup import METRES
 from tetractl.film.follow import Followed
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
@@ -23,7 +24,6 @@ CROP_PX = 64
 PICTURES_S = 1.0  # interval of whole pictures in the log [s]
 QUALITY = 85
 TRAIL = 45  # length of a trail [pictures]
-UM_M = 1e-6
 
 
 def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
@@ -130,7 +130,7 @@ def _transforms(cells: list[SeenCell], ns: int) -> FrameTransforms:
         one = message.transforms.add()
         one.timestamp.CopyFrom(_stamp(ns))
         one.parent_frame_id, one.child_frame_id = "picture", f"cell {cell.identity}"
-        one.translation.x, one.translation.y = cell.x * UM_M, cell.y * UM_M
+        one.translation.x, one.translation.y = cell.x * METRES["um"], cell.y * METRES["um"]
         one.rotation.z, one.rotation.w = math.sin(cell.heading / 2), math.cos(cell.heading / 2)
     return message
 

@@ -16,11 +16,11 @@ from tetractl.lab.cameras.cells.cell import Born, SeenCell
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
+from tetractl.model.swimmers import BODY_UM
 
 BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 100_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
-USUAL_BODY_UM = 52.3  # mean length of cells, for films without a scale [um]
 # a blob whose ratio of length to width lies between these may be a single cell
 SHAPE = (1.4, 3.0)
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
@@ -160,7 +160,7 @@ def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
             f"{film.path}: no moving object looks like a cell, so the scale is not known",
             "give the scale: --scale UM_PER_PIXEL",
         )
-    return USUAL_BODY_UM / float(np.median(lengths))
+    return BODY_UM[0] / float(np.median(lengths))
 
 
 def _fill_back(

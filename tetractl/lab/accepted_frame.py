@@ -6,10 +6,7 @@ from dataclasses import dataclass
 from itertools import islice
 
 from tetractl.core.poses import CameraFrame, Pose
-
-FRAMES_KEPT = (
-    20_000  # number of frames: a reader may wait nearly 3 minutes at 120 Hz between two reads
-)
+from tetractl.core.worker import WAITING_MAX
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +33,7 @@ class FrameBuffer:
     def __init__(self) -> None:
         self.newest: AcceptedFrame | None = None
         self.count = 0  # number of frames appended so far
-        self._frames: deque[AcceptedFrame] = deque(maxlen=FRAMES_KEPT)
+        self._frames: deque[AcceptedFrame] = deque(maxlen=WAITING_MAX)
         self._lock = threading.Lock()
 
     def append(self, frame: AcceptedFrame) -> None:

@@ -4,12 +4,9 @@ count as lost. The lab's plant counts them so, and its rule of lost robots decid
 
 from collections.abc import Iterator, Sequence
 
-from tetractl.core.cell_film import CellFilm
+from tetractl.core.cell_film import SURE, CellFilm
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Note
-
-SURE = 0.9
-"""Least probability of a robot's identity; below it the robot counts as unknown."""
 
 
 class IdentityWatch:

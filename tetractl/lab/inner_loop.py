@@ -15,16 +15,14 @@ from tetractl.core.commands import Steer, Transmission, Turn
 from tetractl.core.errors import AbortError
 from tetractl.core.plugin_fault import plugin_fault
 from tetractl.core.protocols import Actuator, Camera
-from tetractl.core.worker import drained
+from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import STOP_GAP_NS, STOPS
 from tetractl.lab.accepted_frame import FrameBuffer
 from tetractl.lab.device_abilities import HearsDirections
 from tetractl.lab.guard import Guard, GuardState, Ruling
 
 IDLE_S = 0.01
-STEER_S = 0.25  # a step that takes longer than this counts as hanging
 STOP_S = 1.0
-KEPT = 100_000
 
 
 class InnerLoop:
@@ -55,8 +53,8 @@ class InnerLoop:
         self._new = False  # whether it is still to be sent
         # which robots were allowed to move by the last transmission
         self._let: tuple[bool, ...] = ()
-        self._sent: deque[Transmission] = deque(maxlen=KEPT)
-        self._warnings: deque[tuple[int, str]] = deque(maxlen=KEPT)
+        self._sent: deque[Transmission] = deque(maxlen=WAITING_MAX)
+        self._warnings: deque[tuple[int, str]] = deque(maxlen=WAITING_MAX)
         self._aborted = False
         self._stops_left = 0
         self._next_ns = self._due_ns = 0
@@ -73,7 +71,7 @@ class InnerLoop:
         The transmission is a stop if the guard presently lets no robot move. AbortError with the
         guard's reason if no robot may move any more.
         """
-        with self._locked(STEER_S) as locked:
+        with self._locked(0.25) as locked:  # a step that takes longer hangs
             if not locked:
                 self.guard.abort("the inner loop did not answer")
                 raise AbortError(self.guard.reason)

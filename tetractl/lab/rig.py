@@ -1,5 +1,6 @@
 """A connected lab: a camera and an actuator with the guard and the inner loop between them."""
 
+import math
 import threading
 from collections.abc import Sequence
 from contextlib import ExitStack
@@ -13,8 +14,6 @@ from tetractl.experiment.lab_section import LabLimits, LabSection
 from tetractl.lab.device_abilities import SettlesRobots, TracksCells
 from tetractl.lab.guard import Guard, GuardRules
 from tetractl.lab.inner_loop import InnerLoop
-
-ANYWHERE = 1e9  # distance from a start that allows any pose [mm, rad]
 
 
 class Rig:
@@ -86,7 +85,7 @@ class Rig:
 
     def start_anywhere(self) -> None:
         """Make the robots' present poses their starts."""
-        anywhere = {"start_mm": ANYWHERE, "start_heading": ANYWHERE}
+        anywhere = {"start_mm": math.inf, "start_heading": math.inf}
         self.limits = self.limits.model_copy(update=anywhere)
 
     @property

@@ -20,8 +20,12 @@ from tetractl.core.clock import Clock
 from tetractl.core.errors import AbortError
 
 WRITE_TIMEOUT_S = 0.02
-# times [s] after which the process gets a second SIGTERM, gets SIGKILL, and is given up
-AGAIN_S, KILL_S, DEAD_S = 1.0, 4.0, 6.0
+SIGNALS = (
+    (0.0, signal.SIGTERM, "asked the process to stop its robots and end"),
+    (1.0, signal.SIGTERM, "asked the process to end at once"),
+    (4.0, signal.SIGKILL, "killed the process; `tetractl recover` mends its log"),
+)
+"""Signals to a process that has the port: the time of each [s], and what is said of it."""
 SWITCH_OFF = "switch the robots off by hand if they move"
 
 
@@ -205,9 +209,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
     """
     began, failure, said = time.monotonic(), "", False
     pid = holder(port)
-    due = [(KILL_S, signal.SIGKILL, "killed the process; `tetractl recover` mends its log")]
-    due.insert(0, (AGAIN_S, signal.SIGTERM, "asked the process to end at once"))
-    due.insert(0, (0.0, signal.SIGTERM, "asked the process to stop its robots and end"))
+    due = list(SIGNALS)
     words = command_line(pid) if pid else []
     name = f"process {pid} ({' '.join(words)[:200]})" if pid else "another program"
     say(f"{port}: {name} has this port open")
@@ -238,7 +240,7 @@ def stop_beside(port: str, stops: Callable[[], str], say: Callable[[str], None])
         if holder(port) != pid:
             say(f"the process released the port after {time.monotonic() - began:.1f} s")
             return
-        if time.monotonic() - began > DEAD_S:
+        if time.monotonic() - began > 6.0:
             raise _left(name, f"does not end even after SIGKILL; {failure}")
 
 

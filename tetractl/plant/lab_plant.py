@@ -27,6 +27,7 @@ from tetractl.core.errors import AbortError
 from tetractl.core.poses import Observation, Pose, Poses
 from tetractl.core.protocols import LabSupervision
 from tetractl.core.setup import Setup
+from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import Choice, FoundRobots
 from tetractl.experiment.choosing import most_alike
 from tetractl.experiment.lab_section import LabSection
@@ -38,9 +39,6 @@ from tetractl.lab.preflight import Preflight, dropped, wait_until_ready
 from tetractl.lab.rest_check import wait_for_rest
 from tetractl.lab.rig import Rig, build_rig
 from tetractl.model.path_check import PathCheck
-
-KEPT = 100_000
-RECENT = 600  # number of newest frames that are kept, those of some seconds
 
 
 class RigSection(LabSection):
@@ -119,12 +117,12 @@ class LabPlant:
         self._fresh: list[Sample] = []
         self._films: dict[int, CellFilm] = {}  # films by their time of exposure [ns]
         self._identities = IdentityWatch(self.setup.names, rig.limits.identity)
-        self._news: deque[Command | Note] = deque(maxlen=KEPT)
+        self._news: deque[Command | Note] = deque(maxlen=WAITING_MAX)
         self._returned: set[int] = set()  # send times of transmissions that `send` has returned
         self._observed_ns: int | None = None
         self._stop: Command | None = None
         self._stopped_ns = 0
-        self._recent: deque[Observation] = deque(maxlen=RECENT)
+        self._recent: deque[Observation] = deque(maxlen=600)  # of some seconds
 
     def open(self) -> PlantInfo:
         """Connect, run the preflight check, and wait until the robots are on their starts."""
@@ -184,7 +182,7 @@ class LabPlant:
         others = [sent for sent in loop.sent() if sent.sent_ns not in self._returned]
         self._news.extend(map(self._command, others))
         self._news.extend(Note(t_ns, "warning", text) for t_ns, text in loop.warnings())
-        news, self._news = sorted(self._news, key=_time_ns), deque(maxlen=KEPT)
+        news, self._news = sorted(self._news, key=_time_ns), deque(maxlen=WAITING_MAX)
         return news
 
     def stop(self) -> Command:

@@ -162,7 +162,6 @@ def _stands(log: TrialLog, final: Poses, stop: Command) -> bool:
     return np.ascontiguousarray(final.array()).tobytes() in ends
 
 
-BLOB_TOLERANCE = 1e-9  # relative tolerance of a blob's numbers on another machine
 BLOB_NEAR_UM = 25.0  # largest distance of a followed cell from its blob: half a cell's length
 
 
@@ -194,7 +193,7 @@ def film_differences(
         try:
             film = _checked(log, row, by_time[at])
             if again:
-                _search_again(film, 0.0 if same_host else BLOB_TOLERANCE)
+                _search_again(film, 0.0 if same_host else TOLERANCE)
         except (DecodeError, ValueError) as error:
             yield Difference(None, channels.CELLS, f"frame {log.frames[row]}: {error}")
             return

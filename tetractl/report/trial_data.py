@@ -15,10 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 from tetractl.core.colors import robot_colors
 from tetractl.core.errors import unit_of
 from tetractl.log.read.trial_log import TrialLog
+from tetractl.log.write.encoder import SHOWN_HZ
 from tetractl.replay.dish_pictures import PICTURES_MAX, DishPictures
 from tetractl.replay.player import first_seen, tracked
 
-FRAMES_HZ = 30.0
 """Largest rate of camera frames on the page [Hz], since screens show no more."""
 
 
@@ -46,7 +46,7 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
     """Return a trial of N robots for the player; lengths in `unit`, times [s] from the first
     direction sent.
 
-    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `FRAMES_HZ`.
+    `frames.xy` (M, N, 2) and `frames.heading` (M, N) are measured poses, thinned to `SHOWN_HZ`.
     For each of K control steps, `steps` contains time, direction u (None while robots pause or
     turn, which `doing` states), cost J, number of signals, solve time and the robots' distances to
     their targets (K, N). With `plans`, `plan` contains the predicted positions (K, H, N, 2) and
@@ -105,14 +105,14 @@ def trial_data(log: TrialLog, file: str, plans: bool = True) -> dict[str, Any]:
 
 
 def _thinned(log: TrialLog) -> NDArray[np.intp]:
-    """Return the indices of the frames to show: at most `FRAMES_HZ` per second, none earlier than
+    """Return the indices of the frames to show: at most `SHOWN_HZ` per second, none earlier than
     one control period before the first direction.
     """
     times = log.mocap_ns
     from_start = np.flatnonzero(times >= log.began_ns - round(log.start.setup.period_s * 1e9))
     if not len(from_start):
         return np.arange(len(times))
-    slots = (times[from_start] - times[from_start[0]]) * FRAMES_HZ // 1e9
+    slots = (times[from_start] - times[from_start[0]]) * SHOWN_HZ // 1e9
     first = np.flatnonzero(np.diff(slots, prepend=-1) > 0)
     return from_start[np.union1d(first, [len(from_start) - 1])]
 

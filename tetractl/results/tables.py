@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tetractl.core.table.table import NONE, Column, Table, fixed, lengths, p_value
 from tetractl.core.table.table_files import flat
+from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.experiment.experiment import Experiment
 from tetractl.results.contrast import Contrast, GroupComparison
 from tetractl.results.describe import Group, flagged
@@ -14,8 +15,6 @@ from tetractl.results.estimate import Distribution, Interval, known_distribution
 from tetractl.results.open_batch import listing
 from tetractl.results.outcomes import unsafe
 from tetractl.results.trial_tables import trials_table
-
-_SHOWN = 20  # largest number of flagged trials in a table
 
 
 def tables(found: GroupComparison) -> list[Table]:
@@ -25,9 +24,9 @@ def tables(found: GroupComparison) -> list[Table]:
     parts = [slice(i, i + 3) for i in range(0, len(groups), 3)]  # more are too wide
     trials = [_trials(groups[part], names[part]) for part in parts]
     odd = [trial for group in groups for trial in flagged(group.batch)]
-    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:_SHOWN]]
-    if len(odd) > _SHOWN:
-        rows.append((f"{len(odd) - _SHOWN} more", NONE, "--format json names all"))
+    rows = [(trial.path, trial.outcome, ", ".join(trial.notes)) for trial in odd[:LISTED_MAX]]
+    if len(odd) > LISTED_MAX:
+        rows.append((f"{len(odd) - LISTED_MAX} more", NONE, "--format json names all"))
     listed = Table.of_texts("Flagged trials", ("log", "outcome", "note"), rows)
     every = [_errors(groups), *trials, *_contrasts(found.contrasts), listed]
     return [table for table in every if len(table)]

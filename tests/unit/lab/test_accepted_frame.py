@@ -4,7 +4,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tetractl.core.poses import CameraFrame, Pose
-from tetractl.lab.accepted_frame import FRAMES_KEPT, AcceptedFrame, FrameBuffer
+from tetractl.core.worker import WAITING_MAX
+from tetractl.lab.accepted_frame import AcceptedFrame, FrameBuffer
 
 
 def frame(number):
@@ -27,12 +28,12 @@ def test_a_reader_gets_every_frame_once_and_in_order(arrivals):
 
 def test_the_oldest_frames_make_room_and_a_window_counts_back_from_the_newest():
     buffer = FrameBuffer()
-    for number in range(FRAMES_KEPT + 5):
+    for number in range(WAITING_MAX + 5):
         buffer.append(frame(number))
     found, read = buffer.since(0)
-    assert [each.frame.number for each in found] == list(range(5, FRAMES_KEPT + 5))
-    assert buffer.since(read) == ([], FRAMES_KEPT + 5), "none comes twice"
-    last = [each.frame.number - FRAMES_KEPT for each in buffer.last(20)]
+    assert [each.frame.number for each in found] == list(range(5, WAITING_MAX + 5))
+    assert buffer.since(read) == ([], WAITING_MAX + 5), "none comes twice"
+    last = [each.frame.number - WAITING_MAX for each in buffer.last(20)]
     assert last == [2, 3, 4]
 
 

@@ -14,7 +14,6 @@ from tetractl.lab.guard import GuardState
 @pytest.fixture
 def hung(monkeypatch):
     """A running lab whose loop's lock is held by somebody who never gives it back."""
-    monkeypatch.setattr(inner_loop, "STEER_S", 0.01)
     monkeypatch.setattr(inner_loop, "STOP_S", 0.01)
     lab = fake_lab(experiment().setup)
     lab.plant.open()

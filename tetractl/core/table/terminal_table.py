@@ -11,6 +11,8 @@ from tetractl.core.table.table import NONE, Table
 if TYPE_CHECKING:
     from rich.console import Console
 
+LISTED_MAX = 20
+"""Most problems, or trials with problems, that are listed."""
 WIDTH = 120
 """Line width in characters if there is no terminal; a longer word is not broken."""
 

@@ -19,7 +19,7 @@ from tetractl.core.poses import Floats, Grey, Poses
 from tetractl.core.setup import MM
 from tetractl.emulate.faults import Fault, Undo, Visible, fault
 from tetractl.emulate.sides import Body, Stage
-from tetractl.emulate.stream_side import STREAM_FAULTS, StreamedCamera, StreamSettings
+from tetractl.emulate.stream_side import SPARE_PX, STREAM_FAULTS, StreamedCamera, StreamSettings
 from tetractl.experiment.base import Model, Name, NonNegative
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.apriltag.detect import MODULES, tag_picture
@@ -111,7 +111,6 @@ MODULE_PX = 16  # side of a tag's module in its texture [px]
 CARD = MODULES + 2  # side of a printed tag in modules, including the white margin
 FINE = 4  # sub-pixels along a pixel's side: a pixel is the mean over its area
 SUB_EXPOSURES = 6
-SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 
 Shades = NDArray[np.float32]
 
@@ -219,14 +218,14 @@ class Renderer:
 
     @cached_property
     def _noise(self) -> Shades:
-        """Standard normal noise, larger than a picture by SPARE."""
+        """Standard normal noise, larger than a picture by SPARE_PX."""
         draw = np.random.default_rng(self.seed).standard_normal
-        return draw((self.optics.height + SPARE, self.optics.width + SPARE), np.float32)
+        return draw((self.optics.height + SPARE_PX, self.optics.width + SPARE_PX), np.float32)
 
     def _grain(self, height: int, width: int) -> Shades:
         """Return standard normal noise (height, width), a random part of a larger array."""
         self._pictures += 1
-        x, y = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE, 2)
+        x, y = np.random.default_rng((self.seed, self._pictures)).integers(0, SPARE_PX, 2)
         return self._noise[x : x + height, y : y + width]
 
     @cached_property

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Bools, Floats, Grey
+from tetractl.emulate.stream_side import SPARE_PX
 from tetractl.model.swimmers import Bodies, Swimmers
 
 Shades = NDArray[np.float32]
@@ -23,7 +24,6 @@ TAPER = 0.2  # fraction by which the front is narrower than the middle
 SUB_EXPOSURES = 4
 LENS_PX = 0.6  # blur of a cell in focus
 SPREAD = 0.1  # um of blur per um of defocus: a numerical aperture of about 0.1
-NOISE_SPARE = 64  # margin by which the field of noise is larger than a picture [px]
 
 
 @dataclass(frozen=True, slots=True)
@@ -168,9 +168,9 @@ class DishPainter:
 
     def _grain(self) -> Shades:
         if self._noise is None:
-            size = self.look.height + NOISE_SPARE, self.look.width + NOISE_SPARE
+            size = self.look.height + SPARE_PX, self.look.width + SPARE_PX
             self._noise = self._random.normal(0, self.look.noise, size).astype(np.float32)
-        down, across = self._random.integers(0, NOISE_SPARE, 2)
+        down, across = self._random.integers(0, SPARE_PX, 2)
         return self._noise[down : down + self.look.height, across : across + self.look.width]
 
     def _specks_at_rest(self) -> Shades:

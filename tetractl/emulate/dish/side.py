@@ -20,9 +20,6 @@ from tetractl.experiment.base import Finite, Model, NonNegative, Positive
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.model.swimmers import Bodies, bodies
 
-SPECKS = 12
-BUBBLE_UM = 200.0
-
 
 class MicroscopeSettings(StreamSettings):
     """Properties of the emulated microscope; scale and default `latency` come from the spec."""
@@ -39,7 +36,7 @@ class MicroscopeSettings(StreamSettings):
     """Whether cells are brighter than the medium."""
     contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
     """Difference between cells and medium [grey levels]."""
-    specks: int = Field(default=SPECKS, ge=0, le=200)
+    specks: int = Field(default=12, ge=0, le=200)
     """Number of debris particles."""
 
 
@@ -108,7 +105,7 @@ class EmulatedMicroscope(StreamedCamera):
             "A bubble of this diameter [um] is in the middle of the picture.",
             _changes(specks=_bubble),
             Visible.EXPOSED,
-            size_um=(Positive, BUBBLE_UM),
+            size_um=(Positive, 200.0),
         ),
     )
 

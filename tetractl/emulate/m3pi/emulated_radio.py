@@ -28,7 +28,6 @@ AIR_NS_A_BYTE = 32_000
 AIR_OVERHEAD = 17  # bytes: preamble, header, checksum
 BACKOFF_NS = 320_000  # longest random wait before a transmission
 ACK_NS = 860_000  # time a sender waits for an acknowledgement
-TRIES = 4
 ROBOT_BAUD = 57600
 
 
@@ -115,7 +114,7 @@ class EmulatedRadio(SerialDevice):
             self.note("heard", robot=robot.name, hex=payload.hex())
 
     def _reply(self, payload: bytes) -> None:
-        for _ in range(TRIES):
+        for _ in range(4):
             arrives = self._take_air(len(payload))
             self._air_ns += ACK_NS
             if self._random.random() >= self.loss:

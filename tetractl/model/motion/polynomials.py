@@ -37,7 +37,6 @@ def _atan_ratio(q: Floats) -> Floats:
 _QUARTER = (math.pi / 4) ** 2
 SINE = fit(lambda q: np.sinc(np.sqrt(q) / np.pi), _QUARTER, 5)  # sin(t)/t of q = t^2
 COSINE = fit(lambda q: np.cos(np.sqrt(q)), _QUARTER, 5)  # cos t
-TURN = 2 * math.pi
 ATANH = fit(_atanh_ratio, (math.sqrt(2) - 1) ** 4 * 1.01, 5)  # atanh(f)/f
 ATAN = fit(_atan_ratio, TAN_EIGHTH**2 * 1.01, 9)  # atan(z)/z
 
@@ -74,7 +73,7 @@ def sincos(x):
 
 def wrap(x):
     """Return the angle x wrapped into [-pi, pi]."""
-    return x - TURN * np.rint(x / TURN)
+    return x - math.tau * np.rint(x / math.tau)
 
 
 def mantissa(y):

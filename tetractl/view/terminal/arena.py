@@ -16,8 +16,10 @@ from tetractl.core.shape import Shape
 from tetractl.replay.player import Moment, first_seen
 from tetractl.view.terminal.glyphs import Glyphs, arrow, eighth
 
-ACROSS, DOWN = 2, 4  # dots of a braille cell; a cell is twice as high as wide, so dots are square
 _BITS = np.array([[0x01, 0x08], [0x02, 0x10], [0x04, 0x20], [0x40, 0x80]], dtype=np.uint8)
+DOWN, ACROSS = (
+    _BITS.shape
+)  # dots of a braille cell; it is twice as high as wide, so they are square
 _PLAIN = Style()
 OBSTACLE_STYLE = Style(color="#C9A227")
 BORDER_STYLE = Style(dim=True)

@@ -28,10 +28,7 @@ from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
-FIRST, STEP = 6, 4  # first count of the ramp, and its step
 STRAIGHT_S = 0.7
-GAP_NS = 60_000_000  # longest gap between frames of a burst
-FASTEST_MM_S, FASTEST_RAD_S = 500.0, 12.0  # faster than any robot during calibration
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,11 +146,9 @@ class _Bench:
         self.rig = Rig(camera, self.actuator, limits, setup, self.clock, emergency, wake)
         self.limit = min(limit, int(self.actuator.drivetrains.limit[0]))
         guard = self.rig.guard
+        fastest = (500.0 / self.rig.mm,), (12.0,)  # faster than any robot during calibration
         guard.rules = replace(
-            guard.rules,
-            speeds=(FASTEST_MM_S / self.rig.mm,),
-            turning=(FASTEST_RAD_S,),
-            silence_ns=3 * SECOND,
+            guard.rules, speeds=fastest[0], turning=fastest[1], silence_ns=3 * SECOND
         )
 
     def open(self) -> None:
@@ -225,7 +220,7 @@ class _Bench:
         """
         points: list[tuple[int, float]] = []
         signs: list[float] = []
-        for count in range(FIRST, self.limit + 1, STEP):
+        for count in range(6, self.limit + 1, 4):
             rates = []
             for sign in (1, -1):
                 counts = [0, 0]
@@ -269,7 +264,7 @@ class _Bench:
             frames = [f for f in came if f.frame.sampled_ns >= began]
             seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
-            if max(np.diff(times)) <= GAP_NS:
+            if max(np.diff(times)) <= 0.06 * SECOND:  # the guard has let the robot move
                 # the wheels turn steadily 0.2 s after the start of a burst
                 return _steady(seen, began + round(0.2 * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from tetractl.core.clock import Clock, wait_for
 from tetractl.core.errors import AbortError
-from tetractl.core.worker import drained
+from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.lab.actuators.xbee import frames
 from tetractl.lab.actuators.xbee.hardware import (
     BAUDS,
@@ -18,8 +18,6 @@ from tetractl.lab.actuators.xbee.hardware import (
 )
 from tetractl.lab.serial_port import Ports, SerialPort
 
-QUEUED = 1024
-OTHER_BAUDS = (9600, 57600, 115200, 38400, 19200)
 HINT = "the robots stop by their watchdog; plug the module in and start again"
 
 
@@ -35,8 +33,8 @@ class Link:
         self.radio = radio
         self.questions: tuple[str, ...] = ()
         self._decoder = frames.Decoder()
-        self._fresh: deque[bytes] = deque(maxlen=QUEUED)
-        self._answers: deque[tuple[int, bytes, bytes | None]] = deque(maxlen=QUEUED)
+        self._fresh: deque[bytes] = deque(maxlen=WAITING_MAX)
+        self._answers: deque[tuple[int, bytes, bytes | None]] = deque(maxlen=WAITING_MAX)
         self._frame_id = 0
         self._clock = clock
         make = ports or SerialPort
@@ -145,7 +143,7 @@ class Link:
     def _silent(self) -> AbortError:
         """Try the other baud rates; return the error for a module silent at the spec's."""
         radio = self.radio
-        for baud in OTHER_BAUDS:
+        for baud in BAUDS[3:]:  # those that a spec may state, first a module's usual one
             if baud == radio.baud:
                 continue
             self._port.set_baud(baud)

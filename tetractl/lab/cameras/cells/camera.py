@@ -10,11 +10,12 @@ import cv2
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from tetractl.core.cell_film import CellFilm
+from tetractl.core.cell_film import SURE, CellFilm
 from tetractl.core.clock import SECOND, Clock
 from tetractl.core.commands import Health
 from tetractl.core.poses import Bools, Floats, Grey, Pose
 from tetractl.core.setup import Setup
+from tetractl.core.worker import WAITING_MAX
 from tetractl.experiment.choice import FoundCell
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
@@ -28,8 +29,6 @@ from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
 BACKGROUND = 15  # number of pictures from which the background is computed
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
 FILMS = 1024
-SIGNALS = 4096  # largest number of sent directions that are kept
-SURE = 0.9  # least probability of the identity of a cell that may be chosen
 
 
 class CellCamera(PictureCamera[SeenDish]):
@@ -62,7 +61,7 @@ class CellCamera(PictureCamera[SeenDish]):
         self._identities: list[int] | None = None  # cell number per robot, once all were seen
         self.divided: set[int] = set()  # robots from whose blob another cell separated
         self._lock = threading.Lock()
-        self._signals: deque[tuple[int, float | None]] = deque(maxlen=SIGNALS)
+        self._signals: deque[tuple[int, float | None]] = deque(maxlen=WAITING_MAX)
 
     def steered(self, direction: float | None, sent_ns: int) -> None:
         """Record the common direction [rad, in the spec's axes] sent at `sent_ns`; None if the

@@ -4,16 +4,16 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from tetractl.core.cell_film import SURE
 from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look
+from tetractl.model.swimmers import WIDTH_UM
 
 DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
 BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
 SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
-BODY_UM = 26.3
-UNSURE = 0.9  # probability of a robot's identity below which a problem is reported
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,11 +90,9 @@ def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         found.append("the rims of cells are blurred: focus, or shorten the exposure")
-    if BODY_UM / um_px < SMALL_PX:
-        found.append(
-            f"a cell is {BODY_UM / um_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed"
-        )
-    if looks[-1].seen.sure < UNSURE and not any(pose is None for pose in looks[-1].seen.poses):
+    if (width_px := WIDTH_UM[0] / um_px) < SMALL_PX:
+        found.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
+    if looks[-1].seen.sure < SURE and not any(pose is None for pose in looks[-1].seen.poses):
         found.append(
             "cells have met, and it is uncertain which is which: let the field turn a few times"
         )

@@ -18,7 +18,7 @@ from tetractl.core.commands import EMULATED_NAME, Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame
 from tetractl.core.setup import Setup
-from tetractl.core.worker import drained
+from tetractl.core.worker import WAITING_MAX, drained
 from tetractl.experiment.lab_section import entry
 from tetractl.lab.cameras.optitrack import diagnosis, natnet
 from tetractl.lab.cameras.optitrack.pose import Placement, UpAxis
@@ -28,9 +28,7 @@ from tetractl.lab.cameras.optitrack.stream import UNITS, UP_AXIS, Stream
 from tetractl.lab.cameras.optitrack.wire import DATAGRAM_MAX, pack
 
 ASK_NS = SECOND // 4  # an unanswered request is repeated after this time
-ECHO_NS = SECOND // 2
 FIRST_ECHOES = 20  # number of first echoes without a pause, so that the clock is known early
-FRAMES_KEPT = 4096  # largest number of frames kept until they are fetched
 WAIT_S = 0.02
 
 
@@ -64,7 +62,7 @@ class OptitrackCamera:
         up = {"auto": None, "y": UpAxis.Y, "z": UpAxis.Z}[section.up_axis]
         placement = Placement.of(section, setup.metres)
         self.stream = Stream(robots, placement, self._pinned, up, self._keep)
-        self._fresh: deque[CameraFrame] = deque(maxlen=FRAMES_KEPT)
+        self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._closing = threading.Event()
         self._sockets: list[socket.socket] = []
         self._due: dict[str, int] = {}
@@ -263,7 +261,7 @@ class OptitrackCamera:
             yield "alive", SECOND, natnet.Bare(natnet.MessageKind.KEEPALIVE)
         if stream.sync is not None:
             often = self._asked["echo"] < FIRST_ECHOES
-            yield "echo", ECHO_NS // 25 if often else ECHO_NS, natnet.EchoRequest(now)
+            yield "echo", SECOND // 50 if often else SECOND // 2, natnet.EchoRequest(now)
 
     def _send(self, message: natnet.ClientMessage) -> None:
         data = pack(message)

@@ -7,7 +7,7 @@ from tetractl.core.errors import WireError
 from tetractl.lab.cameras.optitrack import natnet
 from tetractl.lab.cameras.optitrack.payloads import NAME_MAX, parse_frame, parse_modeldef
 
-HEADER = 4  # u16 message id, u16 payload bytes
+HEADER = struct.Struct("<HH")  # message id, payload bytes
 DATAGRAM_MAX = 65_507
 SENDER = struct.Struct("<256s4B4B")  # name, application version, NatNet version
 SERVER_INFO = struct.Struct("<QH5x")  # clock, data port; multicast and its group are not read
@@ -58,10 +58,10 @@ def pack(message: natnet.ClientMessage) -> bytes:
 
 def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
     """Return a datagram's kind and payload; WireError if its header is wrong."""
-    if len(datagram) < HEADER:
+    if len(datagram) < HEADER.size:
         raise WireError(f"a datagram of {len(datagram)} bytes is too short")
-    code, size = struct.unpack_from("<HH", datagram)
-    payload = bytes(datagram[HEADER:])
+    code, size = HEADER.unpack_from(datagram)
+    payload = bytes(datagram[HEADER.size :])
     if size != len(payload):
         raise WireError(f"the header states {size} bytes, but {len(payload)} were received")
     try:
@@ -72,7 +72,7 @@ def split(datagram: bytes) -> tuple[natnet.MessageKind, bytes]:
 
 def datagram(kind: natnet.MessageKind, payload: bytes) -> bytes:
     """Pack a payload into a datagram of a kind; WireError if it is too long."""
-    if len(payload) + HEADER > DATAGRAM_MAX:
+    if len(payload) + HEADER.size > DATAGRAM_MAX:
         raise WireError(f"a payload of {len(payload)} bytes does not fit in a datagram")
     return packed("HH", kind, len(payload)) + payload
 

@@ -14,13 +14,11 @@ from tetractl.core.clock import SECOND, Clock, wait_for
 from tetractl.core.commands import Health
 from tetractl.core.errors import AbortError
 from tetractl.core.poses import CameraFrame, Grey, Pose
-from tetractl.core.worker import drained
+from tetractl.core.worker import IDLE_S, WAITING_MAX, drained
 from tetractl.lab.cameras.pictures.feed import Feed, Picture, SourceEndedError
 from tetractl.lab.cameras.pictures.looks import LOOKS, Look, rate_hz, search_ms, stream_lines
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 from tetractl.lab.cameras.pictures.source import decoded, open_feed
-
-WAIT_S = 0.05
 
 Join = Callable[[Callable[[bytes], None]], Feed]
 """Opens a source in memory, which calls a function with each picture, a JPEG file."""
@@ -61,7 +59,7 @@ class PictureCamera(ABC, Generic[S]):
     ) -> None:
         self._source, self._join = section, join
         self._clock, self._wake = clock, wake
-        self._fresh: deque[CameraFrame] = deque(maxlen=4096)  # until they are fetched
+        self._fresh: deque[CameraFrame] = deque(maxlen=WAITING_MAX)
         self._looks: deque[Look[S]] = deque(maxlen=LOOKS)
         self._feed: Feed | None = None
         self._size: tuple[int, ...] | None = None
@@ -177,7 +175,7 @@ class PictureCamera(ABC, Generic[S]):
     def _offer(self, picture: tuple[int, Picture], live: bool) -> None:
         while not self._closing.is_set():
             try:
-                self._next.put(picture, timeout=None if live else WAIT_S, block=not live)
+                self._next.put(picture, timeout=None if live else IDLE_S, block=not live)
                 return
             except queue.Full:
                 if live:
@@ -188,7 +186,7 @@ class PictureCamera(ABC, Generic[S]):
     def _find(self) -> None:
         while not self._closing.is_set():
             with suppress(queue.Empty):
-                number, picture = self._next.get(timeout=WAIT_S)
+                number, picture = self._next.get(timeout=IDLE_S)
                 self._search(number, picture)
 
     def _search(self, number: int, picture: Picture) -> None:

@@ -17,7 +17,7 @@ from natnet.version import Version as TheirVersion
 def test_frames_are_read_alike(version):
     packed = full_frame(version)
     ours = parse(packed, version)
-    theirs = DataFrame.read_from_buffer(PacketBuffer(packed[HEADER:]), TheirVersion(*version))
+    theirs = DataFrame.read_from_buffer(PacketBuffer(packed[HEADER.size :]), TheirVersion(*version))
     assert theirs.prefix.frame_number == ours.number
     assert [
         (body.id_num, body.pos, body.rot, body.tracking_valid) for body in theirs.rigid_bodies
@@ -37,6 +37,6 @@ def test_names_are_read_alike(version):
     # natnet 0.3.0 takes a force plate's four corners for three, and would read our asset
     model, packed = full_modeldef(version, awkward=False)
     theirs = DataDescriptions.read_from_buffer(
-        PacketBuffer(packed[HEADER:]), TheirVersion(*version)
+        PacketBuffer(packed[HEADER.size :]), TheirVersion(*version)
     )
     assert [(body.name, body.id_num) for body in theirs.rigid_bodies] == list(model.bodies)

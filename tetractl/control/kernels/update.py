@@ -7,7 +7,6 @@ import numpy as np
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 from tetractl.control.rng import GOLDEN
-from tetractl.model.motion.polynomials import TURN
 
 _GOLDEN = np.uint64(GOLDEN)
 MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
@@ -35,6 +34,6 @@ def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
             r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
             at = u[j, n]
             velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)
-            velocity = max(-TURN, min(velocity, TURN))  # |ub - lb|, (15)
+            velocity = max(-math.tau, min(velocity, math.tau))  # |ub - lb|, (15)
             v[j, n] = velocity
             u[j, n] = max(-math.pi, min(at + velocity, math.pi))

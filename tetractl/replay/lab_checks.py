@@ -31,6 +31,7 @@ from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.reader import path_verdict, trial_path
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.comparison import Difference
+from tetractl.replay.recompute import TOLERANCE
 
 DISTANCE_TOLERANCE = 1e-6  # of a least distance, relative
 STOP_REPEATED_NS = 500_000_000  # longest time from a stop's first repetition to its last

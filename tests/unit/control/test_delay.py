@@ -1,5 +1,6 @@
 """The state predicted over the dead time if nothing is identified."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -30,10 +31,11 @@ def drive(settings, steps, after_step):
         after_step(plant, observation, lambda u=float(direction): plant.send(Steer(u)))
 
 
-def estimator(dead_time):
+def estimator(dead_time, watchdog=math.inf):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    return problem, StateEstimator(problem, 0.2, nothing(problem, dead_time))
+    prior = nothing(problem, dead_time)._replace(watchdog=watchdog)
+    return problem, StateEstimator(problem, 0.2, prior)
 
 
 def seen(problem, at_s, **poses):
@@ -80,12 +82,23 @@ def test_without_a_dead_time_the_poses_are_those_of_the_frame():
         assert np.array_equal(found.poses.array(), frame.poses.array())
 
 
-def test_robots_stand_before_the_first_command_acts():
-    problem, estimates = estimator(0.3)
+@pytest.mark.parametrize("watchdog", [math.inf, 0.25])
+def test_robots_stand_before_the_first_command_acts(watchdog):
+    problem, estimates = estimator(0.3, watchdog)
     assert np.array_equal(estimates.seen(seen(problem, 0.0)).poses.x, problem.poses.x)
     found = estimates.seen(seen(problem, 0.2), command(0.0, 0.0))
     assert found.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
     assert estimates.held_at_action.tolist() == [0.0] * 3
+
+
+@pytest.mark.parametrize(("last_s", "next_s"), [(0.9, 1.1), (0.7, 1.0), (1.2, 1.0)])
+def test_the_next_direction_is_sent_a_period_after_the_last_unless_that_is_past_or_far(
+    last_s, next_s
+):
+    problem, _ = estimator(0.1)
+    estimates = StateEstimator(problem, 0.2, nothing(problem, 0.1)._replace(dead_time_std=0.02))
+    estimates.sent(command(0.0, last_s))
+    assert estimates.sends(seen(problem, 1.0)) == round(next_s * SECOND)
 
 
 def test_commands_that_acted_are_forgotten():

@@ -112,6 +112,8 @@ def test_what_is_uncertain_takes_more_room():
     assert least == off_course(speed, 0.2, 0.1, None) > 0
     assert off_course(speed, 0.05, 0.1, sure) == pytest.approx(least / 4)
     assert off_course(speed, 0.2, 0.1, unsure) == pytest.approx(least + 2 * 200 * 0.1)
+    of_speed = replace(sure, speed_std=np.full(3, 10.0))  # over the dead time and a period
+    assert off_course(speed, 0.2, 0.1, of_speed) == pytest.approx(least + 2 * 10 * (0.1 + 0.2))
 
 
 def test_a_robot_inside_the_margin_does_not_freeze_the_plan():

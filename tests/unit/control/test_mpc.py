@@ -87,10 +87,11 @@ def test_longer_plans_are_searched_afresh_where_they_can_be_worth_more():
     assert len(asked) == 5  # none longer can be worth as much
 
 
-def test_no_plan_is_longer_than_the_steps_that_are_left():
-    controller, search = driving({}, steps_max=9)
+@pytest.mark.parametrize(("periods", "tried"), [(1, [5, 4, 6, 7, 8]), (2, [5])])
+def test_no_plan_is_longer_than_the_steps_that_are_left(periods, tried):
+    controller, search = driving({}, steps_max=9, signal_periods=periods)
     step(controller)
-    assert [length for length, _ in lengths(search)] == [5, 4, 6, 7, 8]
+    assert [length for length, _ in lengths(search)] == tried
 
 
 def test_longer_plans_are_searched_on_where_the_deadline_came_between():

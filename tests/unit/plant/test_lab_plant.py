@@ -1,5 +1,7 @@
 """The lab as a plant, in virtual time, between a fake camera and a fake actuator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.labs import fake_lab
@@ -8,6 +10,7 @@ from support.trials import experiment
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Health, Note, Steer
 from tetractl.core.errors import AbortError
+from tetractl.core.tour import LossRule
 from tetractl.experiment.lab_section import LabLimits
 from tetractl.lab.rest_check import REST_NS
 
@@ -16,8 +19,8 @@ SETUP = experiment().setup
 CELLS = {"individual": False, "halts": False}
 
 
-def opened(**actuator):
-    lab = fake_lab(SETUP, **actuator)
+def opened(setup=SETUP, **actuator):
+    lab = fake_lab(setup, **actuator)
     lab.plant.open()
     return lab
 
@@ -104,6 +107,28 @@ def test_a_silent_camera_stops_cells_by_a_stop_and_the_run_goes_on_with_its_fram
         lab.plant.observe()
 
 
+def test_a_lost_robot_counts_no_more_where_it_was_last_seen():
+    """Green passes the place where blue, a cell, was last seen: it has swum on."""
+    lab = opened(replace(SETUP, loss=LossRule(0.3, False)), **CELLS)
+    lab.camera.hidden = {"blue"}
+    drive(lab, 2.0, np.pi / 2)
+    assert abs(lab.world.poses[0, 1] - 1200) < 100
+    assert min(lab.plant.settle().apart) > 300
+
+
+def test_a_long_first_plan_is_no_late_step():
+    lab = fake_lab(SETUP, LabLimits(late_steps=2))
+    lab.plant.open()
+    for _ in range(2):
+        lab.plant.observe()
+        wait(lab, 0.3)
+        lab.plant.send(Steer(0.5))
+    lab.plant.observe()
+    wait(lab, 0.3)
+    with pytest.raises(AbortError, match="2 control steps in a row were late"):
+        lab.plant.send(Steer(0.5))
+
+
 def test_cells_are_not_waited_for_after_a_stop():
     lab = stopped(**CELLS)
     before = lab.clock.now()
@@ -113,8 +138,10 @@ def test_cells_are_not_waited_for_after_a_stop():
     assert any(lab.world.moving)
 
 
-def test_robots_that_do_not_stand_after_a_stop_are_named():
-    lab = stopped()
+@pytest.mark.parametrize("metres", [0.001, 1.0])
+def test_robots_that_do_not_stand_after_a_stop_are_named(metres):
+    slow = SETUP.speed * 0.001 / metres
+    lab = stopped(setup=replace(SETUP, metres=metres, speed=slow))
     lab.world.deaf = {0}
     lab.world.moving = (True, False, False)
     verdict = lab.plant.settle()

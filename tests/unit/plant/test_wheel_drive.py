@@ -26,8 +26,9 @@ COUNT = 1000 / 127
 ROBOTS = experiment().robots
 
 
-def plant(seed=1, drive=None, **fields):
-    spec = experiment(plant={"drive": drive or {}, **fields}, wheels={"radius": 40}, obstacles=[])
+def plant(seed=1, drive=None, lag=0.0, **fields):
+    wheels = {"radius": 40, "lag": lag}
+    spec = experiment(plant={"drive": drive or {}, **fields}, wheels=wheels, obstacles=[])
     return sim(spec, seed)
 
 
@@ -97,9 +98,13 @@ def test_wheels_sent_once_a_control_step_hold_an_arc():
     assert truths(samples) == pytest.approx(truths(expected), abs=1e-6)
 
 
-def test_what_is_sent_is_computed_from_the_newest_frame_received():
-    late = {"type": "camera-latency", "mean": 0.03}
-    simulated = plant(drive={"rate": 40}, disturbances=[late], measurement_noise={"heading": 0.05})
+@pytest.mark.parametrize("lag", [0.0, 0.1])
+def test_what_is_sent_is_computed_from_the_newest_frame_received(lag):
+    fields = {
+        "disturbances": [{"type": "camera-latency", "mean": 0.03}],
+        "measurement_noise": {"heading": 0.05},
+    }
+    simulated = plant(drive={"rate": 40}, lag=lag, **fields)
     commands, samples = driven(simulated)
     received = np.array([sample.observation.received_ns for sample in samples])
     a = np.array([robot.a for robot in experiment().robots])

@@ -244,8 +244,12 @@ class Drive:
     Poses are those of a noisy camera, unless `noise` is 0; `see` is what it makes of green's.
     """
 
-    def __init__(self, told=200.0, done=(200.0, 0.0, 0.0), turning=0.0, noise=0.3):
-        self.course, self.random = running(replace(RULES, wheel_radius=40.0)), random.Random(1)
+    def __init__(
+        self, told=200.0, done=(200.0, 0.0, 0.0), turning=0.0, noise=0.3, blue=PLACES[1], **rules
+    ):
+        rules = replace(RULES, wheel_radius=40.0, **rules)
+        self.course, self.random = running(rules, (PLACES[0], blue)), random.Random(1)
+        self.blue = blue
         self.told, self.done, self.turning, self.noise = told, done, turning, noise
         self.x, self.y, self.heading = 500.0, 500.0, 0.3
 
@@ -260,7 +264,7 @@ class Drive:
             self.x += along * math.cos(self.heading) - across * math.sin(self.heading)
             self.y += along * math.sin(self.heading) + across * math.cos(self.heading)
             green = see(self._noisy(Pose(self.x, self.y, self.heading)))
-            self.course.frame((green, self._noisy(PLACES[1])))
+            self.course.frame((green, self.blue and self._noisy(self.blue)))
             guard.steered(self.course.at)
         return guard
 
@@ -296,6 +300,20 @@ def test_a_robot_is_stopped_before_it_leaves_the_arena():
     assert guard.reason == "green is about to leave the arena"
     ahead = 0.15 * 200.0 * math.cos(0.3)  # in the reaction time
     assert drive.x == pytest.approx(2000.0 - ahead, abs=3.0)
+
+
+def test_a_robot_is_stopped_before_it_touches_one_that_was_lost_on_its_way():
+    drive = Drive(blue=Pose(900.0, 620.0, 2.0), goes_on=True)
+    drive.go(0.1)
+    drive.blue = None
+    assert drive.go(3.0).reason.startswith("green and blue are too close")
+
+
+def test_limits_in_millimetres_hold_in_the_units_of_the_spec():
+    places = (Pose(50.0, 50.0, 0.3), Pose(50.0, 150.0, -2.0))
+    course = running(replace(RULES, mm=10.0, speeds=(20.0, 10.0)), places)
+    course.frame((Pose(54.0, 50.0, 0.3), places[1]))
+    assert course.guard.refused == ("its pose jumped", "")
 
 
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():

@@ -48,6 +48,14 @@ def test_a_silent_camera_is_a_problem():
     assert problem.startswith("no new camera frame for 0.5")
 
 
+@pytest.mark.parametrize(
+    ("age_ms", "said"), [(90, ()), (110, ("frames are 110 ms old on arrival",))]
+)
+def test_frames_that_are_old_on_arrival_are_a_problem(age_ms, said, monkeypatch):
+    monkeypatch.setattr("support.labs.LATENCY_NS", age_ms * 1_000_000)
+    assert looked_over().problems == said
+
+
 @pytest.mark.parametrize("x", [1000.0, -5000.0])
 def test_what_is_no_robot_must_not_stand_in_the_arena(x):
     def place(camera):

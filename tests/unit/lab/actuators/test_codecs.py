@@ -1,5 +1,5 @@
 """The bytes between the host and its devices: COBS frames, and the frames of m3pi robots and of the
-current driver.
+current driver; and the wheel counts that they carry.
 """
 
 import itertools
@@ -7,13 +7,19 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.lab_specs import SPEC
 from support.paths import ROOT
 
+from tetractl.core.clock import SECOND, VirtualClock
+from tetractl.core.commands import Steer
 from tetractl.core.errors import WireError
+from tetractl.core.poses import Pose
+from tetractl.experiment.load import parse_spec
 from tetractl.lab import cobs
 from tetractl.lab.actuators.field import driver
 from tetractl.lab.actuators.field.driver import DriverStatus, FieldCommand, FieldReply
 from tetractl.lab.actuators.m3pi import broadcast
+from tetractl.lab.actuators.m3pi.actuator import M3piActuator
 from tetractl.lab.actuators.m3pi.broadcast import ROBOTS_MAX, BroadcastCommand, Reply, Status
 from tetractl.lab.cobs import Flag
 
@@ -169,3 +175,16 @@ def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
     ]
     found = [broadcast.decode_reply(frame) for frame in frames[len(frames) - len(sent) :]]
     assert found == sent
+
+
+def test_headings_are_predicted_over_a_tenth_of_a_second_at_most():
+    """From a frame's exposure until the wheels have a command, 7 ms after it is sent."""
+    experiment = parse_spec(SPEC, "lab.yaml").experiment
+
+    def counts(age_ms):
+        clock = VirtualClock()
+        clock.sleep_until(SECOND)
+        actuator = M3piActuator(experiment.lab.actuator, experiment.setup, clock)
+        return actuator.counts(Steer(2.0), [Pose(500, 500, 0.5)] * 2, SECOND - age_ms * 1_000_000)
+
+    assert counts(0) != counts(93) == counts(500)

@@ -5,7 +5,9 @@ import pytest
 
 from tetractl.lab.cameras.cells.cell import FollowedCell
 from tetractl.lab.cameras.cells.helix import HelixFilter
+from tetractl.lab.cameras.cells.identity import PATIENCE_S
 from tetractl.lab.cameras.cells.lost_cells import MOST, REMEMBERED_S, LostCells
+from tetractl.lab.cameras.cells.merges import Merges
 
 RARE = 0.3 / 2355**2  # density [1/um^2] with which other cells appear
 
@@ -44,3 +46,16 @@ def test_it_is_forgotten(lost):
     lost.forget(10.1 + REMEMBERED_S)
     assert lost.found(np.array([505.0, 490.0]), (51.0, 25.0), 13.2, RARE) is None
     assert not lost.bank.used.any()
+
+
+def test_each_meeting_lowers_the_certainty_of_who_is_who():
+    bank, seen = HelixFilter(), np.array([(500.0, 500.0, 0.0), (503.0, 500.0, 0.0)])
+    cells = [FollowedCell(i, i, bank.add(*seen[i], 400.0), 50.0, 25.0) for i in (0, 1)]
+    merges = Merges(bank)
+    for seconds in (20.0, 40.0):
+        merges.watch(cells[0], True, False, seconds)
+        merges.ask(*cells, seen, seconds, cells)
+        merges.answer(cells, seconds + PATIENCE_S + 1)
+    one, two = (answer.probability for answer in merges.closed)
+    assert max(one, two) < 0.9
+    assert cells[0].certainty == cells[1].certainty == pytest.approx(one * two)

@@ -131,6 +131,16 @@ def test_frames_of_another_clock_than_the_echoes_are_named():
     assert "s before reception: the clock was set" in server.stream.newest.fault
 
 
+def test_single_frames_of_a_wrong_time_are_dropped_and_are_no_fault():
+    server = Server()
+    ahead = server.clock
+    server.clock = lambda at: ahead(
+        at + SECOND * (at == server.now and server._frames % 10 == 0)  # frames, not echoes
+    )
+    assert server.until(2) is None
+    assert server.stream.counts.bad == 24
+
+
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize(
     ("drift", "delay_ms"), [(1e-4, (0.1, 0.5)), (-9e-4, (0.1, 0.5)), (5e-4, (0.1, 150.0))]

@@ -72,6 +72,16 @@ def test_a_broadcast_takes_its_time_on_the_wires(opened, tmp_path):
     assert lab.actuator.robots[1].counts() == (60, 60)
 
 
+def test_an_answer_keeps_the_air_until_it_is_acknowledged(opened):
+    lab, _ = opened()
+    radio, arrived = lab.actuator.radio, []
+    radio._answer = lambda data: arrived.append(lab.timeline.now_ns)
+    for _ in range(2):
+        radio._reply(bytes(13))
+    turn_until(lab, lambda: len(arrived) == 2)
+    assert arrived[1] - arrived[0] >= (13 + 17) * 32_000 + 860_000
+
+
 def test_a_name_that_is_taken_is_refused_and_left(tmp_path):
     (tmp_path / "radio").write_text("something of somebody")
     with pytest.raises(UsageError, match="exists already"), emulated(tmp_path):

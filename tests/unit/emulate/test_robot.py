@@ -71,6 +71,15 @@ def test_the_path_does_not_depend_on_how_often_it_is_read(gaps, left):
     assert watched.wheels == pytest.approx(alone.wheels, abs=1e-9)
 
 
+def test_a_wheel_that_sticks_stands_at_once():
+    one = robot()
+    one.hear(frame(1, (40, 40)))
+    one.robots.advance(200 * MS)
+    one.stuck = (True, False)
+    one.robots.advance(202 * MS)
+    assert one.wheels[0] == 0 < one.wheels[1]
+
+
 def test_a_robot_stops_by_its_watchdog():
     one = robot()
     one.hear(frame(1, (40, 40)))

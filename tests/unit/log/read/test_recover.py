@@ -72,6 +72,8 @@ def test_what_is_lost_and_when_is_told(log, tmp_path):
     assert set(done.damage.lost) <= set(left.damage.lost)
     assert read_result(Path(str(done.path))).recovered
     assert content_digest(Path(str(done.path))) == content_digest(rotten)  # that of what is left
+    recover(Path(str(done.path)), tmp_path / "twice.mcap")
+    assert len(scan(tmp_path / "twice.mcap").by_topic[RECOVERED]) == 1
 
 
 def test_every_intact_record_comes_back(log, tmp_path):

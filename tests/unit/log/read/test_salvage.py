@@ -15,7 +15,7 @@ from tetractl.core.plan import Outcome
 from tetractl.log.format.channels import FRAMES, RESULT, RUN
 from tetractl.log.format.tetractl_pb2 import CameraFrames
 from tetractl.log.read.reader import content_digest, read_result, read_trial
-from tetractl.log.read.salvage import MAGIC, scan
+from tetractl.log.read.salvage import MAGIC, peek, scan
 from tetractl.replay.comparison import first_difference
 
 
@@ -210,3 +210,10 @@ def test_a_flipped_bit_is_seen_without_reading_the_trial(log, tmp_path):
             assert read_result(path).recovered, at
         except LogError:
             continue
+
+
+def test_a_file_without_the_checksum_of_its_data_is_not_read_by_its_index(log, tmp_path):
+    data = log.read_bytes()
+    assert peek(log) is not None
+    at = data.rindex(b"\x0f" + (4).to_bytes(8, "little")) + 9
+    assert peek(_damaged(tmp_path, data[:at] + bytes(4) + data[at + 4 :])) is None

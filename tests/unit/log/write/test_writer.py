@@ -9,6 +9,7 @@ from mcap.reader import make_reader
 from support.paths import ROOT
 from support.random_trials import trial, write
 
+from tetractl.core.clock import SECOND
 from tetractl.core.errors import LogError
 from tetractl.log.format.channels import FORMAT_VERSION
 from tetractl.log.read.reader import read_trial
@@ -43,9 +44,18 @@ def test_a_trial_without_an_end_stays_a_part(tmp_path):
     assert found.damage is not None
 
 
-def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path):
+def test_no_robot_moves_before_the_start_is_on_the_disk(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr("tetractl.log.write.sink._sync_data", synced.append)
+    with LogWriter(tmp_path / "trial.mcap") as writer:
+        writer.on_start(trial().start)
+        assert synced
+
+
+@pytest.mark.parametrize(("real_time", "seconds"), [(False, 2.2), (True, 0.45)])
+def test_little_trial_time_is_all_a_crash_can_cost(real_time, seconds, tmp_path):
     made = trial(steps=32)
-    writer = LogWriter(tmp_path / "trial.mcap")
+    writer = LogWriter(tmp_path / "trial.mcap", real_time)
     writer.on_start(made.start)
     for samples, step in made.rounds:
         writer.on_samples(samples)
@@ -53,7 +63,7 @@ def test_two_seconds_of_trial_time_are_all_a_crash_can_cost(tmp_path):
         writer.drain()
         found = read_trial(tmp_path / "trial.mcap.part")  # as if killed here
         seen_ns = int(found.received_ns[-1]) if len(found.received_ns) else 0
-        assert samples[-1].observation.received_ns - seen_ns <= 2_200_000_000
+        assert samples[-1].observation.received_ns - seen_ns <= seconds * SECOND
     writer.close()
 
 

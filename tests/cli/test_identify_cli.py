@@ -30,6 +30,13 @@ def test_a_batch_is_identified_and_the_file_goes_into_a_spec(folder):
     assert (again.returncode, "exists already" in again.stderr) == (2, True)
 
 
+def test_what_is_identified_from_a_damaged_log_is_told_with_a_failure(folder, tmp_path):
+    torn = tmp_path / "torn.mcap"
+    torn.write_bytes((folder / "logs/trial-000.mcap").read_bytes()[:-200])
+    done = tetractl(folder, "identify", str(torn))
+    assert (done.returncode, "dead time" in done.stdout) == (1, True)
+
+
 def test_exported_tables_say_the_same(folder):
     assert tetractl(folder, "export", "logs", "-o", "tables").returncode == 0
     logs, tables = (

@@ -9,7 +9,9 @@ from support.trials import experiment
 
 from tetractl.core.errors import Exit, SpecError
 from tetractl.core.trial import OWN_FILES
+from tetractl.experiment.identified import Identified, IdentifiedValue, merge
 from tetractl.experiment.load import attach, load_spec, parse_spec, resolved_yaml, spec_hash
+from tetractl.experiment.yaml.document import parse_document
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.log.format import channels
 
@@ -284,6 +286,14 @@ def test_problems_of_the_file_and_of_settings_come_together():
         "--set nonsense",
         "--set trials.count=x",
     ]
+
+
+@pytest.mark.parametrize(("estimate", "dead_time"), [("false", 0.13), ("true", 0.1)])
+def test_an_identified_dead_time_counts_from_the_frame_where_none_is_estimated(estimate, dead_time):
+    document = parse_document(f"{GOOD}  estimate: {estimate}\n", "s.yaml")
+    known = {"dead_time": IdentifiedValue(value=0.1), "frame_age": 0.03, "robots": {}}
+    merge(document, Identified(identified="", origin="lab", unit="mm", **known), "found.yaml")
+    assert document.data["controller"]["dead_time"] == pytest.approx(dead_time)
 
 
 def test_a_loaded_spec_keeps_the_text_as_written(tmp_path):

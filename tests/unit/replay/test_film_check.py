@@ -14,8 +14,8 @@ from support.tampering import noticed, tamperings
 from tetractl.core.cell_film import cut
 from tetractl.lab.cameras.cells.detect_cells import PART_LOW
 from tetractl.log.format import channels
-from tetractl.log.format.crop_images import encode_film
-from tetractl.log.format.tetractl_pb2 import Run
+from tetractl.log.format.crop_images import checksums, encode_film
+from tetractl.log.format.tetractl_pb2 import CellCrops, Run
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
 from tetractl.replay.verify import verify
@@ -51,6 +51,12 @@ def test_changes_of_crops_and_poses_are_noticed(shown, tmp_path):
         if not noticed(log, one, tmp_path / f"{number}.mcap"):
             missed[one.channel, one.what] += 1
     assert missed == Counter()
+
+
+def test_the_checksum_covers_which_robots_are_tracked(shown):
+    seen = shown[1][0].observation
+    other = replace(seen, valid=~seen.valid)
+    assert checksums(CellCrops(), seen, ()) != checksums(CellCrops(), other, ())
 
 
 def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_path):

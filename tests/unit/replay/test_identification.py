@@ -1,8 +1,11 @@
 """Robots identified from tracks made up for the tests: dead time, a, speed, noise."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from support.paths import ROOT
+from support.trials import three_robots
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -11,7 +14,7 @@ from tetractl.experiment.load import load_spec
 from tetractl.plant.simulation import SimPlant
 from tetractl.replay.identification.design import propose
 from tetractl.replay.identification.identify import identify, tables
-from tetractl.replay.identification.tracks import Track, csv_tracks
+from tetractl.replay.identification.tracks import SETTLED_S, Track, csv_tracks, track_of
 
 EXPERIMENT = ROOT / "experiments" / "three_m3pi.yaml"
 EXPECTED = np.array([6.0, 4.0, 3.0])
@@ -181,3 +184,13 @@ def test_what_is_wrong_with_a_csv_file_is_told(tmp_path, poses, commands, says):
     (tmp_path / "c.csv").write_text(commands)
     with pytest.raises(UsageError, match=says):
         csv_tracks([tmp_path / "p.csv", tmp_path / "c.csv"])
+
+
+def test_poses_of_a_pause_are_not_used():
+    log = three_robots()
+    stop = replace(log.stop, sent_ns=log.steps[9].command.sent_ns + SECOND // 10)
+    drives_ns = log.steps[10].command.sent_ns + SETTLED_S * SECOND
+    paused = (log.mocap_ns >= stop.sent_ns) & (log.mocap_ns < drives_ns)
+    track = track_of(replace(log, commands=(*log.commands, stop)))
+    assert 0 < paused.sum() < len(paused)
+    assert np.array_equal(track.valid, log.valid & ~paused[:, None])

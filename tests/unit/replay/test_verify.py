@@ -285,20 +285,19 @@ def test_steps_of_the_lab_come_in_order(tmp_path):
     assert "command.sent_ns" in found
 
 
-def lab_log(tmp_path, valid, speed_mm, halts):
+def lab_log(tmp_path, valid, speed_mm, halts, metres):
     """A complete lab trial: a second of frames at 100 Hz; robot 0 drives along x throughout."""
     made = random_trials.trial(simulated=False)
     log = read_trial(random_trials.write(made, tmp_path / "trial.mcap"))
     assert log.result
     lab = on_plant(load_spec(ROOT / "experiments" / "three_m3pi_lab.yaml"), "lab").experiment
     poses = np.zeros((100, 3, 3))
-    poses[:, 0, 0] = np.arange(100) * speed_mm / 100
+    poses[:, 0, 0] = np.arange(100) * speed_mm / 100 * 0.001 / metres
+    setup = replace(lab.setup, metres=metres)
     return replace(
         log,
         experiment=lab,
-        start=replace(
-            log.start, setup=lab.setup, plant=PlantInfo("lab", False, 100.0, {HALTS: halts})
-        ),
+        start=replace(log.start, setup=setup, plant=PlantInfo("lab", False, 100.0, {HALTS: halts})),
         result=replace(log.result, outcome=Outcome.ARRIVED),
         notes=(),
         damage=None,
@@ -316,6 +315,7 @@ def lost(robot, since, until=100):
     return valid
 
 
+@pytest.mark.parametrize("metres", [0.001, 1.0])
 @pytest.mark.parametrize(
     ("valid", "speed_mm", "halts", "said"),
     [
@@ -329,8 +329,10 @@ def lost(robot, since, until=100):
         (lost(0, 100), 60.0, "no", ""),
     ],
 )
-def test_a_complete_lab_trial_shows_every_robot_at_rest(tmp_path, valid, speed_mm, halts, said):
-    log = lab_log(tmp_path, valid, speed_mm, halts)
+def test_a_complete_lab_trial_shows_every_robot_at_rest(
+    tmp_path, valid, speed_mm, halts, said, metres
+):
+    log = lab_log(tmp_path, valid, speed_mm, halts, metres)
     differences = lab_differences(log, log.result, log.stop)
     found = [one.message for one in differences if one.field == "result.outcome"]
     assert found == ([said] if said else [])

@@ -60,13 +60,14 @@ def test_recorded_directions_are_those_of_the_steps():
     assert remainder == 0.0
 
 
-def test_a_late_direction_counts_from_the_nearest_period_on():
+@pytest.mark.parametrize(("late_ms", "held"), [(80, 3), (120, 2)])
+def test_a_late_direction_counts_from_the_nearest_period_on(late_ms, held):
     log = three_robots()
-    late = replace(log.commands[3], sent_ns=log.commands[3].sent_ns + 120_000_000)
+    late = replace(log.commands[3], sent_ns=log.commands[3].sent_ns + late_ms * 1_000_000)
     commands = (*log.commands[:3], late, *log.commands[4:])
     directions, _ = recorded_directions(replace(log, commands=commands))
     sent = [step.command.direction for step in log.steps]
-    assert directions.tolist() == [*sent[:3], sent[2], *sent[4:]]
+    assert directions.tolist() == [*sent[:3], sent[held], *sent[4:]]
 
 
 def test_a_spec_of_a_sequence_sends_it_and_is_complete():

@@ -170,9 +170,10 @@ def test_robots_at_one_place_are_told():
 
 def test_bodies_overlap_at_no_start_and_at_targets_with_a_warning():
     with pytest.raises(InvalidSpecError) as caught:
-        parse_spec(SAME, "s", ["controller.collision.radius=1"])
+        near = SAME.replace("three, start: [10, 10]", "three, start: [11, 10]")
+        parse_spec(near, "s", ["controller.collision.radius=1"])
     assert caught.value.lines() == [
-        "s:7:26: robots.2.start: [10, 10]: is 0 from the start of one: bodies of radius 1 overlap; "
+        "s:7:26: robots.2.start: [11, 10]: is 1 from the start of one: bodies of radius 1 overlap; "
         "move one of them"
     ]
     sets = ["controller.collision.radius=2.1", "robots.one.start=[1, 1]", "robots.two.start=[1, 9]"]

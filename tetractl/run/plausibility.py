@@ -67,6 +67,11 @@ class CheckContext:
         self.walls = self.keeps is not None and self.keeps.walls
         self.longest_s = (self.setup.steps_max + 1) * self.setup.period_s
 
+    @property
+    def least_total_error(self) -> float:
+        """A lower bound of the total error of any plan [length unit], see `model.bounds`."""
+        return bounds.least_total_error(self.setup, self.longest_s)
+
     def counts(self, least: float, robots: int) -> bool:
         """Return whether a least total error of some robots is above the tolerance and rounding."""
         arena = self.setup.arena
@@ -232,7 +237,7 @@ def _alike(setup: Setup) -> Iterator[list[int]]:
 
 def error_left(spec: CheckContext) -> Found:
     """Warn if no plan can reach all targets: the lower bound of the total error is not 0."""
-    least = bounds.least_total_error(spec.setup, spec.longest_s)
+    least = spec.least_total_error
     if spec.counts(least, len(spec.setup.a)):
         message = f"least total error of any plan: {least:.4g} {spec.unit}"
         hint = "no controller can do better with these a, speeds, starts and targets"

@@ -20,10 +20,10 @@ from tetractl.log import provenance
 from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry
 from tetractl.log.read import limits
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import ALTERED, TrialLog, frame_gaps, step_gaps
+from tetractl.log.read.trial_log import TrialLog, frame_gaps, step_gaps
 from tetractl.replay.comparison import (
     SAME_BITS,
     Comparison,
@@ -110,22 +110,22 @@ def verify(path: Path) -> Verification:
         checked=found.step if found and found.step is not None else known,
         method=method,
         elsewhere=elsewhere,
-        problems=(*([found] if found else []), *others, *missing, *_damage(log), *film),
+        problems=(*([found] if found else []), *others, *missing, *_damage(raw, log), *film),
         notes=tuple(notes),
         seconds=time.perf_counter() - began,
     )
 
 
-def _damage(log: TrialLog) -> Iterator[Difference]:
+def _damage(raw: RawLog, log: TrialLog) -> Iterator[Difference]:
     """Yield the damage of a log, the control steps it lacks and the digests that do not match."""
     for gap in step_gaps(log):
         yield Difference(gap.first, "k", f"missing: {gap}")
-    if log.altered:
+    if raw.altered:
         yield Difference(None, "content_digest", ALTERED)
     if log.damage:
         for text in (*log.damage.problems, *(f"lost: {lost}" for lost in log.damage.lost)):
             yield Difference(None, "damage", text)
-    elif log.host_altered:
+    elif raw.host_altered:
         text = "the records of the host do not match the digest that the log states"
         yield Difference(None, "host_digest", text)
 
@@ -142,7 +142,7 @@ def _host(raw: RawLog, log: TrialLog, stop: Command) -> Iterator[Difference]:
             yield Difference(None, topic, "is not the one message that tetractl writes")
     used = provenance.plugins(packages(log.experiment))
     known = {"started", "pid", *provenance.host(), *provenance.VERSION_KEYS, *used}
-    if others := (log.host | log.provenance).keys() - known:
+    if others := log.facts.keys() - known:
         yield Difference(None, channels.HOST, f"states the unknown {min(others)!r}")
 
 
@@ -200,7 +200,7 @@ def host_differences(log: TrialLog) -> tuple[str, ...]:
     """
     used = provenance.plugins(packages(log.experiment))
     here = provenance.host() | provenance.versions() | used
-    there = log.host | log.provenance
+    there = log.facts
     return tuple(
         _difference(key, there.get(key), here.get(key))
         for key in (*DECIDES_BITS, *used)

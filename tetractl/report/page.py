@@ -198,8 +198,7 @@ def _tables(shown: Sequence[Table]) -> str:
 
 
 def _provenance(log: TrialLog) -> str:
-    facts = {**log.provenance, **log.host}
-    rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in facts.items())
+    rows = "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in log.facts.items())
     return (
         f"<section><h2>Provenance</h2><p>Of the first trial, seed {log.start.seed}, spec"
         f" {escape(log.start.spec_name)}, hash {escape(log.start.spec_hash[:16])}.</p>"

@@ -101,13 +101,13 @@ class Source:
     rows: Sequence[Path] = ()
 
     @classmethod
-    def of(cls, paths: Sequence[Path | str], rows: bool = True) -> "Source":
+    def of(cls, paths: Sequence[Path | str]) -> "Source":
         """Return the files that logs, folders and patterns name, including earlier attempts.
 
         Raises UsageError for a path without a trial.
         """
         places = [Path(path) for path in paths]
-        kept = {place: found for place in places if (found := find_rows(place))} if rows else {}
+        kept = {place: found for place in places if (found := find_rows(place))}
         logs = find_logs(places, attempts=True, bare=kept)
         more = f" and {len(paths) - 1} more" if len(paths) > 1 else ""
         name = str(paths[0]) if any(c in str(paths[0]) for c in "*?[") else places[0].resolve().name
@@ -139,13 +139,11 @@ class Source:
         return Batch.of(trials, damaged)
 
 
-def open_batch(paths: Sequence[Path | str], rows: bool = True) -> Batch:
-    """Read the results of the logs in files, folders and patterns.
-
-    With `rows`, trials of a study that have no log in their folder are read from its rows. Raises
-    UsageError for a path without a trial.
+def open_batch(paths: Sequence[Path | str]) -> Batch:
+    """Read the results of the logs in files, folders and patterns, and of the trials of a study
+    that have no log from its rows; UsageError for a path without a trial.
     """
-    return Source.of(paths, rows).read()
+    return Source.of(paths).read()
 
 
 def sources(paths: Sequence[str]) -> list[Source]:
@@ -288,7 +286,7 @@ def _differences(one: Any, two: Any, path: str = "") -> Iterator[str]:
         yield f"{path}: {' != '.join(words)}"
 
 
-def listing(differences: Sequence[str], most: int = 4) -> str:
-    """Join the first `most` differences into one line, with the number of the rest."""
-    more = len(differences) - most
-    return ", ".join(differences[:most]) + (f" and {more} more" if more > 0 else "")
+def listing(differences: Sequence[str]) -> str:
+    """Join the first four differences into one line, with the number of the rest."""
+    more = len(differences) - 4
+    return ", ".join(differences[:4]) + (f" and {more} more" if more > 0 else "")

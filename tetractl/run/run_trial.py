@@ -94,10 +94,7 @@ class Trial:
         period_s = self.start.setup.period_s
         period = round(period_s * SECOND)
         observation = self.plant.observe()
-        if isinstance(self.first_plan, Square):
-            decision = self._plan_driving(observation, info, self.first_plan)
-        else:
-            decision = self._plan_standing(observation, info)
+        decision = self._first(observation, info)
         began, standing = self.clock.now(), True
         for k in itertools.count():
             if isinstance(decision, Outcome):
@@ -142,48 +139,40 @@ class Trial:
         return [one for one in frames if last.sampled_ns < one.sampled_ns < now.sampled_ns]
 
     def _plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
+        self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
     ) -> Decision:
         with self.interrupt.breakable():
-            return self._timed_plan(observation, last_command, earlier)
+            return self._timed_plan(observation, last, earlier)
 
     def _timed_plan(
-        self,
-        observation: Observation,
-        last_command: Command | None = None,
-        earlier: Sequence[Observation] = (),
+        self, observation: Observation, last: Command | None, earlier: Sequence[Observation]
     ) -> Decision:
         before = time.perf_counter_ns()
-        decision = self.controller.plan(observation, last_command, earlier)
+        decision = self.controller.plan(observation, last, earlier)
         self._solving_ns = time.perf_counter_ns() - before
         return decision
 
-    def _plan_standing(self, observation: Observation, info: PlantInfo) -> Decision:
-        """Compute the first plan while the robots stand; in the lab, also record frames."""
-        if info.virtual:
-            return self._plan(observation)
-        with self._planning(observation) as planning:
-            while not planning.done():
-                with self.interrupt.breakable():
-                    wait([planning], timeout=self.start.setup.period_s)
-                self._pass_samples()
-            return planning.result()
-
-    def _plan_driving(self, observation: Observation, info: PlantInfo, square: Square) -> Decision:
-        """Compute the first plan while the robots drive squares (section IV-B.1 of the paper)."""
-        side = round(square.side * SECOND)
+    def _first(self, observation: Observation, info: PlantInfo) -> Decision:
+        """Compute the first plan while the robots stand, and record frames in the lab, or while
+        they drive squares (section IV-B.1 of the paper).
+        """
+        square = self.first_plan if isinstance(self.first_plan, Square) else None
+        if info.virtual and square is None:
+            return self._plan(observation, None, ())
         with self._planning(observation) as planning:
             if info.virtual:  # virtual time must not depend on this host's speed
                 with self.interrupt.breakable():
                     wait([planning])
             driven = False
-            while not (driven and planning.done()):
-                for direction in directions(observation.poses.heading):
-                    self._drive_side(direction, self.clock.now() + side)
-                driven = True
+            while not planning.done() or (square and not driven):
+                if square:
+                    for direction in directions(observation.poses.heading):
+                        self._drive_side(direction, self.clock.now() + round(square.side * SECOND))
+                    driven = True
+                else:
+                    with self.interrupt.breakable():
+                        wait([planning], timeout=self.start.setup.period_s)
+                    self._pass_samples()
             return planning.result()
 
     @contextmanager
@@ -191,7 +180,7 @@ class Trial:
         """Compute the first plan in a thread of its own."""
         pool = ThreadPoolExecutor(1)
         try:
-            yield pool.submit(self._timed_plan, observation)
+            yield pool.submit(self._timed_plan, observation, None, ())
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
 

@@ -39,7 +39,6 @@ def test_trials_with_a_log_are_read_from_it_and_the_others_from_their_rows(tmp_p
     assert read(arm) == (mixed, 3, [])
     assert read(str(arm)[:-1] + "*") == (mixed, 3, [])
     assert read(arm / "*.mcap") == ({0: True}, 1, [])
-    assert len(open_batch([arm], rows=False).trials) == 1
 
 
 def test_a_path_spelt_twice_gives_each_trial_once(tmp_path, monkeypatch):
@@ -101,10 +100,8 @@ def test_a_spec_of_other_rows_is_damage_that_the_study_mends(tmp_path):
     assert read(arm)[1:] == (3, [])
 
 
-def test_a_folder_without_logs_is_refused_where_rows_are_not_asked_for(tmp_path):
+def test_rows_that_are_no_file_are_refused(tmp_path):
     arm = arm_of(tmp_path, NONE)
-    with pytest.raises(UsageError, match="no logs"):
-        open_batch([arm], rows=False)
     (arm / ROWS).unlink()
     os.mkfifo(arm / ROWS)
     with pytest.raises(UsageError, match="is not a regular file"):

@@ -8,10 +8,12 @@ from tetractl.core.plan import Estimate
 from tetractl.core.table.table_files import json_text
 from tetractl.core.trial import Result
 from tetractl.log.format.channels import CHANNELS
-from tetractl.log.read.raw_log import RawLog
+from tetractl.log.format.run_records import run_items
+from tetractl.log.provenance import is_version
+from tetractl.log.read.raw_log import ALTERED, RawLog
 from tetractl.log.read.reader import trial_of
 from tetractl.log.read.salvage import scan
-from tetractl.log.read.trial_log import ALTERED, Damage, Event
+from tetractl.log.read.trial_log import Damage, Event
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,23 +63,23 @@ def overview(path: Path) -> Overview:
     contents = scan(path)
     trial = trial_of(contents)
     problems, lost = (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
-    if trial.altered:
+    if contents.altered:
         problems = (*problems, ALTERED)
     last = next((step for step in reversed(trial.steps) if step.plan.estimate is not None), None)
     return Overview(
         path=str(path),
         size=contents.size,
         chunks=contents.chunks,
-        run=trial.run,
+        run=run_items(contents.run),
         result=trial.result,
         events=trial.events,
         estimate=last.plan.estimate if last else None,
         estimate_step=last.k if last else None,
         channels=_channels(contents),
         attachments={name: len(item.data) for name, item in contents.attachments.items()},
-        host=trial.host,
-        provenance=trial.provenance,
-        digest=trial.content_digest,
+        host={key: value for key, value in trial.facts.items() if not is_version(key)},
+        provenance={key: value for key, value in trial.facts.items() if is_version(key)},
+        digest=contents.digests.content,
         stated_digest=trial.digest,
         damage=Damage(problems, lost) if problems else None,
     )

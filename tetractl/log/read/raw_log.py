@@ -20,12 +20,12 @@ from tetractl.log.format.channels import Entry
 from tetractl.log.format.digest import LogDigests
 from tetractl.log.format.run_records import decode_facts
 from tetractl.log.format.tetractl_pb2 import Digests, Run
-from tetractl.log.provenance import is_version
 from tetractl.log.read import limits
 from tetractl.log.read.limits import FACTOR, Budget, TooMuchError, file_limit
 from tetractl.log.read.trial_log import Damage
 from tetractl.log.read.validate import stated_result
 
+ALTERED = "the content does not match the digest that the log states"
 # flags that some systems lack
 _NO_WAIT, _BYTES = getattr(os, "O_NONBLOCK", 0), getattr(os, "O_BINARY", 0)
 
@@ -145,6 +145,11 @@ class RawLog:
         return self._stated(channels.DIGESTS).content or None
 
     @property
+    def altered(self) -> bool:
+        """Whether the content differs from the digest that the log states."""
+        return self.stated_digest not in (None, self.digests.content)
+
+    @property
     def host_altered(self) -> bool:
         """Whether the host records do not match their digest."""
         stated = self._stated(channels.DIGESTS).host
@@ -166,17 +171,8 @@ class RawLog:
         )
 
     @cached_property
-    def host(self) -> dict[str, str]:
-        """Machine and time of the run."""
-        return {key: value for key, value in self._facts.items() if not is_version(key)}
-
-    @cached_property
-    def versions(self) -> dict[str, str]:
-        """Versions of the code that ran the trial."""
-        return {key: value for key, value in self._facts.items() if is_version(key)}
-
-    @cached_property
-    def _facts(self) -> dict[str, str]:
+    def facts(self) -> dict[str, str]:
+        """Machine, time and versions of the run."""
         return decode_facts(self._stated(channels.HOST).facts)
 
 

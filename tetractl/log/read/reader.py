@@ -20,7 +20,7 @@ from tetractl.experiment.yaml.document import MAX_BYTES
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec
 from tetractl.log.format.codec import Frames
-from tetractl.log.format.run_records import decode_plant, run_items
+from tetractl.log.format.run_records import decode_plant
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits, validate
 from tetractl.log.read.limits import TooMuchError
@@ -72,16 +72,12 @@ def _trial(contents: RawLog, experiment: Experiment, start: Start) -> TrialLog:
         stop=stops[-1] if stops else None,
         result=contents.result,
         damage=None,
-        host=contents.host,
-        provenance=contents.versions,
+        facts=contents.facts,
         frames=frames.numbers,
         received_ns=frames.received_ns,
         commands=commands,
         notes=tuple(_notes(contents, start.start_unix_ns)),
         digest=contents.stated_digest,
-        content_digest=contents.digests.content,
-        host_altered=contents.host_altered,
-        run=run_items(contents.run),
         pictures=tuple(
             (entry.publish_ns - start.start_unix_ns, CompressedImage.FromString(entry.data).data)
             for entry in contents.by_topic[channels.PICTURE]
@@ -134,7 +130,7 @@ def result_of(contents: RawLog) -> ResultSummary:
         recovered=recovered,
         digest=contents.stated_digest,
         warnings=contents.warnings,
-        processor=provenance.processor(contents.host),
+        processor=provenance.processor(contents.facts),
     )
 
 
@@ -204,7 +200,7 @@ def _start(contents: RawLog) -> tuple[Experiment, Start]:
     except (SpecError, RecursionError, ValueError) as error:
         used = [
             f"{key.removeprefix(provenance.PLUGIN)} {version}"
-            for key, version in contents.versions.items()
+            for key, version in contents.facts.items()
             if key.startswith(provenance.PLUGIN)
         ]
         raise LogError(

@@ -86,7 +86,7 @@ def _examine(contents: RawLog) -> tuple[list[str], list[str]]:
     problems, lost = map(
         list, (trial.damage.problems, trial.damage.lost) if trial.damage else ((), ())
     )
-    if trial.digest and not trial.altered and not trial.host_altered:
+    if trial.digest and not contents.altered and not contents.host_altered:
         return problems, lost if contents.recovered else []
     lost += [str(gap) for gap in (*frame_gaps(trial), *step_gaps(trial))]
     if trial.stop is None:

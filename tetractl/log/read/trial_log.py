@@ -11,8 +11,6 @@ from tetractl.core.plan import Outcome
 from tetractl.core.trial import Result, TrialRecords
 from tetractl.experiment.experiment import Experiment
 
-ALTERED = "the content does not match the digest that the log states"
-
 
 class Origin(StrEnum):
     """The kind of plant of a trial, which every table and figure states."""
@@ -68,22 +66,17 @@ class Event:
 class TrialLog(TrialRecords):
     """A whole trial, read from its log.
 
-    `run` has the values of the run record as written; `digest` is the content digest that the log
-    states, and `content_digest` that computed from the file. `host_altered` is True if the
-    host records do not match their stated digest. `pictures` are a microscope's pictures, each with
-    its time of exposure on the trial's clock [ns] and a JPEG file.
+    `facts` are machine, time and versions of the run, `digest` is the content digest that the log
+    states. `pictures` are a microscope's pictures, each with its time of exposure on the trial's
+    clock [ns] and a JPEG file.
     """
 
     path: str
     experiment: Experiment = field(repr=False)
     stop: Command | None = field(repr=False)
     damage: Damage | None
-    host: dict[str, str] = field(repr=False)  # machine and time of the run
-    provenance: dict[str, str] = field(repr=False)  # versions of the code that ran the trial
+    facts: dict[str, str] = field(repr=False)
     digest: str | None = None
-    content_digest: str = ""
-    host_altered: bool = False
-    run: dict[str, str] = field(default_factory=dict, repr=False)
     pictures: tuple[tuple[int, bytes], ...] = field(default=(), repr=False)
 
     @property
@@ -115,11 +108,6 @@ class TrialLog(TrialRecords):
     def origin(self) -> Origin:
         """The origin of the trial: simulation, emulated lab or lab."""
         return Origin.of(self.experiment, self.start.plant)
-
-    @property
-    def altered(self) -> bool:
-        """Whether the content differs from the digest that the log states."""
-        return self.digest is not None and self.digest != self.content_digest
 
 
 @dataclass(frozen=True, slots=True)

@@ -201,12 +201,17 @@ def mean_errors(covariance: Floats, miss: Floats) -> Floats:
     sqrt(2/pi) s1 E(1 - s2^2/s1^2), with the complete elliptic integral E; the result is
     sqrt(m^2 + miss^2).
     """
-    count = len(miss)
-    each = covariance.reshape(count, 2, count, 2)[np.arange(count), :, np.arange(count), :]
-    small, large = np.maximum(np.linalg.eigvalsh(each), 0.0).T
-    share = np.divide(small, large, out=np.ones(count), where=large > 0)
+    small, large = np.maximum(np.linalg.eigvalsh(of_each(covariance)), 0.0).T
+    share = np.divide(small, large, out=np.ones_like(miss), where=large > 0)
     length = np.sqrt(2 / np.pi * large) * ellipe(1 - share)
     return np.hypot(length, miss)
+
+
+def of_each(covariance: Floats) -> Floats:
+    """Return the covariance of each robot's end (N, 2, 2) from the joint covariance (2N, 2N)."""
+    count = len(covariance) // 2
+    robots = np.arange(count)
+    return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]
 
 
 def _columns(each: Floats) -> Floats:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
+from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors, of_each
 from tetractl.control.mpc_section import Collision, RecommendedMpc, SearchFields
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.core.plan import Plan, Problem
@@ -152,13 +152,6 @@ def steering(
         singular=values,
         weakest=shares,
         robot_errors=each[middle],
-        covariance=_each(closed[middle]),
-        free_covariance=_each(free[middle]),
+        covariance=of_each(closed[middle]),
+        free_covariance=of_each(free[middle]),
     )
-
-
-def _each(covariance: Floats) -> Floats:
-    """Return the covariance of each robot's end (N, 2, 2) from the joint covariance (2N, 2N)."""
-    count = len(covariance) // 2
-    robots = np.arange(count)
-    return covariance.reshape(count, 2, count, 2)[robots, :, robots, :]

@@ -28,8 +28,7 @@ from tetractl.lab.cameras.cells.helix import (
     Piece,
     S,
 )
-from tetractl.replay.identification.fit import NORMAL, SampleInterval
-from tetractl.replay.identification.newton import newton_step
+from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_step
 
 START = 5  # number of pictures from which the first heading is computed
 SETTLED_S = 1.0  # time after which the filter has estimated a cell's helix [s]

@@ -28,13 +28,7 @@ def clearance(setup: Setup, x: Floats, y: Floats, walls: bool) -> Floats:
     If `walls` is true, everything outside the arena is an obstacle.
     """
     nearest = Obstacles.of(setup.obstacles).distance(x, y)
-    if not walls:
-        return nearest
-    arena = setup.arena
-    inside = np.minimum(
-        np.minimum(x - arena.left, arena.right - x), np.minimum(y - arena.bottom, arena.top - y)
-    )
-    return np.minimum(nearest, inside)
+    return np.minimum(nearest, setup.arena.inside(x, y)) if walls else nearest
 
 
 @np.errstate(all="ignore")

@@ -16,7 +16,7 @@ from tetractl.core.poses import Floats
 from tetractl.experiment.controller import Square
 from tetractl.experiment.experiment import Experiment
 from tetractl.model.motion.exact import step
-from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import PathCheck
 
 SAMPLES = 64  # positions per side of a square that are checked against arena and obstacles
 
@@ -40,28 +40,30 @@ def limits(experiment: Experiment) -> dict[str, str]:
 
 def check(experiment: Experiment) -> None:
     """Raise SpecError if robots would leave the arena or hit an obstacle before the first plan."""
-    square, robots = experiment.controller.first_plan, experiment.robots
+    square = experiment.controller.first_plan
     if not isinstance(square, Square):
         return
-    headings = np.array([robot.heading for robot in robots])
+    headings = experiment.setup.starts.heading
     if np.ptp(np.unwrap(np.sort(headings))) > 1e-6:
         raise SpecError(
             "controller.first_plan: a square needs all robots to start with the same heading",
             "give all robots the same heading, or use {type: stand}",
         )
-    obstacles = Obstacles.of(experiment.setup.obstacles)
-    x, y = (np.array([robot.start[axis] for robot in robots]) for axis in (0, 1))
-    a, speed = np.array([robot.a for robot in robots]), np.array([robot.speed for robot in robots])
+    path, setup = PathCheck.of(experiment.setup), experiment.setup
+    x, y = setup.starts.x, setup.starts.y
     t = np.linspace(0, square.side, SAMPLES)[:, None]
     for direction in directions(headings):
-        path_x, path_y, turned = step(x, y, headings, np.array(direction), a, speed, t)
-        for i, robot in enumerate(robots):
-            where = zip(path_x[:, i], path_y[:, i], strict=True)
-            if not all(experiment.arena.bounds.contains(px, py) for px, py in where):
-                raise _refusal(robot.name, "leave the arena")
-        if (hit := obstacles.contain(path_x, path_y).any(axis=0)).any():
-            raise _refusal(robots[int(hit.argmax())].name, "enter an obstacle")
+        args = np.array(direction), setup.a, setup.speed, t
+        path_x, path_y, turned = step(x, y, headings, *args)
+        path.add(path_x, path_y)
         x, y, headings = path_x[-1], path_y[-1], turned[-1]
+    for name, edge, entered in zip(setup.names, path.edge, path.entered, strict=True):
+        if edge < 0 or entered:
+            what = "leave the arena" if edge < 0 else "enter an obstacle"
+            raise SpecError(
+                f"controller.first_plan: robot {name} would {what} in its square",
+                "shorten controller.first_plan.side, or use {type: stand}",
+            )
 
 
 def directions(headings: Floats) -> Iterator[float]:
@@ -69,10 +71,3 @@ def directions(headings: Floats) -> Iterator[float]:
     start = math.atan2(np.sin(headings).mean(), np.cos(headings).mean())
     for side in range(1, 5):
         yield math.remainder(start + side * math.pi / 2, 2 * math.pi)
-
-
-def _refusal(name: str, what: str) -> SpecError:
-    return SpecError(
-        f"controller.first_plan: robot {name} would {what} in its square",
-        "shorten controller.first_plan.side, or use {type: stand}",
-    )

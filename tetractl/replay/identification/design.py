@@ -10,7 +10,6 @@ Source: Goodwin and Payne, "Dynamic System Identification: Experiment Design and
 Academic Press (1977), chapter 6.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +19,9 @@ from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats, Poses, wrap
 from tetractl.core.setup import Setup
 from tetractl.experiment.experiment import Experiment
+from tetractl.model.free_space import clearance
 from tetractl.model.motion.exact import step
-from tetractl.model.obstacles import Obstacles
+from tetractl.model.path_check import separations
 from tetractl.replay.identification.fit import WEAK
 from tetractl.replay.identification.passes import SHORTEST_S, Belief, TrackFrames, marginal
 from tetractl.replay.identification.tracks import Track
@@ -69,10 +69,11 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
     hold = max(1, round(HOLD_S / period))
     count = max(2, round(seconds / (hold * period)))
     dead_time = experiment.controller.dead_time
-    room = _Room(setup)
+    side = min(setup.arena.width, setup.arena.height)
+    margin = min(AWAY * side, 0.5 * _room(setup, setup.starts.array()))
     found: list[tuple[float, Floats]] = []
     for _ in range(CANDIDATES):
-        knots = _random_sequence(rng, count, setup, room, hold * period)
+        knots = _random_sequence(rng, count, setup, margin, hold * period)
         if knots is not None:
             found.append((_score(setup, np.repeat(knots, hold), dead_time), knots))
     if not found:
@@ -86,7 +87,7 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
         changed[rng.integers(count)] = rng.uniform(-np.pi, np.pi)
         if np.abs(wrap(np.diff(changed, prepend=_ahead(setup)))).max() > TURN:
             continue
-        if room.clearance(np.repeat(changed, hold), period) < room.margin:
+        if _room(setup, _path(setup, np.repeat(changed, hold), period)) < margin:
             continue
         score = _score(setup, np.repeat(changed, hold), dead_time)
         if score < best:
@@ -100,47 +101,24 @@ def propose(experiment: Experiment, seconds: float, seed: int) -> Design:
         dead_time_std=float(deviations[0]),
         a_std=deviations[1 : 1 + n],
         heading_bias_std=deviations[1 + n :],
-        clearance=room.clearance(directions, period),
+        clearance=_room(setup, _path(setup, directions, period)),
     )
 
 
-class _Room:
-    """Measures how far the robots stay from the arena's edge, from obstacles and from each
-    other.
+def _room(setup: Setup, path: Floats) -> float:
+    """Return the least distance of poses (..., N, 3) from the edge or an obstacle, or half the
+    least distance between two robots if that is smaller.
     """
-
-    def __init__(self, setup: Setup) -> None:
-        self.setup = setup
-        self._obstacles = Obstacles.of(setup.obstacles)
-        side = min(setup.arena.width, setup.arena.height)
-        starts = setup.starts
-        here = self.distance(starts.array()[None])
-        self.margin = min(AWAY * side, 0.5 * here)
-
-    def clearance(self, directions: Floats, period: float) -> float:
-        """Return `distance` for the robots' path under a sequence of directions, one per `period`
-        [s].
-        """
-        return self.distance(_path(self.setup, directions, period))
-
-    def distance(self, path: Floats) -> float:
-        """Return the least distance of poses (..., N, 3) from the edge or an obstacle, or half the
-        least distance between two robots if that is smaller.
-        """
-        x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
-        least = float(self.setup.arena.inside(x, y).min())
-        least = min(least, float(self._obstacles.distance(x, y).min()))
-        for i, j in itertools.combinations(range(x.shape[1]), 2):
-            gap = np.hypot(x[:, i] - x[:, j], y[:, i] - y[:, j])
-            least = min(least, float(gap.min()) / 2)
-        return least
+    x, y, _ = path.reshape(-1, *path.shape[-2:]).transpose(2, 0, 1)
+    apart = separations(x.T, y.T) / 2
+    return min(float(clearance(setup, x, y, walls=True).min()), float(apart.min()))
 
 
 def _random_sequence(
-    rng: np.random.Generator, count: int, setup: Setup, room: _Room, seconds: float
+    rng: np.random.Generator, count: int, setup: Setup, margin: float, seconds: float
 ) -> Floats | None:
     """Return `count` random directions, each held for `seconds`, that keep the robots at least
-    `room.margin` from everything; None if none were found.
+    `margin` from everything; None if none were found.
 
     Each direction differs by at most TURN from the one before, the first one from the robots' mean
     start heading. If no next direction is possible, the last few are drawn again.
@@ -151,7 +129,7 @@ def _random_sequence(
         last = knots[-1] if knots else _ahead(setup)
         u = float(wrap(np.array(last + rng.uniform(-TURN, TURN))))
         path = _drive(setup, states[-1], u, seconds)
-        if room.distance(path) >= room.margin:
+        if _room(setup, path) >= margin:
             knots.append(u)
             states.append(Poses.of(path[-1]))
             if len(knots) == count:

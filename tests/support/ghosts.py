@@ -48,7 +48,7 @@ class Ghost:
         self._began: int | None = None
         self._turned, self._paths = 0.0, {}
         self._shown, self._last = {}, {}
-        motive = lab.emulation.camera.motive
+        motive = lab.emulation.camera
         motive._expose = self._exposed(motive._expose)
         lab.clock.steps.append(self._watch)
 

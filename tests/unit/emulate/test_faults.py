@@ -37,8 +37,8 @@ def state(lab):
     """All that a fault may change: of the camera's side, of the radio or the driver, of robots."""
     camera, actuator = lab.camera, lab.actuator
     parts = [camera.renderer.hidden] if hasattr(camera, "renderer") else [camera.swapped]
-    if hasattr(camera, "motive"):
-        parts += [camera.motive.trouble, camera.motive.clock]
+    if hasattr(camera, "trouble"):
+        parts += [camera.trouble, camera.clock]
         parts += [
             {k: v for k, v in fields(body).items() if k != "robot"} for body in camera.tracked
         ]
@@ -83,9 +83,9 @@ def test_a_fault_changes_its_device_and_takes_it_back(tmp_path, spec, fault):
 def test_the_servers_clock_is_set_or_runs_wrongly(tmp_path, fault, gained):
     lab, found, device = begun(tmp_path, fault)
     then = lab.timeline.now_ns + SECOND
-    before = lab.camera.motive.clock.ticks(then)
+    before = lab.camera.clock.ticks(then)
     found.begin(device)
-    assert (lab.camera.motive.clock.ticks(then) - before) / 1e7 == pytest.approx(gained)
+    assert (lab.camera.clock.ticks(then) - before) / 1e7 == pytest.approx(gained)
 
 
 def test_a_robot_with_another_number_obeys_that_one(tmp_path):

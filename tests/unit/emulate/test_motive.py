@@ -9,12 +9,12 @@ from support.lab_specs import SPEC
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.loop import Timeline
-from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock
+from tetractl.emulate.loop import Loop, Timeline
+from tetractl.emulate.optitrack.scripted import OptitrackSettings, ServerClock
+from tetractl.emulate.optitrack.side import EmulatedOptitrack
 from tetractl.emulate.sides import Options, Stage
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.optitrack import natnet
-from tetractl.lab.cameras.optitrack.pose import UpAxis
 from tetractl.lab.cameras.optitrack.wire import pack, parse
 
 
@@ -22,7 +22,7 @@ class Client:
     """A bare NatNet client on one socket."""
 
     def __init__(self, lab):
-        self.motive, self.clock = lab.emulation.camera.motive, lab.clock
+        self.motive, self.clock = lab.emulation.camera, lab.clock
         self.socket = lab.emulation.wires.bound("127.0.0.1", 0)
 
     def send(self, data):
@@ -71,10 +71,10 @@ def test_latency_and_jitter_are_those_of_the_real_capture():
     spec = parse_spec(SPEC, "spec.yaml").experiment
     nothing = [lambda *_, **__: None] * 4
     stage = Stage(spec.lab, spec.setup, timeline, Options(command_port=0, data_port=0), *nothing)
-    motive = Motive(stage, spec.lab.camera, OptitrackSettings(), UpAxis.Y, [], tuple)
+    motive = EmulatedOptitrack(stage, OptitrackSettings(), [])
     sent = []
     motive._stream = lambda frame, now: sent.append((frame, now))
-    motive.open()
+    motive.open(Loop(timeline, lambda lag: None))
     try:
         timeline.run_to(60_000_000_000)
     finally:

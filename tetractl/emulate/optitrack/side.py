@@ -1,203 +1,125 @@
-"""The emulated camera of type `optitrack`: its settings and faults, and a server of rigid
-bodies.
+"""The emulated cameras of type `optitrack`: a Motive server, which sends frames of rigid bodies by
+NatNet over UDP, unicast or multicast.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from operator import attrgetter
-from random import Random
-from typing import Annotated, Any, ClassVar, Literal
-
-from pydantic import Field
+import random
+import socket
+import struct
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.faults import Fault, Share, Undo, Visible, fault, setting, settings
+from tetractl.core.commands import EMULATED_NAME
+from tetractl.core.errors import WireError
+from tetractl.emulate.faults import Fault
 from tetractl.emulate.loop import Loop
-from tetractl.emulate.optitrack.motive import Motive, OptitrackSettings, ServerClock, TrueBody
-from tetractl.emulate.optitrack.tracked_body import TrackedBody, View, halved, nowhere, rolled
-from tetractl.emulate.sides import Body, Facts, Stage
-from tetractl.experiment.base import Finite, Model, Name, Point, Positive
-from tetractl.experiment.lab_section import entry
-from tetractl.lab.cameras.optitrack.natnet import RigidBody, Version
-from tetractl.lab.cameras.optitrack.pose import UpAxis
-from tetractl.lab.cameras.optitrack.section import OptitrackSection, VersionText
-
-
-def _body(device: Any, fault: Any) -> TrackedBody:
-    return device.tracked_body(fault.robot)
-
-
-def _clock(device: Any, fault: Any) -> ServerClock:
-    return device.motive.clock
-
-
-def _trouble(
-    name: str, about: str, visible: Visible, fields: Mapping[str, Any] = {}, **values: object
-) -> type[Fault]:
-    """Return a kind of fault of the server, which sets attributes of its `Trouble`."""
-    return fault(name, about, settings(lambda d, f: d.motive.trouble, **values), visible, **fields)
-
-
-def _of_body(
-    name: str, about: str, fields: Mapping[str, Any] = {}, **values: object
-) -> type[Fault]:
-    """Return a kind of fault of one robot's rigid body, which sets attributes of the body."""
-    return fault(name, about, settings(_body, **values), EXPOSED, robot=Name, **fields)
-
-
-def _repeat(fault: Any, device: Any) -> Undo:
-    chosen = [b for b in device.tracked if fault.robot in (None, b.robot.name)]
-    undos = [setting(body, repeats=True) for body in chosen]
-
-    def undo() -> None:
-        for each in undos:
-            each()
-
-    return undo
-
-
-def _swap(fault: Any, device: Any) -> Undo:
-    return setting(device, swapped={device.place_of(fault.robot), device.place_of(fault.other)})
-
-
-def _set_clock(fault: Any, device: Any) -> Undo:
-    clock = _clock(device, fault)
-    return setting(clock, ahead_ns=clock.ahead_ns + round(fault.by * SECOND))
-
-
-def _run_clock(fault: Any, device: Any) -> Undo:
-    return setting(_clock(device, fault), rate=fault.rate, since_ns=device.motive.timeline.now_ns)
-
-
-def _twin(fault: Any, device: Any) -> Undo:
-    return setting(_body(device, fault), id=device.tracked_body(fault.other).id)
-
-
-SENT, EXPOSED = Visible.SENT, Visible.EXPOSED
-Frames = Annotated[int, Field(ge=1, le=1_000_000)]
-Axes = Literal["floor", "robot"]
-FAULTS = (
-    _trouble("no_server", "The server sends nothing.", SENT, silent=True),
-    _trouble("no_frames", "No frames are sent.", SENT, no_frames=True),
-    _trouble("freeze", "The same frame is sent repeatedly.", SENT, frozen=True),
-    _trouble(
-        "counter_back",
-        "The frame number goes back by this number.",
-        EXPOSED,
-        {"frames": Frames},
-        counter=attrgetter("frames"),
-    ),
-    _trouble("edit_mode", "Motive is in edit mode.", EXPOSED, edit_mode=True),
-    _trouble(
-        "bad_datagrams",
-        "A fraction of the frames is damaged.",
-        SENT,
-        {"share": Share},
-        damaged=attrgetter("share"),
-    ),
-    _trouble(
-        "other_version",
-        "Frames have another protocol version than the server reports.",
-        SENT,
-        {"version": VersionText},
-        version=lambda f: Version.of(f.version),
-    ),
-    _trouble(
-        "outdated",
-        "This number of frames has exposure times that are too early by this time [s].",
-        EXPOSED,
-        {"by": Positive, "frames": (Frames, 1)},
-        outdated=attrgetter("frames"),
-        outdated_s=attrgetter("by"),
-    ),
-    _of_body("untracked", "A body is not tracked; its last pose is repeated.", tracked=False),
-    _of_body(
-        "jump",
-        "A body's pose jumps by this distance [mm].",
-        {"by": Point},
-        shift=lambda f: complex(*f.by),
-    ),
-    _of_body(
-        "ghost",
-        "A body's pose moves away from its robot: by this distance [mm] and angle [rad] in each "
-        "frame, along the spec's axes or along and left of the robot's heading.",
-        {"by": Point, "axes": (Axes, "floor"), "turn": (Finite, 0.0)},
-        step=lambda f: complex(*f.by),
-        own=lambda f: f.axes == "robot",
-        turn=attrgetter("turn"),
-        shift=0j,
-        turned=0.0,
-    ),
-    _of_body(
-        "lifted",
-        "A body is seen at this height above the floor [mm].",
-        {"height": Finite},
-        height=attrgetter("height"),
-    ),
-    _of_body(
-        "tipped",
-        "A body is seen rolled about its own x axis by this angle [rad].",
-        {"angle": Finite},
-        change=lambda f: rolled(f.angle),
-    ),
-    _of_body("nan", "A body's position is not a number.", change=lambda f: nowhere),
-    _of_body(
-        "bad_quaternion", "A body's quaternion does not have norm 1.", change=lambda f: halved
-    ),
-    fault(
-        "repeat",
-        "The pose of a body, or of all bodies, is repeated in new frames.",
-        _repeat,
-        EXPOSED,
-        robot=(Name | None, None),
-    ),
-    fault("swap", "Two bodies swap identities.", _swap, EXPOSED, robot=Name, other=Name),
-    fault("twin_id", "A body has the id of another body.", _twin, EXPOSED, robot=Name, other=Name),
-    fault("clock_jump", "The server's clock is set forward by a time [s].", _set_clock, by=Finite),
-    fault(
-        "clock_rate",
-        "The server's clock advances by this time [s] each second.",
-        _run_clock,
-        rate=Positive,
-    ),
+from tetractl.emulate.optitrack.natnet_server import mangle, pack_answer, parse_request
+from tetractl.emulate.optitrack.scripted import (
+    CLOCK_HZ,
+    FAULTS,
+    OptitrackSettings,
+    ServerClock,
+    Trouble,
+    TrueBody,
 )
+from tetractl.emulate.optitrack.tracked_body import TrackedBody, View
+from tetractl.emulate.sides import Body, Facts, Stage
+from tetractl.experiment.base import Model
+from tetractl.experiment.lab_section import entry
+from tetractl.lab.cameras.optitrack import natnet
+from tetractl.lab.cameras.optitrack.pose import UpAxis
+from tetractl.lab.cameras.optitrack.section import OptitrackSection
+
+JITTER_S = 0.00025  # standard deviation of the time from exposure to transmission
+Address = tuple[str, int]
+
+
+@dataclass(slots=True)
+class Client:
+    """A unicast client: the protocol version in which it is served, and when it was last heard
+    [ns].
+    """
+
+    version: natnet.Version
+    heard_ns: int
 
 
 class EmulatedOptitrack:
-    """An emulated Motive server, and the rigid bodies on the robots."""
+    """An emulated Motive server, and the rigid bodies on the robots.
+
+    Exposures are numbered from 1, without gaps. `data_port` is the UDP port from which frames are
+    sent or, in multicast, to which they are sent; `command_port` is that of messages. `frames`,
+    `refused`, `models_asked` and `timed_out` are numbers of frames sent, of requests that could not
+    be read, of requests for MODELDEF, and of clients dropped because they were silent.
+    """
 
     Settings: ClassVar[type[Model]] = OptitrackSettings
     faults: ClassVar[Sequence[type[Fault]]] = FAULTS
 
     def __init__(self, stage: Stage, settings: OptitrackSettings, bodies: Sequence[Body]) -> None:
-        section = stage.lab.camera
+        section, options = stage.lab.camera, stage.options
         assert isinstance(section, OptitrackSection), "the camera's section has the type optitrack"
         self.swapped: set[int] = set()  # the indices of two bodies that exchange their ids
-        self.tracked = _tracked(section, settings, bodies, Random(stage.options.seed))
-        up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
+        self.tracked = _tracked(section, settings, bodies, random.Random(options.seed))
+        self.names = tuple((body.body_name, body.id) for body in self.tracked)
         x, y = section.origin
+        up = UpAxis.Z if section.up_axis == "z" else UpAxis.Y
         self.view = View(up, (x * stage.mm, y * stage.mm), section.rotation)
-        names = [(body.body_name, body.id) for body in self.tracked]
-        self.motive = Motive(stage, section, settings, up, names, self._expose)
         self.join = stage.wires.make_socket
+        self.section, self.settings = section, settings
+        self.address = options.address or section.server
+        self.command_port, self.data_port = section.command_port, section.data_port
+        if options.command_port is not None:
+            self.command_port = options.command_port
+        if options.data_port is not None:
+            self.data_port = options.data_port
+        self.multicast = section.transport == "multicast"
+        self.own_version = natnet.Version.of(settings.version)
+        self.trouble, self.clock = Trouble(), ServerClock()
+        self.clients: dict[Address, Client] = {}
+        self.frames = self.refused = self.models_asked = self.timed_out = 0
+        self._greeted: set[Address] = set()
+        self._stage, self.timeline = stage, stage.timeline
+        self._random = random.Random(options.seed)
+        self._last: natnet.NatNetFrame | None = None
+        self._start_ns = self._exposures = 0
+        self.command: Any = None
+        self.data: Any = None
 
     def open(self, loop: Loop) -> Facts:
-        """Open the UDP ports; return their addresses."""
-        motive, transport = self.motive, self.motive.section.transport
-        loop.watch(motive.open(), lambda: motive.readable(loop.catch_up))
+        """Open the UDP ports and expose the first frame now; return the ports' addresses."""
+        bound = self._stage.wires.bound
+        self.command = bound(self.address, self.command_port)
+        self.command_port = _port(self.command)
+        sender = self.settings.frames_from or self.address
+        self.data = bound(sender, 0 if self.multicast else self.data_port)
+        if self.multicast:
+            interface = socket.inet_aton(self.address)
+            self.data.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+        if not (self.multicast and self.data_port):
+            # in multicast too, since no other server uses this port
+            self.data_port = _port(self.data)
+        self._start_ns = self.timeline.now_ns
+        self._plan()
+        loop.watch(self.command.fileno(), lambda: self._readable(loop.catch_up))
+        transport = self.section.transport
         return {
-            "camera": f"{motive.address}:{motive.command_port} ({transport})",
-            "address": motive.address,
-            "command_port": motive.command_port,
-            "data_port": motive.data_port,
+            "camera": f"{self.address}:{self.command_port} ({transport})",
+            "address": self.address,
+            "command_port": self.command_port,
+            "data_port": self.data_port,
             "transport": transport,
         }
 
     def close(self) -> Facts:
         """Close the UDP ports; return counts to be recorded."""
-        motive = self.motive
-        motive.close()
-        return {"frames": motive.frames, "refused": motive.refused, "timed_out": motive.timed_out}
+        for opened in (self.command, self.data):
+            if opened is not None:
+                opened.close()
+        return {"frames": self.frames, "refused": self.refused, "timed_out": self.timed_out}
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, track no body; otherwise track all bodies again."""
@@ -212,7 +134,127 @@ class EmulatedOptitrack:
         """Return the index of the robot with this name."""
         return next(i for i, body in enumerate(self.tracked) if body.robot.name == name)
 
-    def _expose(self) -> tuple[RigidBody, ...]:
+    def _readable(self, catch_up: Callable[[], None]) -> None:
+        """Answer the messages at the command port; `catch_up` advances the timeline before each."""
+        for _ in range(100):
+            try:
+                asked, sender = self.command.recvfrom(65_535)
+            except BlockingIOError:
+                return
+            except OSError:  # a client has gone: its host answered port unreachable
+                continue
+            if self.trouble.silent:
+                continue
+            catch_up()  # otherwise an echo could report a time before its request
+            try:
+                message = parse_request(asked)
+            except WireError:
+                self.refused += 1
+                continue
+            answer = self._answer(message, sender, self.timeline.now_ns)
+            if answer is not None:
+                known = self.clients.get(sender)
+                version = known.version if known else self.own_version
+                self._send(self.command, pack_answer(answer, version), sender)
+
+    def _answer(
+        self, message: natnet.ClientMessage, sender: Address, now_ns: int
+    ) -> natnet.ServerMessage | None:
+        """Return the answer to a message, None if the server gives no answer."""
+        if sender in self.clients:
+            self.clients[sender].heard_ns = now_ns
+        match message:
+            case natnet.Connect():
+                self._admit(message, sender, now_ns)
+                name = f"Motive ({EMULATED_NAME})"
+                return natnet.ServerInfo(name, self.own_version, CLOCK_HZ, self.data_port)
+            case natnet.EchoRequest(client):
+                return natnet.EchoResponse(client, self.clock.ticks(now_ns))
+            case natnet.NatNetRequest("UnitsToMillimeters"):
+                return natnet.Response(struct.pack("<f", self.settings.unit_mm))
+            case natnet.NatNetRequest("UpAxis") if self.settings.knows_up_axis:
+                return natnet.Response(struct.pack("<i", self.view.up))
+            case natnet.NatNetRequest():
+                return natnet.Bare(natnet.MessageKind.UNRECOGNIZED)
+            case natnet.Bare(natnet.MessageKind.REQUEST_MODELDEF):
+                self.models_asked += 1
+                return natnet.ModelDef(self.names) if self.settings.answers_models else None
+            case natnet.Bare(natnet.MessageKind.DISCONNECT):
+                self.clients.pop(sender, None)
+        return None
+
+    def _admit(self, message: natnet.Connect, sender: Address, now_ns: int) -> None:
+        """Add a client; from 4.0 on, a unicast client may choose a version."""
+        if sender not in self._greeted:
+            self._greeted.add(sender)
+            self._stage.client(f"{sender[0]}:{sender[1]}")
+        if self.multicast:
+            return
+        version, own = message.version, self.own_version
+        chosen = message.pinned and not self.settings.keeps_version
+        chosen = chosen and (4, 0) <= own >= version and version.known
+        self.clients[sender] = Client(version if chosen else own, now_ns)
+
+    def _receivers(self, now_ns: int) -> Iterator[tuple[Address, natnet.Version]]:
+        """Yield the addresses to which frames are sent, each with its protocol version; in
+        unicast, first drop the clients that have been silent for too long.
+        """
+        if self.multicast:
+            yield (self.section.group, self.data_port), self.own_version
+        for address, client in list(self.clients.items()):
+            if now_ns - client.heard_ns > 5 * SECOND:
+                del self.clients[address]
+                self.timed_out += 1
+            else:
+                yield address, client.version
+
+    def _plan(self) -> None:
+        due = self._start_ns + round(self._exposures * SECOND / self.settings.rate)
+        self._exposures += 1
+        self.timeline.at(due, self._take)
+
+    def _take(self) -> None:
+        """Expose one frame, and schedule its sending after the server's latency."""
+        exposed = now = self.timeline.now_ns
+        number = self._exposures - self.trouble.counter
+        self._stage.exposed(self._exposures, number)
+        s, jitter = self.settings, self._random
+        delay = s.latency + min(max(jitter.gauss(0, JITTER_S), -4 * JITTER_S), 4 * JITTER_S)
+        if jitter.random() < 1 / 250:
+            delay += jitter.uniform(0, 0.45 / s.rate)
+        if self.trouble.outdated:
+            self.trouble.outdated -= 1
+            exposed = max(0, now - round(self.trouble.outdated_s * SECOND))
+        params = 2 * s.models_changed | 4 * self.trouble.edit_mode  # as `NatNetFrame` reads them
+        frame = natnet.NatNetFrame(number, self._expose(), params, self.clock.ticks(exposed))
+        leaves = now + round(delay * SECOND)
+        self.timeline.at(leaves, partial(self._leave, self._exposures, frame))
+        self._plan()
+
+    def _leave(self, exposure: int, frame: natnet.NatNetFrame) -> None:
+        if self.trouble.frozen and self._last is not None:
+            frame = self._last
+        self._last = frame
+        if not (self.trouble.silent or self.trouble.no_frames):
+            self._stream(frame, self.timeline.now_ns)
+        self._stage.sent(exposure)
+
+    def _stream(self, frame: natnet.NatNetFrame, now: int) -> None:
+        packed: dict[natnet.Version, bytes] = {}
+        for address, version in self._receivers(now):
+            if version not in packed:
+                packed[version] = pack_answer(frame, self.trouble.version or version)
+            message = packed[version]
+            if self.trouble.damaged and self._random.random() < self.trouble.damaged:
+                message = mangle(message, self._random)
+            self._send(self.data, message, address)
+        self.frames += 1
+
+    def _send(self, sender: Any, data: bytes, to: Address) -> None:
+        with suppress(OSError):  # the datagram is lost if a buffer is full or the client has gone
+            sender.sendto(data, to)
+
+    def _expose(self) -> tuple[natnet.RigidBody, ...]:
         """Return the bodies as the cameras report them now."""
         bodies = [each.expose(self.view) for each in self.tracked]
         if len(self.swapped) == 2:
@@ -223,8 +265,15 @@ class EmulatedOptitrack:
         return tuple(body for body in bodies if body.id in streamed)
 
 
+def _port(of: Any) -> int:
+    return of.getsockname()[1]
+
+
 def _tracked(
-    section: OptitrackSection, settings: OptitrackSettings, bodies: Sequence[Body], random: Random
+    section: OptitrackSection,
+    settings: OptitrackSettings,
+    bodies: Sequence[Body],
+    chance: random.Random,
 ) -> list[TrackedBody]:
     noise = settings.noise_mm, settings.noise_rad
     truths = {robot.name: robot for robot in settings.robots}
@@ -239,5 +288,5 @@ def _tracked(
         offset = truth.heading_offset
         offset = robot.heading_offset if offset is None else offset
         streamed = truth.streamed
-        found.append(TrackedBody(body, number, named, offset, noise, random, streamed))
+        found.append(TrackedBody(body, number, named, offset, noise, chance, streamed))
     return found

@@ -85,7 +85,7 @@ def test_answers_that_were_not_asked_for_are_dropped_even_from_the_servers_port(
     with motive(tmp_path) as (lab, camera, clock), camera:
         model, info = camera.stream.model, camera.stream.info
         offset = camera.stream.sync.to_host(0)
-        sender = getattr(lab.camera.motive, which)
+        sender = getattr(lab.camera, which)
         forged = (
             natnet.ServerInfo("else", natnet.Version(3, 0), 10**7, 1511),
             natnet.ModelDef((("Green", 7),)),
@@ -114,9 +114,9 @@ def test_in_multicast_the_port_of_the_first_frame_stays(tmp_path):
     )
     with motive(tmp_path, "", *sets) as (lab, camera, clock), camera:
         stranger = stranger_of()
-        assert camera.senders.frames_port == lab.camera.motive.data.getsockname()[1]
+        assert camera.senders.frames_port == lab.camera.data.getsockname()[1]
         stranger.sendto(
-            stray(camera.stream.newest.number + 1), ("239.255.42.97", lab.camera.motive.data_port)
+            stray(camera.stream.newest.number + 1), ("239.255.42.97", lab.camera.data_port)
         )
         assert clock.wait(lambda: camera.senders.refused.total() == 1)
 
@@ -153,7 +153,7 @@ def test_a_camera_that_cannot_connect_says_what_came_and_what_to_set(tmp_path, s
 
 def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
-        lab.camera.motive.trouble.version = natnet.Version(3, 0)
+        lab.camera.trouble.version = natnet.Version(3, 0)
         with pytest.raises(
             AbortError, match=r"reports protocol 4\.1, but its frames cannot be"
         ) as e:
@@ -165,7 +165,7 @@ def test_frames_of_another_layout_than_the_server_tells_are_told(tmp_path):
 def test_a_server_that_answers_from_another_address_is_named(tmp_path):
     with motive(tmp_path, connect=SHORT) as (lab, camera, _):
         second = stranger_of("127.0.0.3")
-        lab.camera.motive.trouble.silent = True
+        lab.camera.trouble.silent = True
         info = natnet.ServerInfo("Motive", V41, 10**7, 1511)
         camera.open()
         second.sendto(pack_answer(info), own_address(camera))
@@ -195,7 +195,7 @@ def test_bodies_given_by_their_ids_need_no_names(tmp_path):
 def test_an_id_that_is_not_known_comes_with_the_nearest(tmp_path):
     with motive(tmp_path) as (lab, camera, clock), camera:
         lab.camera.tracked_body("blue").streamed = False
-        lab.camera.motive.names = (("Green", 1), ("hand", 9))
+        lab.camera.names = (("Green", 1), ("hand", 9))
         assert clock.wait(lambda: camera.stream.missing() == [7] and len(camera.stream.seen) == 1)
         assert clock.wait(lambda: "hand" in camera.stream.model.ids())
         (problem,) = camera.check().problems
@@ -226,14 +226,14 @@ def test_a_newer_version_with_longer_descriptions_is_read_and_warned_of(tmp_path
 def test_models_that_keep_changing_are_asked_for_ever_less_often(tmp_path):
     """Regression: four times a second, for as long as the bit lasted."""
     with motive(tmp_path, "models_changed: true, rate: 20") as (lab, camera, clock), camera:
-        before = lab.camera.motive.models_asked
+        before = lab.camera.models_asked
         clock.sleep_until(clock.now() + 60 * SECOND)
-        assert 5 <= lab.camera.motive.models_asked - before <= 13
+        assert 5 <= lab.camera.models_asked - before <= 13
 
 
 def test_a_body_that_gets_its_name_is_found(tmp_path):
     with motive(tmp_path, "robots: [{name: green, body: Greeen}]") as (lab, camera, clock), camera:
         assert camera.stream.newest.poses[0] is None
-        lab.camera.motive.names = (("Green", 1), ("blue", 7))
+        lab.camera.names = (("Green", 1), ("blue", 7))
         assert clock.wait(lambda: camera.stream.newest.poses[0] is not None)
         assert camera.check().problems == ()

@@ -41,7 +41,7 @@ class Bench:
             self.port,
             limits,
             baud,
-            tell=lambda event, **facts: self.told.append((event, facts)),
+            note=lambda event, **facts: self.told.append((event, facts)),
         )
         self.port.plug()
         self.port.written = self.driver.readable

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar
 from pydantic import Field
 
 from tetractl.core.clock import MILLISECOND, SECOND
-from tetractl.core.errors import UsageError, WireError
+from tetractl.core.errors import UsageError
 from tetractl.emulate.dish.live_dish import CellBody, Dish, cells_of, culture
 from tetractl.emulate.faults import STUCK_PORT, UNPLUG, Fault, Undo, fault, settings, switching
 from tetractl.emulate.firmware import DriverCore, DriverLimits
@@ -24,7 +24,6 @@ from tetractl.emulate.sides import Stage
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
 from tetractl.lab.actuators.field.driver import DriverStatus, decode_command
 from tetractl.lab.actuators.field.section import FieldSection, Pair
-from tetractl.lab.cobs import Splitter
 from tetractl.model.swimmers import walls_of
 
 
@@ -33,7 +32,7 @@ class CurrentDriver(SerialDevice):
 
     `currents` [A] are the true currents; `lag_s` is their time constant [s]. Faults set
     `supply_mv`, `temperature_dc` (tenths of a degree Celsius) and `mute` (the driver receives but
-    does not reply), or call `switch`. `tell(event, **facts)` records each command when it is read
+    does not reply), or call `switch`. `note(event, **facts)` records each command when it is read
     from the port, before the driver receives it.
     """
 
@@ -44,13 +43,13 @@ class CurrentDriver(SerialDevice):
         limits: DriverLimits,
         baud: int = 115_200,
         lag_s: float = 0.004,  # 20 mH over 5 ohm
-        tell: Callable[..., None] = lambda event, **facts: None,
+        note: Callable[..., None] = lambda event, **facts: None,
     ) -> None:
-        super().__init__(timeline, port, baud)
+        super().__init__(timeline, port, baud, note)
         self.currents: Pair = (0.0, 0.0)
         self.supply_mv, self.temperature_dc = 12_000, 250
         self.powered, self.mute = True, False
-        self._limits, self._tell, self._splitter = limits, tell, Splitter()
+        self._limits = limits
         self._keep = math.exp(-MILLISECOND / SECOND / lag_s)
         self._now_ns = timeline.now_ns
         self._core = DriverCore(limits, self._now_ms)
@@ -90,16 +89,12 @@ class CurrentDriver(SerialDevice):
             self._core = DriverCore(self._limits, self._now_ms)
 
     def _witness(self, data: bytes) -> None:
-        for sealed in self._splitter.feed(data):
-            try:
-                command = decode_command(sealed)
-            except WireError:
-                self._tell("garbage", hex=sealed.hex())
-                continue
-            currents = [command.x_ma, command.y_ma]
-            self._tell(
-                "command", sequence=command.sequence, flags=int(command.flags), currents_ma=currents
-            )
+        self._note_commands(data)
+
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        command = decode_command(sealed)
+        flags, currents = int(command.flags), [command.x_ma, command.y_ma]
+        return {"sequence": command.sequence, "flags": flags, "currents_ma": currents}
 
     def _step(self) -> None:
         wished = self._core.currents_ua(self._now_ms) if self.powered else (0, 0)
@@ -199,7 +194,7 @@ class EmulatedField(PluggedDevice):
         setup, start_ns = stage.setup, stage.timeline.now_ns
         self.port = stage.wires.port(stage.options.link or Path(section.port))
         self.driver = self.wired = CurrentDriver(
-            stage.timeline, self.port, _limits(section), section.baud, tell=stage.note
+            stage.timeline, self.port, _limits(section), section.baud, note=stage.note
         )
         self.driver.supply_mv = settings.supply_mv
         seed, walk, names = stage.options.seed, settings.heading_noise, setup.names

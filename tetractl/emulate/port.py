@@ -5,14 +5,16 @@ import os
 import termios
 import tty
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar
 
 from tetractl.core.clock import SECOND
-from tetractl.core.errors import UsageError
+from tetractl.core.errors import UsageError, WireError
 from tetractl.emulate.loop import Loop, Timeline
 from tetractl.lab.actuators.xbee.hardware import BAUDS
+from tetractl.lab.cobs import Splitter
 
 _BAUDS = {vars(termios)[f"B{baud}"]: baud for baud in BAUDS}
 
@@ -25,11 +27,14 @@ def uart_ns(size: int, baud: int) -> int:
 class SerialDevice(ABC):
     """A device that receives and answers through `port`, with the delays of a serial line."""
 
-    def __init__(self, timeline: Timeline, port: "PseudoPort", baud: int) -> None:
-        self.port = port
+    def __init__(
+        self, timeline: Timeline, port: "PseudoPort", baud: int, note: Callable[..., None]
+    ) -> None:
+        self.port, self.note = port, note
         self.garbled = 0  # number of chunks sent at another baud rate than the device's
         self._timeline, self._baud = timeline, baud
         self._in_ns = self._out_ns = 0  # when the line is free again, in and out
+        self._splitter = Splitter()
 
     @abstractmethod
     def hear(self, data: bytes) -> None:
@@ -52,6 +57,18 @@ class SerialDevice(ABC):
             return
         self._in_ns = max(self._timeline.now_ns, self._in_ns) + uart_ns(len(data), self._baud)
         self._timeline.at(self._in_ns, lambda: self.hear(data))
+
+    def _note_commands(self, data: bytes) -> None:
+        """Record the commands, or the garbage, in frames read from the port."""
+        for sealed in self._splitter.feed(data):
+            try:
+                self.note("command", **self._command(sealed))
+            except WireError:
+                self.note("garbage", hex=sealed.hex())
+
+    @abstractmethod
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        """Return the facts of a frame's command, to be recorded; WireError if there is none."""
 
     def _answer(self, data: bytes) -> None:
         self._out_ns = max(self._timeline.now_ns, self._out_ns) + uart_ns(len(data), self._baud)

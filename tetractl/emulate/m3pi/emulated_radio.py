@@ -7,8 +7,8 @@ times, until it is acknowledged. The module answers AT commands that request a p
 
 import random
 from collections.abc import Callable, Sequence
+from typing import Any
 
-from tetractl.core.errors import WireError
 from tetractl.emulate.loop import Timeline
 from tetractl.emulate.m3pi.robot import EmulatedRobot
 from tetractl.emulate.port import PseudoPort, SerialDevice, uart_ns
@@ -21,7 +21,6 @@ from tetractl.lab.actuators.xbee.frames import (
     encode,
 )
 from tetractl.lab.actuators.xbee.hardware import BAUDS, ESCAPED_FRAMES
-from tetractl.lab.cobs import Splitter
 
 RECEIVED = bytes.fromhex("81 00 01 28 00")  # data from address 1 at -40 dBm
 AIR_NS_A_BYTE = 32_000
@@ -51,10 +50,10 @@ class EmulatedRadio(SerialDevice):
         seed: int,
         note: Callable[..., None],
     ) -> None:
-        super().__init__(timeline, port, baud)
-        self.loss, self.robots, self.note = loss, robots, note
+        super().__init__(timeline, port, baud, note)
+        self.loss, self.robots = loss, robots
         self._random = random.Random(seed)
-        self._decoder, self._witnessed, self._splitter = Decoder(), Decoder(), Splitter()
+        self._decoder, self._witnessed = Decoder(), Decoder()
         self._air_ns = 0  # when the air is free again
         self._parameters = {
             b"HV": versions[0].to_bytes(2, "big"),
@@ -77,14 +76,12 @@ class EmulatedRadio(SerialDevice):
         for content in self._witnessed.feed(data):
             if not content.startswith(BROADCAST):
                 continue
-            for sealed in self._splitter.feed(content[len(BROADCAST) :]):
-                try:
-                    command = decode_command(sealed)
-                except WireError:
-                    self.note("garbage", hex=sealed.hex())
-                    continue
-                sequence, flags = command.sequence, int(command.flags)
-                self.note("command", sequence=sequence, flags=flags, wheels=command.wheels)
+            self._note_commands(content[len(BROADCAST) :])
+
+    def _command(self, sealed: bytes) -> dict[str, Any]:
+        command = decode_command(sealed)
+        flags, wheels = int(command.flags), command.wheels
+        return {"sequence": command.sequence, "flags": flags, "wheels": wheels}
 
     def poll_answers(self) -> None:
         """Send the answers that robots have ready; to be called about every millisecond."""

@@ -4,10 +4,12 @@ import random
 import struct
 from collections.abc import Callable, Sequence
 
+from support.device_replies import packed_reply
 from support.paths import ROOT
 
 from tetractl.emulate.optitrack.natnet_server import pack_answer
-from tetractl.experiment.plants import Calibration, calibration_yaml
+from tetractl.experiment.plants import Calibration
+from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.lab.actuators.m3pi import broadcast
 from tetractl.lab.actuators.xbee import frames as xbee
 from tetractl.lab.cameras.optitrack import natnet
@@ -29,7 +31,7 @@ def calibrations() -> list[bytes]:
         camera={"robots": [{"name": "blue", "heading_offset": 0.25}]},
         actuator={"robots": [blue]},
     )
-    return [calibration_yaml(found).encode()]
+    return [dump(found.model_dump(mode="json")).encode()]
 
 
 def datagrams() -> list[bytes]:
@@ -54,7 +56,7 @@ def datagrams() -> list[bytes]:
 
 def serial_bytes() -> list[bytes]:
     command = broadcast.encode_command(broadcast.BroadcastCommand(7, Flag.RUN, ((64, -64), (1, 0))))
-    reply = broadcast.encode_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
+    reply = packed_reply(broadcast.Reply(1, 7, broadcast.Status(0), 5100, 20, 3))
     received = [
         b"\x81\x12\x34\x5e\1" + reply,
         xbee.at_response(1, b"BD", b"\x06"),

@@ -157,12 +157,13 @@ def identify(
 
 def _show_found(found: "IdentifiedRobots", out: Path | None, as_json: bool) -> None:
     """Print the identified values; if a file is named, write them to it for use in specs."""
-    from tetractl.experiment.identified import identified_yaml
+    from tetractl.experiment.yaml.core_yaml import dump
     from tetractl.replay.identification.identify import identified, tables
 
     ui.show(as_json, found, tables(found))
     if out is not None:
         when = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
-        save_whole(out, identified_yaml(identified(found, when)).encode())
+        data = identified(found, when).model_dump(mode="json", exclude_none=True)
+        save_whole(out, dump(data).encode())
         if not as_json:
             print(f"wrote {out}; name it in the spec: identified: {out.name}")

@@ -169,14 +169,15 @@ def _places(text: str) -> tuple[tuple[float, float], tuple[float, float], float]
 
 
 def _save(out: Path, found: "Measured") -> int:
-    from tetractl.experiment.plants import Calibration, calibration_yaml
+    from tetractl.experiment.plants import Calibration
+    from tetractl.experiment.yaml.core_yaml import dump
 
     calibration = Calibration(
         measured=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         camera=dict(found.camera),
         actuator=dict(found.actuator),
     )
-    save_whole(out, calibration_yaml(calibration).encode())
+    save_whole(out, dump(calibration.model_dump(mode="json")).encode())
     print(*found.lines, sep="\n")
     ui.tell(f"wrote {out}; name it in the spec: lab.calibration")
     return Exit.DONE

@@ -5,7 +5,6 @@ from pathlib import Path
 from pydantic import Field
 
 from tetractl.experiment.base import Finite, Model, Name, NonNegative
-from tetractl.experiment.yaml.core_yaml import dump
 from tetractl.experiment.yaml.document import Document, Place, parse_document, read_text
 from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError
@@ -56,11 +55,6 @@ class Identified(Model):
     """Time from the exposure of the frame used for a direction to the direction's sending [s]."""
     robots: dict[Name, IdentifiedRobot]
     """Identified values of each robot, by its name."""
-
-
-def identified_yaml(found: Identified) -> str:
-    """Return the YAML text of a file of identified values."""
-    return dump(found.model_dump(mode="json", exclude_none=True))
 
 
 def read_identified(path: Path) -> tuple[Identified, str]:

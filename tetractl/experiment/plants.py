@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from tetractl.core.commands import VIRTUAL_LAB
 from tetractl.core.errors import SpecError, printable
@@ -15,10 +15,9 @@ from tetractl.experiment.consistency import section_contradictions
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.lab_section import LabSection
 from tetractl.experiment.load import LoadedSpec, attach
-from tetractl.experiment.registry_fields import STRICT, KindSection
-from tetractl.experiment.yaml.core_yaml import dump
-from tetractl.experiment.yaml.document import Document, frozen, parse_document, read_text
-from tetractl.experiment.yaml.explain import explain, validated
+from tetractl.experiment.registry_fields import KindSection
+from tetractl.experiment.yaml.document import Document, parse_document, read_text
+from tetractl.experiment.yaml.explain import validated
 from tetractl.experiment.yaml.problems import InvalidSpecError, Loc, dotted
 
 PlantKind = Literal["sim", "lab", "emulated"]
@@ -78,11 +77,6 @@ def lab_of(experiment: Experiment, name: str) -> LabSection:
     return lab
 
 
-def calibration_yaml(calibration: Calibration) -> str:
-    """Return the text of a calibration file."""
-    return dump(calibration.model_dump(mode="json"))
-
-
 def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
     """Return an experiment in the lab with the values of a calibration in its lab section.
 
@@ -96,10 +90,7 @@ def calibrated(experiment: Experiment, text: str, origin: str) -> Experiment:
             holder, loc = merged.holder(("plant", *steps), document.place(at))
             if value != {} or loc[-1] not in holder:
                 merged.put(holder, loc, value, document.place(at))
-    try:
-        updated = Experiment.model_validate(frozen(merged.data), strict=True, context=STRICT)
-    except ValidationError as error:
-        raise InvalidSpecError(explain(error, merged)) from None
+    updated = validated(Experiment, merged)
     for loc, message in section_contradictions(updated):
         raise SpecError(f"{origin}: with this calibration, {dotted(loc)} {message}")
     return updated

@@ -18,6 +18,7 @@ from functools import partial
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.accepted_frame import AcceptedFrame
 from tetractl.lab.drift_check import DriftCheck
@@ -51,10 +52,7 @@ class GuardRules:
     names: tuple[str, ...]
     speeds: tuple[float, ...]
     turning: tuple[float, ...]
-    left: float
-    bottom: float
-    right: float
-    top: float  # the arena's edges, moved inside by the margin [length unit]
+    arena: Bounds
     limits: LabLimits
     mm: float = 1.0
     silence_ns: int = 2 * SECOND  # longest time between two directions from the controller
@@ -379,10 +377,10 @@ class Guard:
 
     def _outside(self, pose: Pose) -> float:
         """Return a pose's distance from the arena, 0 inside."""
-        rules = self.rules
+        arena = self.rules.arena
         return math.hypot(
-            max(rules.left - pose.x, 0.0, pose.x - rules.right),
-            max(rules.bottom - pose.y, 0.0, pose.y - rules.top),
+            max(arena.left - pose.x, 0.0, pose.x - arena.right),
+            max(arena.bottom - pose.y, 0.0, pose.y - arena.top),
         )
 
     def _count_damaged(self, now_ns: int, total: int) -> None:

@@ -128,16 +128,13 @@ def build_rig(
 
 def guard_rules(setup: Setup, limits: LabLimits, individual: bool = True) -> GuardRules:
     """Return the guard's rules for a setup, with lengths in the spec's length unit."""
-    arena, per_mm = setup.arena, MM / setup.metres
+    per_mm = MM / setup.metres
     silence_s = setup.period_s * (limits.late_steps + 1)
     return GuardRules(
         names=setup.names,
         speeds=tuple(setup.speed.tolist()),
         turning=tuple(setup.a.tolist()),
-        left=arena.left,
-        bottom=arena.bottom,
-        right=arena.right,
-        top=arena.top,
+        arena=setup.arena,
         limits=limits,
         mm=1 / per_mm,
         silence_ns=round(max(silence_s, 0.5) * SECOND),

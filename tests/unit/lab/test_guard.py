@@ -9,6 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, ru
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
+from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
 from tetractl.lab.guard import Guard, GuardRules, GuardState
 
@@ -18,10 +19,7 @@ RULES = GuardRules(
     names=("green", "blue"),
     speeds=(200.0, 100.0),
     turning=(6.0, 3.0),
-    left=0.0,
-    bottom=0.0,
-    right=2000.0,
-    top=2000.0,
+    arena=Bounds(0.0, 0.0, 2000.0, 2000.0),
     limits=LabLimits(),
 )
 PLACES = (Pose(500.0, 500.0, 0.3), Pose(500.0, 1500.0, -2.0))

@@ -7,6 +7,7 @@ import itertools
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.device_replies import packed_reply
 from support.lab_specs import SPEC
 from support.paths import ROOT
 
@@ -41,9 +42,9 @@ driver_replies = st.builds(
 )
 CODECS = [
     (broadcast.encode_command, broadcast.decode_command, robots),
-    (broadcast.encode_reply, broadcast.decode_reply, robot_replies),
+    (packed_reply, broadcast.decode_reply, robot_replies),
     (driver.encode_command, driver.decode_command, coils),
-    (driver.encode_reply, driver.decode_reply, driver_replies),
+    (packed_reply, driver.decode_reply, driver_replies),
 ]
 each = pytest.mark.parametrize(("encode", "decode", "messages"), CODECS)
 
@@ -79,7 +80,7 @@ def test_stuffing_round_trips(payload):
     [
         (broadcast.encode_command(ROBOTS), 14),
         (driver.encode_command(COILS), 11),
-        (driver.encode_reply(DRIVER), 28),
+        (packed_reply(DRIVER), 28),
     ],
 )
 def test_the_documented_bytes_are_those_sent(frame, size):
@@ -123,8 +124,8 @@ def test_any_bytes_are_a_message_or_refused(encode, decode, messages, raw):
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((-128, 0),))),
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 128),))),
         (broadcast.encode_command, BroadcastCommand(0, Flag.RUN, ((0, 0),) * (ROBOTS_MAX + 1))),
-        (broadcast.encode_reply, Reply(256, 0, Status(0), 0, 0, 0)),
-        (broadcast.encode_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
+        (packed_reply, Reply(256, 0, Status(0), 0, 0, 0)),
+        (packed_reply, Reply(0, 0, Status(0), 70_000, 0, 0)),
         (driver.encode_command, FieldCommand(256, Flag.RUN)),
         (driver.encode_command, FieldCommand(-1, Flag.RUN)),
         (driver.encode_command, FieldCommand(0, Flag.RUN, 32_768, 0)),
@@ -157,7 +158,7 @@ def test_bad_messages_with_a_good_crc_are_refused(decode, payload):
 
 
 def test_unknown_status_bits_of_a_driver_are_dropped():
-    raw = bytearray(cobs.decode(driver.encode_reply(DRIVER)[:-1])[:-2])
+    raw = bytearray(cobs.decode(packed_reply(DRIVER)[:-1])[:-2])
     raw[2] |= 0xE0
     assert driver.decode_reply(cobs.frame_with_crc(bytes(raw))[:-1]) == DRIVER
 
@@ -165,7 +166,7 @@ def test_unknown_status_bits_of_a_driver_are_dropped():
 @given(st.lists(robot_replies, max_size=6), st.lists(st.integers(0, 100), max_size=10), st.binary())
 def test_replies_are_cut_out_of_any_stream(sent, cuts, garbage):
     head = garbage.replace(b"\0", b"") + b"\0"
-    stream = head + b"".join(map(broadcast.encode_reply, sent))
+    stream = head + b"".join(map(packed_reply, sent))
     splitter = cobs.Splitter()
     edges = sorted({0, len(stream), *(cut % len(stream) for cut in cuts)})
     frames = [

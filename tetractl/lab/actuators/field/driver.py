@@ -82,11 +82,6 @@ def decode_command(frame: bytes) -> FieldCommand:
     return FieldCommand(sequence, checked_flags(flags), x_ma, y_ma)
 
 
-def encode_reply(reply: FieldReply) -> bytes:
-    """Pack a reply, including the closing byte 00."""
-    return pack_fields(_REPLY, REPLY, *astuple(reply))
-
-
 def decode_reply(frame: bytes) -> FieldReply:
     """Read a reply, given without the closing byte 00; ignore unknown status bits."""
     sequence, status, *rest = unpack_fields(_REPLY, REPLY, frame)

@@ -9,7 +9,7 @@ robot, CRC. The bytes of a reply, sent only when polled: 0x52, id, sequence, sta
 import struct
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import astuple, dataclass
+from dataclasses import dataclass
 from enum import IntFlag
 
 from tetractl.core.clock import MILLISECOND, SECOND, Clock, MonotonicClock
@@ -90,11 +90,6 @@ def decode_command(frame: bytes) -> BroadcastCommand:
     return BroadcastCommand(
         sequence, cobs.checked_flags(flags), tuple(zip(counts[::2], counts[1::2], strict=True))
     )
-
-
-def encode_reply(reply: Reply) -> bytes:
-    """Pack a reply, including the closing byte 00."""
-    return cobs.pack_fields(_REPLY, REPLY, *astuple(reply))
 
 
 def decode_reply(frame: bytes) -> Reply:

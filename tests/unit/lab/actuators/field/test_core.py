@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.device_replies import packed_reply
 
 from tetractl.core.errors import WireError
 from tetractl.emulate import firmware
@@ -15,7 +16,6 @@ from tetractl.lab.actuators.field.driver import (
     FieldReply,
     decode_command,
     encode_command,
-    encode_reply,
 )
 from tetractl.lab.cobs import Flag
 
@@ -119,7 +119,7 @@ class Twin:
         limits = self.limits.current_max_ma, self.limits.slew_ma_s, self.limits.watchdog_ms
         counts = self.received, self.rejected
         status = self.status(now_ms)
-        return encode_reply(FieldReply(sequence, status, VERSION, *self.readings, *counts, *limits))
+        return packed_reply(FieldReply(sequence, status, VERSION, *self.readings, *counts, *limits))
 
 
 ma = st.integers(-32_768, 32_767)
@@ -133,7 +133,7 @@ commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(Flag), ma, m
 )
 replies = st.builds(FieldReply, u8, st.integers(0, 31).map(DriverStatus), *([st.just(0)] * 10))
 foreign = (
-    replies.map(encode_reply)
+    replies.map(packed_reply)
     | st.binary(min_size=1, max_size=78).map(cobs.frame_with_crc)
     | st.tuples(u8, u8).map(lambda pair: cobs.frame_with_crc(bytes([0x53, *pair, 1, 2, 3, 4])))
 )

@@ -6,6 +6,7 @@ import shutil
 import subprocess
 
 import pytest
+from support.device_replies import packed_reply
 from support.paths import ROOT
 
 from tetractl.core.errors import TetractlError, WireError
@@ -20,7 +21,6 @@ from tetractl.lab.actuators.m3pi.broadcast import (
     decode_command,
     decode_reply,
     encode_command,
-    encode_reply,
 )
 from tetractl.lab.cobs import Flag, encode, frame_with_crc
 
@@ -115,7 +115,7 @@ def test_polled_robots_answer_once_each_in_its_slot(library):
     for index, raw in answers.values():
         reply = decode_reply(raw[:-1])
         assert reply == Reply(index, 0, Status(0), 4900 + index, 1, 1)
-        assert encode_reply(reply) == raw
+        assert packed_reply(reply) == raw
         assert cores[0].push(raw, 200) == [CoreEvent.FOREIGN]
     assert cores[0].take_reply(200) == b""
 

@@ -178,6 +178,7 @@ def validate(
 
 def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str]]:
     from tetractl.experiment.load import spec_hash
+    from tetractl.model.bounds import least_total_error
     from tetractl.run.plausibility import CheckContext
 
     shown = printable(str(path))
@@ -198,7 +199,8 @@ def _check(path: Path, sets: list[str] | None) -> tuple[dict[str, Any], list[str
     line = ", ".join(f"{key} {value}" for key, value in summary.items())
     fields = {"path": shown, "ok": True, **summary, "hash": spec_hash(experiment)}
     fields["warnings"] = [asdict(warning) for warning in warnings]
-    fields["least_total_error"] = CheckContext(experiment).least_total_error
+    context = CheckContext(experiment)
+    fields["least_total_error"] = least_total_error(context.setup, context.longest_s)
     return fields, [f"{shown}: ok: {line}"]
 
 

@@ -31,11 +31,11 @@ def drive(settings, steps, after_step):
         after_step(plant, observation, lambda u=float(direction): plant.send(Steer(u)))
 
 
-def estimator(dead_time, watchdog=math.inf):
+def estimator(dead_time, **prior):
     experiment = load_spec(EXPERIMENT).experiment
     problem = experiment.controller.problem(experiment.setup)
-    prior = nothing(problem, dead_time)._replace(watchdog=watchdog)
-    return problem, StateEstimator(problem, 0.2, prior)
+    known = nothing(problem, dead_time)._replace(**prior)
+    return problem, StateEstimator(problem, 0.2, known)
 
 
 def seen(problem, at_s, **poses):
@@ -84,7 +84,7 @@ def test_without_a_dead_time_the_poses_are_those_of_the_frame():
 
 @pytest.mark.parametrize("watchdog", [math.inf, 0.25])
 def test_robots_stand_before_the_first_command_acts(watchdog):
-    problem, estimates = estimator(0.3, watchdog)
+    problem, estimates = estimator(0.3, watchdog=watchdog)
     assert np.array_equal(estimates.seen(seen(problem, 0.0)).poses.x, problem.poses.x)
     found = estimates.seen(seen(problem, 0.2), command(0.0, 0.0))
     assert found.poses.x - problem.poses.x == pytest.approx(0.2 * problem.speed, rel=1e-3)
@@ -92,11 +92,8 @@ def test_robots_stand_before_the_first_command_acts(watchdog):
 
 
 @pytest.mark.parametrize(("last_s", "next_s"), [(0.9, 1.1), (0.7, 1.0), (1.2, 1.0)])
-def test_the_next_direction_is_sent_a_period_after_the_last_unless_that_is_past_or_far(
-    last_s, next_s
-):
-    problem, _ = estimator(0.1)
-    estimates = StateEstimator(problem, 0.2, nothing(problem, 0.1)._replace(dead_time_std=0.02))
+def test_the_next_direction_comes_a_period_after_the_last_if_that_is_near(last_s, next_s):
+    problem, estimates = estimator(0.1, dead_time_std=0.02)
     estimates.sent(command(0.0, last_s))
     assert estimates.sends(seen(problem, 1.0)) == round(next_s * SECOND)
 

@@ -134,9 +134,7 @@ def test_frames_of_another_clock_than_the_echoes_are_named():
 def test_single_frames_of_a_wrong_time_are_dropped_and_are_no_fault():
     server = Server()
     ahead = server.clock
-    server.clock = lambda at: ahead(
-        at + SECOND * (at == server.now and server._frames % 10 == 0)  # frames, not echoes
-    )
+    server.clock = lambda at: ahead(at + SECOND * (at == server.now and server._frames % 10 == 0))
     assert server.until(2) is None
     assert server.stream.counts.bad == 24
 

@@ -154,15 +154,6 @@ def test_a_fault_of_no_kind_is_told(kind):
         parse_script(text, "s.yaml")
 
 
-def test_numbers_of_pictures_are_decimal(tmp_path):
-    np, cv2 = pytest.importorskip("numpy"), pytest.importorskip("cv2")
-    from tetractl.film.pictures import open_film
-
-    for name in ("²1.png", "2.png", "10.png"):
-        cv2.imwrite(str(tmp_path / name), np.full((80, 90), 7, np.uint8))
-    assert len(list(open_film(tmp_path, 30.0))) == 3
-
-
 def test_seeds_are_the_same_numbers_in_every_table(tmp_path):
     """A first log with a small seed does not decide the type for a later one."""
     from pyarrow import parquet

@@ -218,16 +218,22 @@ def test_a_trial_whose_worker_is_killed_twice_ends_the_batch_with_a_clear_line(t
         assert lines[-1].startswith("hint: give the same command with fewer --jobs")
 
 
-def test_a_full_disk_aborts_the_trial_and_says_so(batch, tmp_path):
+@pytest.mark.parametrize("limit", [4096, 30_000])
+def test_a_full_disk_aborts_the_trial_and_says_so_once(batch, tmp_path, limit):
     def full():
-        resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
 
     done = cli.process(tmp_path, "run", batch[0] / "quick.yaml", "--out", "logs", preexec_fn=full)
     assert done.returncode == 1
     line = "error: trial 1: logs/trial-000.mcap: cannot write the log: File too large"
-    assert line in done.stderr.splitlines()
+    assert [one for one in done.stderr.splitlines() if one.startswith("error: ")] == [line]
     assert "logs in logs" in done.stderr
-    assert (tmp_path / "logs" / "trial-000.mcap.part").exists()
+    part = tmp_path / "logs" / "trial-000.mcap.part"
+    assert part.stat().st_size == limit
+    if limit > 4096:
+        log = read_trial(part)
+        assert log.damage is not None
+        assert [step.k for step in log.steps] == list(range(len(log.steps)))
 
 
 @pytest.mark.parametrize("args", first_of([["run", "--help"], ["--help"], ["--version"]]))

@@ -9,7 +9,7 @@ from mcap.reader import make_reader
 from support.cli import tetractl
 from support.dish_films import film
 from support.film_containers import UM_PX, folder, stack
-from support.needs_opencv import cv2
+from support.needs_opencv import cv2, video
 
 
 @pytest.fixture(scope="module")
@@ -17,12 +17,7 @@ def dish(tmp_path_factory):
     """A folder with a synthetic film and its field."""
     folder = tmp_path_factory.mktemp("dish")
     made = film(seed=41, side=384, cells=3, crossings=False)
-    writer = cv2.VideoWriter(
-        str(folder / "dish.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (384, 384)
-    )
-    for picture in made.pictures():
-        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
-    writer.release()
+    video(folder / "dish.avi", made.pictures())
     rows = "".join(f"{t},{direction}\n" for t, direction in made.turns)
     (folder / "field.csv").write_text(f"time_s,direction_rad\n{rows}")
     return folder

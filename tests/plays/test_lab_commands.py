@@ -72,11 +72,12 @@ def test_check_asks_about_a_radio_that_it_does_not_know(lab, tmp_path):
 
 def test_check_says_who_is_off_and_how_far(lab, tmp_path):
     settings = lab().settings
-    moved = ("robots.0.start=[1000, 800]", "robots.2.heading=1")
+    moved = ("robots.0.start=[955, 800]", "robots.1.start=[945, 1200]", "robots.2.heading=0.4")
     done = tetractl(tmp_path, "lab", "check", str(SPEC), *flags((*settings, *moved)))
     assert done.returncode == 1
-    assert "problem: green is 100 mm from its start" in done.stdout
-    assert "problem: red is turned by -1.00 rad from its start heading" in done.stdout
+    assert "problem: green is 55 mm from its start" in done.stdout
+    assert "problem: red is turned by -0.40 rad from its start heading" in done.stdout
+    assert "blue is" not in done.stdout
     assert done.stdout.rstrip().endswith("not ready")
 
 

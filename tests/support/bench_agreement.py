@@ -16,10 +16,11 @@ from support.paths import ROOT
 from support.recorder import Recorder
 from support.virtual_lab import Busy, VirtualLab, virtual_lab
 
+import tetractl
+from tetractl import TrialLog
 from tetractl.control.build import build_controller
 from tetractl.core.commands import PlantInfo
-from tetractl.core.protocols import LabSupervision, Observer
-from tetractl.core.trial import EPOCH_NS, Result, TrialRecords
+from tetractl.core.trial import EPOCH_NS, TrialRecords
 from tetractl.experiment.load import LoadedSpec, load_spec, start_of
 from tetractl.plant.disturbances.radio import PlanningTimeSection, RadioSection
 from tetractl.plant.disturbances.robots import StartErrorSection
@@ -63,28 +64,9 @@ def bench_spec(*sets: str) -> LoadedSpec:
     return lab_spec(f"plant={json.dumps(plant)}", *sets)
 
 
-def run(
-    spec: LoadedSpec, trial: int, plant, controller, clock, observer: Observer, simulated=False
-) -> Result:
-    """Run one trial of given parts."""
-    return Trial(
-        start=start_of(spec, trial, PlantInfo("", simulated, 0.0, {}), EPOCH_NS),
-        plant=plant,
-        controller=controller,
-        first_plan=spec.experiment.controller.first_plan,
-        clock=clock,
-        observers=[observer],
-        interrupt=Interrupt(),
-    ).run()
-
-
-def bench_trial(spec: LoadedSpec, trial: int) -> Result:
+def bench_trial(spec: LoadedSpec, trial: int) -> TrialLog:
     """Run one trial of `bench_spec`."""
-    experiment = spec.experiment
-    clock = experiment.plant.clock()
-    key, seed = trial_seeds(experiment.trials.seed, trial)
-    plant = experiment.plant.build(experiment.setup, clock, seed, LabSupervision())
-    return run(spec, trial, plant, build_controller(experiment, key), clock, Recorder(), True)
+    return tetractl.run_trial(spec, trial)
 
 
 def lab_trial(
@@ -131,5 +113,7 @@ def lab_trial(
         change(lab)
         inner, path = build_controller(experiment, key), Recorder()
         busy = Busy(inner, lab.clock, rng, planning.least, planning.spread)
-        run(spec, trial, lab.plant, busy, lab.clock, path)
+        start = start_of(spec, trial, PlantInfo("", False, 0.0, {}), EPOCH_NS)
+        stand = experiment.controller.first_plan
+        Trial(start, lab.plant, busy, stand, lab.clock, [path], Interrupt()).run()
     return path.trial

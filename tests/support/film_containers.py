@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import tifffile
-from support.needs_opencv import cv2
+from support.needs_opencv import cv2, video
 
 UM_PX, RATE_HZ = 2.3, 30.0
 
@@ -113,14 +113,9 @@ def micro_manager(path, pictures):
     return path
 
 
-def video(path, pictures):
-    """FFV1 keeps each grey level."""
-    code = cv2.VideoWriter.fourcc(*"FFV1")
-    writer = cv2.VideoWriter(str(path), code, RATE_HZ, pictures.shape[:0:-1])
-    for picture in pictures:
-        writer.write(cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR))
-    writer.release()
-    return path
+def ffv1(path, pictures):
+    """It keeps each grey level."""
+    return video(path, pictures, RATE_HZ, "FFV1")
 
 
 def czi(path, pictures):
@@ -148,6 +143,6 @@ CONTAINERS = {
     "film.ome.tif": (ome, True, True),
     "split OME": (ome_split, True, True),
     "split Micro-Manager": (micro_manager, True, False),
-    "film.avi": (video, False, True),
+    "film.avi": (ffv1, False, True),
     "film.czi": (czi, True, False),
 }

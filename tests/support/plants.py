@@ -9,10 +9,19 @@ import yaml
 from support.labs import CAMERA_HZ, fake_lab
 from support.trials import experiment
 
-from tetractl.core.clock import Clock, VirtualClock
+from tetractl.core.clock import SECOND, Clock, VirtualClock
+from tetractl.core.commands import Steer
+from tetractl.core.poses import Floats
 from tetractl.core.protocols import Plant
 from tetractl.experiment.experiment import Experiment
 from tetractl.plant.simulation import SimPlant, SimSection
+
+PERIOD = SECOND // 5
+DIRECTIONS = np.random.default_rng(5).uniform(-np.pi, np.pi, 12).tolist()
+PAIR = [  # two that hardly turn, along +x
+    {"name": "one", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100},
+    {"name": "two", "start": [900, 900], "target": [1700, 900], "a": 1e-9, "speed": 50},
+]
 
 
 @dataclass(frozen=True)
@@ -33,6 +42,23 @@ def sim(spec: Experiment, seed: int = 1, clock: Clock | None = None) -> SimPlant
     section = spec.plant
     assert isinstance(section, SimSection)
     return SimPlant(section, spec.setup, clock or VirtualClock(), np.random.SeedSequence(seed))
+
+
+def driven(simulated: SimPlant, directions=DIRECTIONS, period: int = PERIOD):
+    """Open, steer once a period; return all commands, and all samples up to the last one's end."""
+    simulated.open()
+    commands, samples = [], []
+    for k, direction in enumerate(directions):
+        commands.append(simulated.send(Steer(direction)))
+        simulated.clock.sleep_until((k + 1) * period)
+        samples += simulated.samples()
+        commands += simulated.news()
+    return commands, samples
+
+
+def truths(samples) -> Floats:
+    """Return the true poses (M, N, 3)."""
+    return np.array([sample.truth.array() for sample in samples])
 
 
 def sim_rig(seed: int, **plant: Any) -> Rig:

@@ -4,7 +4,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from support.needs_opencv import cv2
+from support.needs_opencv import cv2, video
 
 from tetractl.core.poses import Poses
 from tetractl.emulate.apriltag.side import Optics, Renderer
@@ -85,11 +85,4 @@ def jpeg(picture, quality=90, restarts=0):
 
 def film(path, pictures, rate=30.0):
     """Write a video file."""
-    height, width = pictures[0].shape
-    codec = cv2.VideoWriter.fourcc(*"MJPG")
-    writer = cv2.VideoWriter(str(path), codec, rate, (width, height), isColor=False)
-    assert writer.isOpened()
-    for picture in pictures:
-        writer.write(picture)
-    writer.release()
-    return {"type": "file", "path": str(path)}
+    return {"type": "file", "path": str(video(path, pictures, rate))}

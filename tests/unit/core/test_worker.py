@@ -13,17 +13,6 @@ def make(**changes):
     return Worker("test", **(settings | changes))
 
 
-def test_calls_are_done_in_order_in_one_other_thread():
-    done = []
-    worker = make(wait_s=10.0)
-    for i in range(100):
-        worker.put(lambda i: done.append((i, threading.get_ident())), i)
-    worker.close()
-    assert [i for i, _ in done] == list(range(100))
-    assert {thread for _, thread in done} != {threading.get_ident()}
-    assert len({thread for _, thread in done}) == 1
-
-
 def test_a_full_queue_fails_at_once_and_what_waits_is_still_done():
     done = []
     gate = threading.Event()

@@ -1,10 +1,17 @@
-"""One name, one meaning: of classes and modules in the package."""
+"""One name, one meaning: of classes, modules, packages, and of what pages and specs name."""
 
 import ast
+import importlib
+import re
+import tomllib
 from collections import defaultdict
 
+from solverbench.loop import DISTURBED
 from support.paths import ROOT
 
+from tetractl.experiment.load import load_spec
+
+EXPERIMENTS = ROOT / "experiments"
 PACKAGE = ROOT / "tetractl"
 NAMED_AFTER = (  # a command's module after what it runs, a kernel's after what it compiles, a
     # figure's and a disturbance's after the name that a user writes
@@ -32,3 +39,37 @@ def test_a_module_has_a_name_of_its_own():
         if room not in NAMED_AFTER and path.stem not in {"__init__", *PARTS}:
             places[path.stem].append(path.relative_to(ROOT).as_posix())
     assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+def test_the_disturbances_of_the_solvers_figures_are_those_of_its_page():
+    page = (ROOT / "docs/explanation/solver.md").read_text()
+    assert all(f"`{setting}`" in page for setting in DISTURBED)
+
+
+def test_both_controllers_run_on_one_bench():
+    ours, published = (
+        load_spec(EXPERIMENTS / f"{name}.yaml").experiment
+        for name in ("three_m3pi_bench", "three_m3pi_paper_bench")
+    )
+    assert ours.plant == published.plant
+    assert ours.robots == published.robots
+    paper = load_spec(EXPERIMENTS / "three_m3pi_paper.yaml").experiment
+    assert published.controller == paper.controller
+
+
+def test_packages_are_in_the_order_of_imports_and_in_their_own_words():
+    rows = re.findall(
+        r"^\| `(\w+)` \| (.+) \| `(.+)` \|$", (ROOT / "CONTRIBUTING.md").read_text(), re.M
+    )
+    contract = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]
+    layers = [layer.split(" | ") for layer in contract["contracts"][0]["layers"]]
+    packages = [[p for p in layer if (ROOT / "tetractl" / p).is_dir()] for layer in layers]
+    listed = [name for name, *_ in rows]
+    assert listed == [p for layer in packages for p in sorted(layer, key=listed.index)]
+    text = (ROOT / "CONTRIBUTING.md").read_text()
+    for layer in packages:
+        assert len(layer) == 1 or ", ".join(f"`{p}`" for p in layer) in text.replace("\n", " ")
+    for name, holds, first in rows:
+        package = importlib.import_module(f"tetractl.{name}")
+        assert package.__doc__ is not None and package.__doc__.split("\n")[0] == holds
+        assert (ROOT / "tetractl" / name / first).exists()

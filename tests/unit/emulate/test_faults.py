@@ -10,8 +10,6 @@ from support.paths import ROOT
 from support.virtual_lab import virtual_lab
 
 from tetractl.core.clock import SECOND
-from tetractl.emulate.faults import Visible
-from tetractl.emulate.script import Sides
 from tetractl.experiment.yaml.document import parse_document
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
@@ -94,15 +92,6 @@ def test_a_robot_with_another_number_obeys_that_one(tmp_path):
     robot = lab.actuator.robot("green")
     robot.hear(encode_command(BroadcastCommand(1, Flag.RUN, ((10, 10), (20, 20)))))
     assert robot.counts() == (20, 20)
-
-
-def test_every_fault_is_in_the_table_of_a_device_with_when_it_shows():
-    optitrack = Sides.of("optitrack", "m3pi-xbee").faults
-    assert len(optitrack) == 29
-    at_once = {name for name, kind in optitrack.items() if kind.visible is Visible.AT_ONCE}
-    assert {"mark", "unplug", "clock_jump", "veer"} <= at_once
-    assert optitrack["freeze"].visible is Visible.SENT
-    assert optitrack["jump"].visible is Visible.EXPOSED
 
 
 @pytest.mark.slow

@@ -4,7 +4,6 @@ import pytest
 import serial
 from support.lab_processes import emulated, turn_until
 
-from tetractl.core.errors import UsageError
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.actuators.xbee.frames import BROADCAST, Decoder, at_command, at_response, encode
 from tetractl.lab.cobs import Flag
@@ -80,13 +79,6 @@ def test_an_answer_keeps_the_air_until_it_is_acknowledged(opened):
         radio._reply(bytes(13))
     turn_until(lab, lambda: len(arrived) == 2)
     assert arrived[1] - arrived[0] >= (13 + 17) * 32_000 + 860_000
-
-
-def test_a_name_that_is_taken_is_refused_and_left(tmp_path):
-    (tmp_path / "radio").write_text("something of somebody")
-    with pytest.raises(UsageError, match="exists already"), emulated(tmp_path):
-        pass
-    assert (tmp_path / "radio").read_text() == "something of somebody"
 
 
 def test_a_name_left_by_a_killed_emulation_is_taken_over(tmp_path):

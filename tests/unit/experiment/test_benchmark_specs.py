@@ -19,8 +19,3 @@ def test_an_instance_is_valid_and_told_of(path):
     assert row in (FOLDER / "README.md").read_text("utf-8")
     assert (path.parent / "../experiment.schema.json").is_file()
     assert "../experiment.schema.json" in path.read_text("utf-8").splitlines()[0]
-
-
-def test_there_are_as_many_as_the_readme_says():
-    assert len(SPECS) == 13
-    assert "Thirteen fixed experiments" in (FOLDER / "README.md").read_text("utf-8")

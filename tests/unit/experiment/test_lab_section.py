@@ -35,12 +35,6 @@ def test_the_plant_is_chosen_by_kind():
     assert (back.plant, back.lab) == (SimSection(), lab.plant)
 
 
-def test_a_spec_without_a_lab_has_none():
-    loaded = load_spec(EXPERIMENTS / "three_m3pi.yaml")
-    with pytest.raises(SpecError, match="has no lab"):
-        on_plant(loaded, "lab")
-
-
 def test_a_calibration_replaces_what_was_measured_and_is_attached(tmp_path):
     (tmp_path / "spec.yaml").write_text(SPEC.read_text())
     (tmp_path / "m.yaml").write_text(MEASURED)

@@ -66,20 +66,3 @@ def test_what_is_no_robot_must_not_stand_in_the_arena(x):
 
     inside = ("something else stands in the arena at 1000, 700 mm",)
     assert looked_over(place).problems == (inside if x > 0 else ())
-
-
-@pytest.mark.parametrize(
-    ("moved", "said"),
-    [
-        ((60.0, 0.0), "green is 60 mm from its start"),
-        ((0.0, -0.5), "green is turned by -0.50 rad from its start heading"),
-        ((20.0, 0.1), None),
-    ],
-)
-def test_a_robot_off_its_start_may_not_drive(moved, said):
-    def carry(camera):
-        camera.world.poses[0] += (moved[0], 0.0, moved[1])
-
-    found = looked_over(carry)
-    assert found.misplaced == ((said,) if said else ())
-    assert found.ready is (said is None)

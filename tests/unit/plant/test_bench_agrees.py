@@ -30,7 +30,7 @@ def paths():
 
 def test_total_errors_agree_in_distribution(paths):
     labs = [path.result for path in paths]
-    sims = [bench_trial(bench_spec(), trial) for trial in range(TRIALS)]
+    sims = [bench_trial(bench_spec(), trial).result for trial in range(TRIALS)]
     assert all(result.outcome.complete for result in (*labs, *sims))
     ours, theirs = ([result.total_error for result in results] for results in (labs, sims))
     assert stats.ks_2samp(ours, theirs).pvalue > LOSSES

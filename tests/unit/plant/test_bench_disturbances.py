@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from support.paths import ROOT
-from support.plants import sim
+from support.plants import PAIR, PERIOD, sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -15,14 +15,8 @@ from tetractl.experiment.load import load_spec
 from tetractl.experiment.yaml.problems import InvalidSpecError
 from tetractl.plant.disturbances.robots import WanderSection
 
-PERIOD = SECOND // 5
-ROBOTS = [  # two that hardly turn, along +x
-    {"name": "one", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100},
-    {"name": "two", "start": [900, 900], "target": [1700, 900], "a": 1e-9, "speed": 50},
-]
 
-
-def plant(*disturbances, seed=1, robots=ROBOTS, wheels=None, **fields):
+def plant(*disturbances, seed=1, robots=PAIR, wheels=None, **fields):
     section = {"disturbances": list(disturbances), **fields}
     spec = experiment(robots=robots, obstacles=[], plant=section, wheels=wheels)
     return sim(spec, seed)
@@ -270,7 +264,7 @@ def test_robots_slow_down_as_batteries_do():
 @pytest.mark.parametrize("field", ["a", "speed"])
 def test_a_and_speed_wander_as_far_and_as_fast_as_the_spec_says(field):
     section = WanderSection.model_validate({"type": "wander", field: 0.1, "time": 0.5})
-    setup = experiment(robots=ROBOTS, obstacles=[]).setup
+    setup = experiment(robots=PAIR, obstacles=[]).setup
     disturbance = section.build(setup, np.random.default_rng(5))
     ones = np.ones(2)
     both = np.log([disturbance.varied(ones, ones, k / 20) for k in range(20_000)])

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 import pytest
-from support.plants import sim
+from support.plants import PAIR, PERIOD, driven, sim
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -14,11 +14,7 @@ from tetractl.core.commands import Steer
 from tetractl.core.poses import Poses
 from tetractl.experiment.disturbance import Disturbance, DisturbanceSection
 
-PERIOD = SECOND // 5
-ROBOTS = [  # two that hardly turn, along +x
-    {"name": "one", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100},
-    {"name": "two", "start": [900, 900], "target": [1700, 900], "a": 1e-9, "speed": 50},
-]
+STRAIGHT = [0.0] * 5  # directions of five periods
 
 
 class Given(DisturbanceSection):
@@ -35,17 +31,8 @@ class Given(DisturbanceSection):
 def plant(*disturbances, seed=1, **fields):
     sections = [Given.model_construct(what=each) for each in disturbances]
     return sim(
-        experiment(robots=ROBOTS, obstacles=[], plant={"disturbances": sections, **fields}), seed
+        experiment(robots=PAIR, obstacles=[], plant={"disturbances": sections, **fields}), seed
     )
-
-
-def driven(simulated, periods=5):
-    simulated.open()
-    sent = []
-    for k in range(periods):
-        sent.append(simulated.send(Steer(0.0)))
-        simulated.clock.sleep_until((k + 1) * PERIOD)
-    return sent, simulated.samples()
 
 
 def test_parameters_are_those_the_robots_move_by():
@@ -54,7 +41,7 @@ def test_parameters_are_those_the_robots_move_by():
             return a, speed * [0.5, 1.0]
 
     simulated = plant(Slower())
-    driven(simulated)
+    driven(simulated, STRAIGHT)
     assert simulated.observe().poses.x - 900 == pytest.approx([50, 50])
 
 
@@ -64,7 +51,7 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
             return replace(command, reached=command.reached & [False, True])
 
     simulated = plant(OneLosesAll())
-    sent, _ = driven(simulated)
+    sent, _ = driven(simulated, STRAIGHT)
     assert simulated.observe().poses.x - 900 == pytest.approx([0, 50])
     assert all(command.delivered == (False, True) for command in sent)
 
@@ -76,7 +63,7 @@ def test_a_command_that_is_lost_or_late_is_so_in_the_motion_and_in_the_record():
             return replace(command, due_ns=command.due_ns + late)
 
     simulated = plant(FirstIsLate())
-    driven(simulated)
+    driven(simulated, STRAIGHT)
     assert simulated.observe().poses.x - 900 == pytest.approx([40, 20])
 
 
@@ -99,7 +86,7 @@ def test_one_robot_alone_may_hear_later():
             return replace(order, late_ns=np.array([0, PERIOD]))
 
     simulated = plant(SecondIsLate())
-    driven(simulated)
+    driven(simulated, STRAIGHT)
     assert simulated.observe().poses.x - 900 == pytest.approx([100, 40])
     simulated.stop()
     assert simulated.settle().final.x - 900 == pytest.approx([100, 50])
@@ -113,7 +100,7 @@ def test_a_robot_whose_a_and_speed_vanish_stands_and_goes_on_as_before(motion, d
             free = np.array([1.0, not 0.2 <= time_s < 0.6])
             return a * free, speed * free
 
-    robots = [one | {"a": 2.0, "heading": 1.0} for one in ROBOTS]
+    robots = [one | {"a": 2.0, "heading": 1.0} for one in PAIR]
     spec = {"motion": motion, "disturbances": [Given.model_construct(what=Held())]}
     if drive is not None:
         spec["drive"] = drive
@@ -141,7 +128,7 @@ def test_moved_acts_on_the_true_poses_before_a_frame_is_exposed():
 
     drift = Drift()
     simulated = plant(drift)
-    _, samples = driven(simulated)
+    _, samples = driven(simulated, STRAIGHT)
     truth = samples[-1].truth
     assert truth.y - [800, 900] == pytest.approx([10, 10], abs=1e-9)
     assert simulated.poses.y == pytest.approx(truth.y, abs=1e-9)
@@ -156,7 +143,7 @@ def test_measured_acts_on_the_frame_alone_and_who_is_lost_keeps_the_last_pose():
             return shifted, valid & [True, time_s < 0.5]
 
     simulated = plant(Blind())
-    _, samples = driven(simulated)
+    _, samples = driven(simulated, STRAIGHT)
     for sample in samples:
         seen, truth = sample.observation, sample.truth
         assert seen.poses.x[0] == pytest.approx(truth.x[0] + 1)
@@ -186,8 +173,8 @@ def test_disturbances_act_in_order_each_with_draws_of_its_own():
 
 def test_further_disturbances_leave_the_draws_of_the_others():
     noisy = {"measurement_noise": {"position": 2}, "lost_commands": 0.3}
-    sent, alone = driven(plant(**noisy))
-    sent_both, both = driven(plant(Disturbance(), **noisy))
+    sent, alone = driven(plant(**noisy), STRAIGHT)
+    sent_both, both = driven(plant(Disturbance(), **noisy), STRAIGHT)
     assert [c.delivered for c in sent] == [c.delivered for c in sent_both]
     for one, two in zip(alone, both, strict=True):
         assert one.observation.poses.array() == pytest.approx(two.observation.poses.array())

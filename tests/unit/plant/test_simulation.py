@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy import stats
 from scipy.integrate import solve_ivp
-from support.plants import sim
+from support.plants import DIRECTIONS, PERIOD, driven, sim, truths
 from support.trials import experiment
 
 from tetractl.control.cost import predict
@@ -15,7 +15,6 @@ from tetractl.core.poses import Observation, Poses
 from tetractl.model.wheels import body_velocity
 from tetractl.plant.standing import StandingCheck
 
-PERIOD = SECOND // 5
 STRAIGHT = [  # a robot that hardly turns, along +x at 100 mm/s
     {"name": "arrow", "start": [900, 800], "target": [1700, 500], "a": 1e-9, "speed": 100}
 ]
@@ -27,24 +26,13 @@ def plant(robots=None, obstacles=(), seed=1, wheels=None, **fields):
     return sim(spec, seed)
 
 
-def steered(simulated, directions, period=PERIOD):
-    """Open, steer once a period, and return every sample up to the last period's end."""
-    simulated.open()
-    for k, direction in enumerate(directions):
-        simulated.send(Steer(direction))
-        simulated.clock.sleep_until((k + 1) * period)
-    return simulated.samples()
-
-
-def truths(samples):
-    return np.array([sample.truth.array() for sample in samples])  # (M, N, 3)
+def steered(simulated, directions):
+    """Every sample of robots that are steered."""
+    return driven(simulated, directions)[1]
 
 
 def measured(samples):
     return np.array([sample.observation.poses.array() for sample in samples])
-
-
-DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()
 
 
 def test_the_continuous_plant_solves_1_to_3():
@@ -196,14 +184,6 @@ def test_errors_of_a_and_speed_are_uniform_within_their_bound(field, nominal):
     assert np.abs(errors).max() <= 0.2
     assert stats.kstest(errors.ravel(), "uniform", args=(-0.2, 0.4)).pvalue > 1e-4
     assert abs(np.corrcoef(errors[:, 0], errors[:, 1])[0, 1]) < 0.2
-
-
-def test_the_facts_are_those_the_robots_move_by():
-    simulated = plant(STRAIGHT, speed_error=0.2)
-    true = json.loads(simulated.open().facts["true_speed"])[0]
-    simulated.send(Steer(0.0))
-    simulated.clock.sleep_until(SECOND)
-    assert simulated.observe().poses.x[0] == pytest.approx(900 + true, abs=1e-6)
 
 
 def test_the_truth_decides_what_the_camera_misses():

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.plants import sim
+from support.plants import DIRECTIONS, driven, sim, truths
 from support.trials import experiment
 
 from tetractl.core.clock import SECOND
@@ -20,8 +20,6 @@ from tetractl.lab.cobs import Flag
 from tetractl.model.motion.exact import step as exact
 from tetractl.model.wheels import body_velocity
 
-PERIOD = SECOND // 5
-DIRECTIONS = np.random.default_rng(5).uniform(-math.pi, math.pi, 12).tolist()
 COUNT = 1000 / 127
 ROBOTS = experiment().robots
 
@@ -30,22 +28,6 @@ def plant(seed=1, drive=None, lag=0.0, **fields):
     wheels = {"radius": 40, "lag": lag}
     spec = experiment(plant={"drive": drive or {}, **fields}, wheels=wheels, obstacles=[])
     return sim(spec, seed)
-
-
-def driven(simulated, directions=DIRECTIONS, period=PERIOD):
-    """Steer once a period; return all commands and samples."""
-    simulated.open()
-    commands, samples = [], []
-    for k, direction in enumerate(directions):
-        commands.append(simulated.send(Steer(direction)))
-        simulated.clock.sleep_until((k + 1) * period)
-        samples += simulated.samples()
-        commands += simulated.news()
-    return commands, samples
-
-
-def truths(samples):
-    return np.array([sample.truth.array() for sample in samples])
 
 
 def test_simulated_and_emulated_robots_drive_the_same_path():
@@ -161,15 +143,6 @@ def test_dead_zones_that_the_host_does_not_know_turn_robots():
     bent = truths(driven(wrong, [0.0] * 5)[1])[-1]
     assert straight[:, 2] == pytest.approx(0, abs=1e-9)
     assert np.abs(bent[:, 2]).max() > 0.05
-
-
-def test_robots_coast_to_a_stand():
-    simulated = plant(drive={"rate": 40, "lag": 0.1})
-    driven(simulated, [0.0] * 5)
-    before = simulated.observe().poses.x
-    simulated.stop()
-    final = simulated.settle().final
-    assert final.x - before == pytest.approx(0.1 * np.array([180, 200, 150]), rel=1e-3)
 
 
 def test_wheels_are_needed():

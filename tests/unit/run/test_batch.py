@@ -10,7 +10,7 @@ from tetractl.core.errors import AbortError, TetractlError
 from tetractl.core.plan import Outcome
 from tetractl.experiment.load import load_spec, parse_spec
 from tetractl.experiment.plants import on_plant
-from tetractl.log.read.reader import read_result, read_trial
+from tetractl.log.read.reader import read_trial
 from tetractl.run import executors, task
 from tetractl.run.batch import TimeLeft, run_batch
 from tetractl.run.executors import on_this_machine
@@ -125,17 +125,6 @@ def test_a_trial_is_logged_under_its_number_with_its_seeds(tmp_path):
     assert (log.start.trial, log.start.seed, log.damage) == (2, 7, None)
     assert log.steps[0].plan.generator == mix(trial_seeds(7, 2)[0], 0)
     assert len(set(log.frames.tolist())) == len(log.frames) > 10
-
-
-def test_a_trial_repeats_itself_whatever_ran_before(tmp_path):
-    alone, among = tmp_path / "alone", tmp_path / "among"
-    for folder, trials in ((alone, [1]), (among, [0, 1, 2])):
-        folder.mkdir()
-        run(folder, trials)
-    digests = [read_result(log_path(folder, 1)).digest for folder in (alone, among)]
-    assert digests[0] == digests[1]
-    others = {read_result(log_path(among, trial)).digest for trial in range(3)}
-    assert len(others) == 3
 
 
 def kill_itself(task, folder):

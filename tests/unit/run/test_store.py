@@ -3,7 +3,7 @@ from dataclasses import replace
 import pytest
 from support import random_trials as made
 
-from tetractl.core.errors import LogError, UsageError
+from tetractl.core.errors import LogError
 from tetractl.core.plan import Outcome
 from tetractl.log.read.find import find_logs
 from tetractl.run.store import LogStore, make_folder, set_aside
@@ -45,14 +45,6 @@ def test_resuming_skips_what_is_complete_and_nothing_else(tmp_path):
     cut.write_bytes(cut.read_bytes()[:-300])
     assert trials_to_run(spec(8), tmp_path, True) == [1, 3, 4, 5, 6, 7]
     assert trials_to_run(spec(3), tmp_path, True) == [1]
-
-
-def test_resuming_with_another_seed_or_spec_is_refused(tmp_path):
-    log(tmp_path, 0)
-    for other in (spec(seed=99), spec(description="x", name="other")):
-        with pytest.raises(UsageError, match=r"trial-000\.mcap: was run with another spec or seed"):
-            trials_to_run(other, tmp_path, True)
-    assert trials_to_run(spec(1), tmp_path, True) == []
 
 
 def test_what_is_unfinished_is_set_aside_under_a_name_of_its_own(tmp_path):

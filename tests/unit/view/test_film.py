@@ -10,7 +10,7 @@ from PIL import Image
 from support.trials import cut_short, three_robots
 
 from tetractl.core.errors import LogError, UsageError
-from tetractl.view.film import FORMATS, HOLD_S, FilmFrames, check_file, write_video
+from tetractl.view.film import HOLD_S, FilmFrames, check_file, write_video
 
 WIDTH = 320
 LASTS_S = 1.0  # of the trial
@@ -93,4 +93,3 @@ def test_a_film_that_fails_leaves_no_file(tmp_path, log, monkeypatch):
     with pytest.raises(LogError, match="No space left"):
         write_video(log, tmp_path / "film.gif", width=WIDTH)
     assert list(tmp_path.iterdir()) == []
-    assert set(FORMATS) == {"mp4", "gif", "webp"}

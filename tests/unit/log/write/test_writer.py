@@ -1,12 +1,9 @@
 """How the writer treats its file: names, flushes, and a file system that refuses."""
 
 import shutil
-import subprocess
-import sys
 
 import pytest
 from mcap.reader import make_reader
-from support.paths import ROOT
 from support.random_trials import trial, write
 
 from tetractl.core.clock import SECOND
@@ -130,55 +127,3 @@ def test_a_folder_moved_during_the_trial_takes_its_log_along(tmp_path):
     assert caught.value.hint is None
     assert not folder.exists()
     assert len(read_trial(tmp_path / "moved" / "trial.mcap.part").frames) == len(made.samples)
-
-
-FULL_DISK = """
-import resource, sys
-from pathlib import Path
-from support.random_trials import trial
-from tetractl.core.errors import LogError
-from tetractl.log import provenance
-from tetractl.log.write.writer import LogWriter
-
-provenance.environment = lambda: "{}"  # for a size that does not depend on where this runs
-resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]),) * 2)
-made = trial(steps=40)
-writer, errors = LogWriter(Path(sys.argv[1])), []
-
-def attempt(call, *arguments):
-    try:
-        call(*arguments)
-    except LogError as error:
-        errors.append(f"{error} | {error.hint}")
-
-attempt(writer.on_start, made.start)
-for samples, step in made.rounds:
-    attempt(writer.on_samples, samples)
-    attempt(writer.on_step, step)
-attempt(writer.on_stop, made.stop, made.result)
-attempt(writer.close)
-print(*errors, sep="\\n")
-"""
-
-
-@pytest.mark.parametrize("limit", [0, 60_000])
-def test_a_full_disk_is_told_once_and_what_is_written_stays(tmp_path, limit):
-    path = tmp_path / "trial.mcap"
-    done = subprocess.run(
-        [sys.executable, "-c", FULL_DISK, str(path), str(limit)],
-        cwd=ROOT / "tests",
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    part = path.with_name("trial.mcap.part")
-    hint = f"the log so far is in {part}" if limit else None
-    assert done.stdout == f"{path}: cannot write the log: File too large | {hint}\n"
-    assert not path.exists()
-    assert part.stat().st_size == limit
-    if limit >= 60_000:
-        found = read_trial(part)
-        assert len(found.steps) > 0
-        assert found.damage is not None
-        made = trial(steps=40)
-        assert [step.k for step in found.steps] == [s.k for s in made.steps[: len(found.steps)]]

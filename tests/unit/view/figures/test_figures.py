@@ -358,9 +358,6 @@ def robots_figure(logs):
 def test_a_figure_of_another_name_is_one_function_and_one_line(log, monkeypatch):
     monkeypatch.setitem(FIGURES.builtin, "robots", f"{__name__}:robots_figure")
     assert draw("robots", [log]).get_label() == "3 robots"
-    with pytest.raises(UsageError, match="no figure is called 'pie'") as refused:
-        draw("pie", [log])
-    assert "robots" in str(refused.value.hint)
 
 
 def test_the_swarm_is_that_of_the_logged_search(log):

@@ -5,11 +5,10 @@ import math
 import numpy as np
 import pytest
 from support.dish_films import film
-from support.needs_opencv import cv2
+from support.needs_opencv import video
 
 from tetractl.core.clock import VirtualClock
 from tetractl.core.commands import Steer, Stop, Transmission
-from tetractl.core.errors import AbortError
 from tetractl.experiment.load import parse_spec
 from tetractl.lab.cameras.cells.cells_health import SeenDish, dish_lines
 from tetractl.lab.cameras.cells.detect_cells import Light
@@ -38,11 +37,7 @@ lab:
 def dish(folder, picture=lambda each: each):
     """A film of two cells and a file of it."""
     made = film(seed=52, side=512, cells=2, crossings=False, seconds=3.0)
-    path = folder / "dish.avi"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, (512, 512))
-    for each in made.pictures():
-        writer.write(cv2.cvtColor(picture(each), cv2.COLOR_GRAY2BGR))
-    writer.release()
+    path = video(folder / "dish.avi", map(picture, made.pictures()))
     return made, path
 
 
@@ -106,12 +101,6 @@ def test_the_inner_loop_passes_on_what_it_sends(tmp_path):
     for action in (Steer(1.0), Stop()):
         loop._note(Transmission(action, 5, (True,), np.zeros(1), np.zeros(1)))
     assert heard == [(1.0, 5), (None, 5)]
-
-
-def test_a_missing_film_is_one_clear_error(tmp_path):
-    _, cells = camera(tmp_path / "none.avi", np.zeros((2, 2)))
-    with pytest.raises(AbortError, match="there is no file"):
-        cells.__enter__()
 
 
 LIGHT = Light(gain=1.0, noise=2.0, contrast=60.0, changed=0.01, lost=False)

@@ -88,32 +88,24 @@ class PluggedDevice:
     def open(self, loop: Loop) -> dict[str, Any]:
         """Plug the device in; return its description and the port's name."""
         self._loop = loop
-        self.plug()
+        self.plugged(True)
         return {"actuator": f"{self.what} at {self.port.link}", "port": str(self.port.link)}
 
     def close(self) -> dict[str, Any]:
         """Unplug the device; return how many chunks of bytes came at a wrong baud rate."""
-        self.unplug()
+        self.plugged(False)
         return {"garbled": self.wired.garbled}
 
-    def plug(self) -> None:
-        """Plug the device in."""
-        assert self._loop is not None, "open() sets the loop"
-        self.port.plug()
-        self._loop.watch(self.port.fd, self.wired.readable)
-
     def plugged(self, on: bool) -> None:
-        """Plug the device in or unplug it."""
+        """Plug the device in, after `open`, or unplug it; it may be unplugged twice."""
         if on:
-            self.plug()
+            assert self._loop is not None, "open() sets the loop"
+            self.port.plug()
+            self._loop.watch(self.port.fd, self.wired.readable)
         else:
-            self.unplug()
-
-    def unplug(self) -> None:
-        """Unplug the device; may be called twice."""
-        if self._loop is not None:
-            self._loop.forget(self.port.fd)
-        self.port.unplug()
+            if self._loop is not None:
+                self._loop.forget(self.port.fd)
+            self.port.unplug()
 
 
 class PseudoPort:

@@ -62,19 +62,6 @@ Source = Annotated[
 ]
 
 
-def named(source: Source) -> str:
-    """Return the name of a source, for display."""
-    match source:
-        case DeviceSource(index=index):
-            return f"camera {index}"
-        case FileSource(path=path):
-            return path
-        case MjpegSource(url=url):
-            return url
-        case MicroManagerSource(config=config):
-            return config
-
-
 class PictureSection(CameraSection):
     """A camera that searches the pictures of its `source`."""
 
@@ -88,4 +75,8 @@ class PictureSection(CameraSection):
     @property
     def source_name(self) -> str:
         """Name of the source for display, such as its address."""
-        return named(self.source)
+        match self.source:
+            case DeviceSource(index=index):
+                return f"camera {index}"
+            case FileSource(path=name) | MjpegSource(url=name) | MicroManagerSource(config=name):
+                return name

@@ -5,14 +5,13 @@ import re
 import signal
 import subprocess
 import sys
-import threading
 from contextlib import contextmanager
 from urllib.parse import parse_qs, urlsplit
 from urllib.request import Request, urlopen
 
 import pytest
 from support import random_trials as made
-from support.running import QUICK, TETRACTL, first_of
+from support.running import QUICK, TETRACTL, Started, first_of
 from support.terminal import Terminal
 from support.viewer import PATIENCE_S, Viewer, deaf
 
@@ -21,6 +20,7 @@ from tetractl.log.read.reader import read_result
 from tetractl.log.read.salvage import scan
 
 WITHOUT = "import sys; sys.modules['websockets'] = None; from tetractl.cli import main; main()"
+ADDRESS = re.compile(r"((?:ws|http)://127\.0\.0\.1:\d+/[\w-]{16,}/?)\n")
 MS = 1_000_000
 
 pytestmark = pytest.mark.slow
@@ -32,46 +32,15 @@ def log(tmp_path_factory):
     return made.write(made.trial(1, steps=20, frames=10), folder / "trial-000.mcap")
 
 
-class Command:
-    """A command and the address at which it says that it serves; its output is read on."""
-
-    def __init__(self, *words, cwd):
-        self.process = subprocess.Popen(
-            [TETRACTL, *map(str, words)],
-            cwd=cwd,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-        )
-        assert self.process.stdout
-        self.output, self.said = self.process.stdout, ""
-        self.url = self.until(r"((?:ws|http)://127\.0\.0\.1:\d+/[\w-]{16,}/?)\n")
-        self.reader = threading.Thread(target=self._read)
-
-    def until(self, pattern):
-        while not (found := re.search(pattern, self.said)):
-            line = self.output.readline()
-            assert line, self.said
-            self.said += line
-        return found[1]
-
-    def _read(self):
-        self.said += self.output.read()
-
-
 @contextmanager
 def command(*words, cwd):
-    started = Command(*words, cwd=cwd)
-    try:
-        started.reader.start()
-        yield started
-    finally:
-        started.process.kill()
-        started.process.wait()
-        started.reader.join()
-        started.output.close()
-        assert "Traceback" not in started.said
+    """A command, and the `url` at which it says that it serves."""
+    with Started(cwd, *words) as served:
+        found = []
+        served.until(lambda: found.extend(ADDRESS.findall(served.said())) or found)
+        served.url = found[0]
+        yield served
+        assert "Traceback" not in served.said()
 
 
 def unix_ns(viewer, name):
@@ -109,8 +78,7 @@ def test_a_viewer_plays_pauses_seeks_and_sets_the_rate(log):
         )
         served.process.send_signal(signal.SIGINT)
         assert served.process.wait(PATIENCE_S) == 0
-        served.reader.join()
-        (shown,) = re.findall(r"in Foxglove: (\S+)", served.said)
+        (shown,) = re.findall(r"in Foxglove: (\S+)", served.said())
         link = urlsplit(shown)
         assert link.hostname == "app.foxglove.dev"
         assert parse_qs(link.query)["ds.url"] == [served.url]
@@ -188,5 +156,4 @@ def test_a_trial_is_opened_until_ctrl_c(log):
             assert (part.status, part.read()) == (206, log.read_bytes()[:8])
         served.process.send_signal(signal.SIGINT)
         assert served.process.wait(PATIENCE_S) == 0
-        served.reader.join()
-        assert served.said.count("http://") == 1 and "ssh -L" in served.said
+        assert served.said().count("http://") == 1 and "ssh -L" in served.said()

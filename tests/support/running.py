@@ -70,6 +70,10 @@ class Started:
             with suppress(subprocess.TimeoutExpired):
                 self.process.wait(0.02)
 
+    def said(self):
+        """All it printed so far."""
+        return self.out.read_text() + self.err.read_text()
+
     def end(self):
         code = self.process.wait(PATIENCE_S)
         assert "Traceback" not in self.err.read_text(), self.err.read_text()

@@ -45,7 +45,7 @@ def test_without_a_field_there_is_no_a():
 
 
 def test_the_scale_is_guessed_from_bodies(tmp_path):
-    made = film(seed=35, side=512, cells=6, crossings=False)
+    made = film(seed=35, side=512, cells=6, crossings=False, seconds=2.0)
     for k, picture in enumerate(made.pictures()):
         cv2.imwrite(str(tmp_path / f"picture-{k}.png"), picture)
     found = follow(open_film(tmp_path, 30.0), None, None)

@@ -2,6 +2,7 @@ import math
 import random
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
@@ -11,6 +12,8 @@ from tetractl.core.clock import SECOND
 from tetractl.core.poses import CameraFrame, Pose
 from tetractl.core.setup import Bounds
 from tetractl.experiment.lab_section import UNTRACKED_STOP_S, LabLimits
+from tetractl.lab.accepted_frame import AcceptedFrame
+from tetractl.lab.drift_check import DriftCheck
 from tetractl.lab.guard import Guard, GuardRules, GuardState
 
 MS = 1_000_000
@@ -312,6 +315,20 @@ def test_limits_in_millimetres_hold_in_the_units_of_the_spec():
     course = running(replace(RULES, mm=10.0, speeds=(20.0, 10.0)), places)
     course.frame((Pose(54.0, 50.0, 0.3), places[1]))
     assert course.guard.refused == ("its pose jumped", "")
+
+
+def test_a_drift_is_the_same_in_every_unit():
+    """Green drives an arc, and is seen to do a little more than it is commanded."""
+    worst = []
+    for mm in (1.0, 1000.0):
+        check = DriftCheck(("green",), 40.0 / mm, mm, 0.12)
+        for now in range(0, 20 * SECOND, FRAME):
+            check.sent(now, (200.0 / mm,), (1.0,))
+            t, poses = now / SECOND, (Pose(0.0, 0.0, now / SECOND),)
+            frame = AcceptedFrame(CameraFrame(0, now, now, poses), poses, (True,))
+            check.frame(frame, np.array([[210.0 / mm, 3.0 / mm, 1.02]]) * t)
+        worst.append(check.worst)
+    assert worst[0] == pytest.approx(worst[1]) != 0.0
 
 
 def test_a_pose_that_is_off_for_some_frames_is_dropped_and_the_run_goes_on():

@@ -269,12 +269,13 @@ def test_why_a_robot_is_not_tracked_comes_before_that_it_is_not():
     assert person.shown[-1][0] == ()
 
 
-def test_robots_are_waited_for_while_somebody_places_them():
-    lab = fake_lab(SETUP, LabLimits(placing=10.0))
-    lab.world.poses[1, 0] += 120
+@pytest.mark.parametrize("metres", [0.001, 1.0])
+def test_robots_are_waited_for_while_somebody_places_them(metres):
+    lab, off = fake_lab(replace(SETUP, metres=metres), LabLimits(placing=10.0)), 0.12 / metres
+    lab.world.poses[1, 0] += off
 
     def place(count):
-        lab.world.poses[1, 0] -= 120 * (count == 3)
+        lab.world.poses[1, 0] -= off * (count == 3)
 
     lab.supervision.prompt = person = Person(place, 7)
     info = lab.plant.open()

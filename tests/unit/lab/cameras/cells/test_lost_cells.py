@@ -42,6 +42,12 @@ def test_another_cell_is_not_taken_for_it(lost, place, size, elsewhere):
     assert lost.found(np.array(place), size, 11.0, elsewhere) is None
 
 
+def test_the_longer_it_is_lost_the_farther_away_it_may_be(lost):
+    place = np.array([500.0, 1200.0])
+    assert lost.found(place, (50.0, 25.0), 11.0, RARE) is None
+    assert lost.found(place, (50.0, 25.0), 12.0, RARE)
+
+
 def test_it_is_forgotten(lost):
     lost.forget(10.1 + REMEMBERED_S)
     assert lost.found(np.array([505.0, 490.0]), (51.0, 25.0), 13.2, RARE) is None

@@ -164,3 +164,12 @@ def test_the_server_answers_its_axis():
     stream.asked(natnet.NatNetRequest(UNITS))
     stream.feed(pack_answer(natnet.Response(b"Unrecognized request")), 0)
     assert (stream.unit_mm, stream.counts.bad) == (None, 1)
+
+
+def test_no_frame_is_exposed_after_it_came():
+    """By an answer that took 10 ms for its way back, the server's clock seems 5 ms ahead."""
+    stream = connected()
+    stream.asked(natnet.EchoRequest(0))
+    stream.feed(pack_answer(natnet.EchoResponse(0, 0), V41), 10_000_000)
+    stream.feed(frame(7, exposure=HZ), 1_001_000_000)
+    assert stream.newest.sampled_ns == stream.newest.received_ns == 1_001_000_000

@@ -6,11 +6,10 @@ import time
 from collections.abc import Callable
 from itertools import count
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import MILLISECOND, SECOND
 from tetractl.core.worker import IDLE_S
 
 Act = Callable[[], None]
-LAG_NS = 5_000_000
 
 
 class Timeline:
@@ -52,7 +51,7 @@ class Loop:
     """Runs a timeline in real time on the host's monotonic clock.
 
     `worst_lag_ns` is the largest delay of an event so far [ns]; `on_lag` is called with each delay
-    above `LAG_NS`. Delays show that the host is too busy.
+    above 5 ms. Delays show that the host is too busy.
     """
 
     now = staticmethod(time.monotonic_ns)
@@ -91,7 +90,7 @@ class Loop:
         due = self.timeline.next_ns
         if due is not None and now > due:
             self.worst_lag_ns = max(self.worst_lag_ns, now - due)
-            if now - due > LAG_NS:
+            if now - due > 5 * MILLISECOND:
                 self._on_lag(now - due)
         self.timeline.run_to(now)
         due = self.timeline.next_ns

@@ -28,8 +28,6 @@ from tetractl.lab.actuators.m3pi.section import M3piSection, WheelSection
 from tetractl.lab.rig import Rig
 from tetractl.model.wheels import Counts
 
-STRAIGHT_S = 0.7
-
 
 @dataclass(frozen=True, slots=True)
 class DrivenPath:
@@ -182,8 +180,7 @@ class _Bench:
         sizes = [channel.count(turning) for channel in channels]
         # signs of the counts for which the two turning rates cancel
         signs = [1, -channels[0].sign * channels[1].sign]
-        away = self._run(_pair(signs, sizes), STRAIGHT_S)
-        back = self._run(_pair([-sign for sign in signs], sizes), STRAIGHT_S)
+        away, back = (self._run(_pair([k * s for s in signs], sizes), 0.7) for k in (1, -1))
         here = away
         if away.along < 0:
             here, back = back, away
@@ -264,7 +261,7 @@ class _Bench:
             frames = [f for f in came if f.frame.sampled_ns >= began]
             seen = [(f.frame.sampled_ns, pose) for f in frames if (pose := f.pose(0)) is not None]
             times = [began, *(t for t, _ in seen), end]
-            if max(np.diff(times)) <= 0.06 * SECOND:  # the guard has let the robot move
+            if max(np.diff(times)) <= 0.06 * SECOND:  # otherwise frames are missing
                 # the wheels turn steadily 0.2 s after the start of a burst
                 return _steady(seen, began + round(0.2 * SECOND), self.rig.mm)
             # drive back, so that the robot stays near its place

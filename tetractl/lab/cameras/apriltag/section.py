@@ -16,9 +16,8 @@ from tetractl.experiment.lab_section import RobotPart, entry, mismatches
 from tetractl.experiment.yaml.problems import Loc
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
-TAGS = 587  # number of tags in the family 36h11, counted from 0
-
-Tag = Annotated[int, Field(ge=0, lt=TAGS)]
+Tag = Annotated[int, Field(ge=0, lt=587)]
+"""The number of a tag of the family 36h11, which has 587."""
 
 
 class Lens(Model):

@@ -1,10 +1,11 @@
-"""The current driver's C core; how it moves and stops is tested in C, in `firmware/tests`."""
+"""The current driver's C core: against its Python twin, and in what it promises."""
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.device_replies import packed_reply
 
+from tetractl.core.errors import WireError
 from tetractl.emulate import firmware
 from tetractl.emulate.firmware import CoreEvent, DriverCore, DriverLimits
 from tetractl.lab import cobs
@@ -13,71 +14,119 @@ from tetractl.lab.actuators.field.driver import (
     DriverStatus,
     FieldCommand,
     FieldReply,
-    decode_reply,
+    decode_command,
     encode_command,
 )
 from tetractl.lab.cobs import Flag
 
 pytestmark = pytest.mark.skipif(firmware.compiler() is None, reason="no C compiler found")
-LIMITS = DriverLimits(2000, 100_000)
-FAST_MS = 100  # in which every current is reached
 
 
-def sent(core, sequence, flags=Flag.RUN, x_ma=0, y_ma=0, at=0):
-    (event,) = core.push(encode_command(FieldCommand(sequence, flags, x_ma, y_ma)), at)
-    return event
+def towards_zero(numerator, denominator):
+    """Divide as C does."""
+    quotient = abs(numerator) // denominator
+    return quotient if numerator >= 0 else -quotient
 
 
-@pytest.mark.parametrize(
-    ("sequence", "new"), [(10, False), (9, False), (139, False), (137, True), (11, True)]
-)
-def test_a_frame_is_new_if_it_is_up_to_127_ahead_of_the_last(sequence, new):
-    core = DriverCore(LIMITS)
-    assert sent(core, 10, x_ma=100) is CoreEvent.ACCEPTED
-    event = sent(core, sequence, x_ma=-300, y_ma=50, at=FAST_MS)
-    assert event is (CoreEvent.ACCEPTED if new else CoreEvent.STALE)
-    wished = (-300_000, 50_000) if new else (100_000, 0)
-    assert core.currents_ua(2 * FAST_MS) == wished
-    assert core.status(251) == (DriverStatus.RUNNING if new else DriverStatus.SILENT)
-    assert sent(core, sequence, at=1000) is CoreEvent.ACCEPTED  # after a silence any is new
+class Twin:
+    """The core once more, in Python, from docs/reference/wires.md."""
 
+    def __init__(self, limits, now_ms=0):
+        self.limits = limits
+        self.wished = self.at = (0, 0)  # uA
+        self.moved = self.heard = now_ms
+        self.sequence = self.received = self.rejected = 0
+        self.running = self.latched = self.limited = self.hot = False
+        self.silent = True
+        self.readings = (0, 0, 0, -32768)
+        self.reply = None
+        self.buffer = b""
 
-def test_an_old_frame_stops_all_the_same_and_a_poll_in_it_is_answered():
-    core = DriverCore(LIMITS)
-    sent(core, 10, x_ma=100)
-    assert sent(core, 10, Flag.RUN | Flag.POLL) is CoreEvent.STALE
-    assert core.take_reply(0) == b""
-    assert core.currents_ua(FAST_MS) == (100_000, 0)
-    assert sent(core, 8, Flag.POLL, at=FAST_MS) is CoreEvent.STALE
-    assert core.currents_ua(2 * FAST_MS) == (0, 0)
-    assert decode_reply(core.take_reply(2 * FAST_MS)[:-1]).sequence == 8
-    sent(core, 11, Flag.EMERGENCY_STOP)
-    assert sent(core, 12, x_ma=100) is CoreEvent.ACCEPTED
-    assert core.status(0) == DriverStatus.EMERGENCY_STOPPED
+    def push(self, data, now_ms):
+        events = []
+        for byte in data:
+            self.watch(now_ms)
+            if byte:
+                self.buffer += bytes([byte])
+            elif self.buffer:
+                events.append(self.judge(self.buffer, now_ms))
+                self.buffer = b""
+        return events
 
+    def judge(self, frame, now_ms):
+        try:
+            if cobs.checked_payload(frame)[0] != 0x53:
+                return CoreEvent.FOREIGN
+            command = decode_command(frame)
+        except WireError:
+            self.rejected = (self.rejected + 1) % 65_536
+            return CoreEvent.REJECTED
+        self.received = (self.received + 1) % 65_536
+        is_new = self.silent or 1 <= (command.sequence - self.sequence) % 256 <= 127
+        runs = Flag.RUN in command.flags
+        self.latched |= Flag.EMERGENCY_STOP in command.flags
+        if not runs or self.latched:
+            self.stop()
+        elif is_new:
+            peak = max(abs(command.x_ma), abs(command.y_ma))
+            limit = self.limits.current_max_ma
+            self.limited = peak > limit
+            wished = (command.x_ma, command.y_ma)
+            if self.limited:
+                wished = tuple(towards_zero(part * limit, peak) for part in wished)
+            self.wished = tuple(1000 * part for part in wished)
+            self.running = True
+        if is_new:
+            self.sequence, self.heard, self.silent = command.sequence, now_ms, False
+        if Flag.POLL in command.flags and (is_new or not runs):
+            self.reply = command.sequence
+        return CoreEvent.ACCEPTED if is_new else CoreEvent.STALE
 
-def test_a_reply_tells_what_was_measured_counted_and_built_in():
-    core = DriverCore(LIMITS)
-    core.measured(-7, 8, 11_900, -32_768)
-    sent(core, 1, Flag.RUN | Flag.POLL, x_ma=3000)
-    status = DriverStatus.RUNNING | DriverStatus.LIMITED
-    reply = FieldReply(1, status, VERSION, -7, 8, 11_900, -32_768, 3, 2, 2000, 100_000, 250)
-    other = packed_reply(reply)
-    assert core.push(other, 0) == [CoreEvent.FOREIGN]
-    bad = bytearray(encode_command(FieldCommand(2, Flag.RUN)))
-    bad[1] ^= 1  # not of a driver, were its CRC right
-    unknown = cobs.frame_with_crc(bytes([0x53, 2, 8, 0, 0, 0, 0]))
-    assert core.push(bytes(bad) + unknown, 0) == [CoreEvent.REJECTED] * 2
-    sent(core, 2, x_ma=3000)
-    sent(core, 2)
-    assert core.currents_ua(FAST_MS) == (2_000_000, 0)
-    assert core.take_reply(FAST_MS) == other
-    assert core.take_reply(FAST_MS) == b""
+    def stop(self):
+        self.wished = (0, 0)
+        self.running = self.limited = False
+
+    def watch(self, now_ms):
+        room = (now_ms - self.moved) % 2**32 * self.limits.slew_ma_s
+        gaps = [wish - at for wish, at in zip(self.wished, self.at, strict=True)]
+        peak = max(map(abs, gaps))
+        if peak > room:
+            gaps = [towards_zero(gap * room, peak) for gap in gaps]
+        self.at = tuple(at + gap for at, gap in zip(self.at, gaps, strict=True))
+        self.moved = now_ms
+        self.silent |= (now_ms - self.heard) % 2**32 >= self.limits.watchdog_ms
+        if self.silent or self.latched:
+            self.stop()
+
+    def currents_ua(self, now_ms):
+        self.watch(now_ms)
+        return self.at
+
+    def measured(self, x_ma, y_ma, supply_mv, temperature_dc):
+        self.readings = (x_ma, y_ma, supply_mv, temperature_dc)
+        self.hot |= temperature_dc >= self.limits.temperature_max_dc
+        self.latched |= self.hot
+
+    def status(self, now_ms):
+        self.watch(now_ms)
+        bits = self.running, self.latched, self.silent, self.limited, self.hot
+        return DriverStatus(sum(bit << place for place, bit in enumerate(bits)))
+
+    def take_reply(self, now_ms):
+        if self.reply is None:
+            return b""
+        sequence, self.reply = self.reply, None
+        limits = self.limits.current_max_ma, self.limits.slew_ma_s, self.limits.watchdog_ms
+        counts = self.received, self.rejected
+        status = self.status(now_ms)
+        return packed_reply(FieldReply(sequence, status, VERSION, *self.readings, *counts, *limits))
 
 
 ma = st.integers(-32_768, 32_767)
 u8 = st.integers(0, 255)
-limits = st.builds(DriverLimits, st.integers(1, 32_767), st.integers(1, 2**32 - 1))
+limits = st.builds(
+    DriverLimits, st.integers(1, 32_767), st.integers(1, 2**32 - 1), st.integers(1, 400), ma
+)
 near = st.integers(0, 5)  # sequences that often repeat or go back
 commands = st.builds(FieldCommand, near | u8, st.integers(0, 7).map(Flag), ma, ma).map(
     encode_command
@@ -99,13 +148,30 @@ def damaged(draw):
 
 lines = commands | commands | damaged() | foreign | st.binary(max_size=120)
 pauses = st.integers(0, 30) | st.sampled_from([249, 250, 251, 2**31, 2**32 - 1])
-acts = st.tuples(pauses, lines)
+readings = st.tuples(ma, ma, st.integers(0, 65_535), st.just(-32_768) | ma)
+acts = st.tuples(pauses, lines, st.none() | st.none() | readings)
+
+
+@given(limits, st.integers(0, 2**32 - 1), st.lists(acts, max_size=30))
+@settings(max_examples=300)
+def test_core_and_twin_agree_on_everything(limits, start, acts):
+    core, twin = DriverCore(limits, start), Twin(limits, start)
+    now = start
+    for pause, data, measured in acts:
+        now = (now + pause) % 2**32
+        if measured is not None:
+            core.measured(*measured)
+            twin.measured(*measured)
+        assert core.push(data, now) == twin.push(data, now)
+        assert core.currents_ua(now) == twin.currents_ua(now)
+        assert core.status(now) == twin.status(now)
+        assert core.take_reply(now) == twin.take_reply(now)
 
 
 @given(limits, st.lists(acts, max_size=30))
 def test_no_bytes_break_the_limits(limits, acts):
     core, before, now = DriverCore(limits), (0, 0), 0
-    for pause, data in acts:
+    for pause, data, _ in acts:
         now += min(pause, 300)
         core.push(data, now)
         after = core.currents_ua(now)

@@ -65,7 +65,7 @@ class Algorithm2:
             for h, start in self._candidates()
         ]
         best = int(np.argmin([search.cost for search in searches]))  # 5, 23: the u_(h) of least J
-        plan = make_plan(problem, searches, best, key, compiled_foresee)
+        plan = make_plan(searches, best, key, compiled_foresee(problem, searches[best].signals))
         self.warm, self.k = plan.signals[1:], self.k + 1  # 6, 24
         return plan.of_all(self.estimator.left, observation.poses)  # 7, 25: exert u_(opt)(1)
 

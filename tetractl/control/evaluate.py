@@ -1,5 +1,6 @@
 """Compiled functions for optimisers: J of many sequences at once, and the path of one sequence."""
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -49,27 +50,14 @@ def compiled_branches(
     return path.reshape(-1, *start.shape)
 
 
-def compiled_path(problem: Problem, signals: Floats) -> Floats:
-    """Return the poses (L + 1, N, 3) under a sequence (L,), as `cost.predict` but compiled."""
-    from tetractl.control.kernels.motion import flat
-    from tetractl.control.kernels.prediction import predict
-
-    of, u = flat(problem), np.ascontiguousarray(signals)
-    first, rest = problem.first_period, problem.period
-    path = np.empty((u.size + 1, *of.start.shape))
-    path[0] = of.start
-    predict(u, problem.a, problem.speed, of.drift, first, rest, of.rest, path)
-    return path
-
-
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
-    from tetractl.control.kernels.rollout import costs, lay_out
+    from tetractl.control.kernels.levenberg import lay_out_polish
+    from tetractl.control.kernels.prediction import foresee
 
-    rollout, total = lay_out(problem, 1), np.empty(1)
-    costs(rollout, np.ascontiguousarray(signals).reshape(-1, 1), total)
-    require_finite(total)
-    path = compiled_path(problem, signals)
-    x, y = path[-1, :, 0] - problem.targets[:, 0], path[-1, :, 1] - problem.targets[:, 1]
-    target = float(np.hypot(x, y).sum())  # (8)
-    return Foreseen(path, target, float(rollout.lanes[4].sum()))  # (9)
+    path = np.empty((signals.size + 1, problem.a.size, 3))
+    work = lay_out_polish(problem, signals.size)
+    target, obstacle = foresee(work, np.ascontiguousarray(signals), path)
+    if not math.isfinite(target):
+        require_finite(np.array([target]))
+    return Foreseen(path, target, obstacle)

@@ -2,12 +2,12 @@
 where robots will be, and the best moment to stop.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from tetractl.control.cost import Foreseen, evaluate, foresee
+from tetractl.control.cost import Foreseen, foresee
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Plan, Problem, Search, StopReason
 from tetractl.core.poses import Floats, Poses
@@ -22,9 +22,9 @@ class StopForecast:
     error: float
 
 
-def given_search(problem: Problem, signals: Floats) -> Search:
-    """Return a search record of given signals (L,) [rad], with one evaluation of their cost."""
-    return search_of(signals, float(evaluate(problem, signals[None]).total[0]))
+def given_search(problem: Problem, signals: Floats, seen: Foreseen) -> Search:
+    """Return a search record of given signals (L,) [rad], whose prediction is known."""
+    return search_of(signals, seen.target + problem.obstacle_weight * seen.obstacle)  # (7)
 
 
 def search_of(signals: Floats, cost: float) -> Search:
@@ -32,28 +32,26 @@ def search_of(signals: Floats, cost: float) -> Search:
     return Search(len(signals), signals, cost, np.array([cost]), 1, StopReason.FIXED)
 
 
-def make_plan(
-    problem: Problem,
-    searches: list[Search],
-    chosen: int,
-    step_key: int,
-    foreseen: Callable[[Problem, Floats], Foreseen] = foresee,
-) -> Plan:
-    """Return the plan of a control step from its searches, with the predicted path and the terms of
-    the paper's cost (7).
-    """
+def make_plan(searches: Sequence[Search], chosen: int, step_key: int, seen: Foreseen) -> Plan:
+    """Return the plan of a control step from its searches, given the prediction for the chosen
+    one."""
     best = searches[chosen]
-    ahead = foreseen(problem, best.signals)
     return Plan(
         signals=best.signals,
-        path=ahead.path,
+        path=seen.path,
         cost=best.cost,
-        target_cost=ahead.target,
-        obstacle_cost=ahead.obstacle,
+        target_cost=seen.target,
+        obstacle_cost=seen.obstacle,
         searches=tuple(searches),
         chosen=chosen,
         generator=step_key,
     )
+
+
+def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
+    """Return the plan of given signals (L,) [rad]."""
+    seen = foresee(problem, signals)
+    return make_plan([given_search(problem, signals, seen)], 0, step_key, seen)
 
 
 def best_stop(

@@ -25,7 +25,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.control.evaluate import compiled_branches
 from tetractl.control.kernels import clearance
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem
@@ -128,17 +127,20 @@ class Margins:
     ) -> bool:
         """Return whether robots keep clear even if any one signal is held for `seconds`.
 
-        path (L, N, 3) are the poses before each of the signals (L,).
+        path (at least L, N, 3) are the poses before each of the signals (L,).
 
         Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
         that is less, and `apart` from each other, or the problem's separation if that is less.
         """
+        from tetractl.control.kernels.motion import flat
+        from tetractl.control.kernels.prediction import unheard
+
         steps = max(1, math.ceil(seconds / SAMPLE_S))
-        ways = compiled_branches(problem, path, signals, np.zeros(steps), seconds / steps)
         if self._unheard is None or self._unheard[0] is not problem:
             self._unheard = problem, self.obstacles(problem.poses, margin)
-        shapes, least = self._unheard[1], min(apart, problem.separation)
-        return clearance.clear(shapes.rows, shapes.walls, least, ways)
+        shapes, least, of = self._unheard[1], min(apart, problem.separation), flat(problem)
+        motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
+        return unheard(signals, *motion, path, shapes.rows, shapes.walls, least)
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances

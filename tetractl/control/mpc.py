@@ -15,15 +15,16 @@ As in Algorithm 2 of the paper, plans of several lengths are searched, each from
 plan under way, and only the first signal is exerted.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from tetractl.control.corners import away
+from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.evaluate import compiled_foresee, compiled_path
+from tetractl.control.evaluate import compiled_foresee
 from tetractl.control.fixed_sequence import best_stop, driven, given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
@@ -70,6 +71,14 @@ class Leg:
     began_ns: int
     moving: bool
     outcome: Outcome
+
+
+class Candidate(NamedTuple):
+    """A search, the prediction for its signals, and what their plan is worth."""
+
+    worth: float
+    search: Search
+    seen: Foreseen
 
 
 class Mpc:
@@ -205,7 +214,7 @@ class Mpc:
         stop = best_stop(problem, held, self.section.period if last else 0.0)
         goes_on = np.inf
         if len(warm):
-            goes_on = self._worth(problem, warm, value)
+            goes_on = self._worth(problem, warm, value, compiled_foresee(problem, warm))
         rest = np.inf
         if (least := least_length(problem)) <= self._signals_left:  # time for a new attempt
             goes_on = min(goes_on, value.plan(0.0, len(warm) + 2, True))
@@ -220,23 +229,21 @@ class Mpc:
             return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         valued = self._search_on(searcher, value, warm)
-        for worth, search in sorted(valued, key=lambda one: one[0]):
-            if self.stands and worth > rest:
+        for candidate in sorted(valued, key=lambda one: one.worth):
+            if self.stands and candidate.worth > rest:
                 break
-            plan = self._planned(searcher, search)
+            plan = self._planned(searcher, candidate)
             if not (self.stands and self._enters(problem, plan.signals)):
                 return plan
         return self._given(problem, State.RESTING, before=searcher.found)
 
-    def _search_on(
-        self, searcher: Searcher, value: Worth, warm: Floats
-    ) -> list[tuple[float, Search]]:
+    def _search_on(self, searcher: Searcher, value: Worth, warm: Floats) -> list[Candidate]:
         """Search plans about as long as the one under way, and longer ones if these can be worth
         more; return them with their values. The next step continues after the longest searched."""
         section, count, most = self.section, len(warm), self._signals_left
         good_enough = section.optimizer.good_enough or 0.0
         nearest = [(count, warm), (count - 1, warm[1:]), (count + 1, np.append(warm, 0.0))]
-        valued = list[tuple[float, Search]]()
+        valued = list[Candidate]()
         for length, start in nearest:
             if not 0 < length <= max(most, 1):
                 continue
@@ -244,14 +251,14 @@ class Mpc:
             if search is None:
                 return valued
             valued.append(self._valued(searcher, search, value))
-            if search.cost <= good_enough and valued[-1][0] <= value.plan(
+            if search.cost <= good_enough and valued[-1].worth <= value.plan(
                 good_enough, length, False
             ):
                 return [valued[-1]]
         assert self.last is not None
         after = self.last.searches[-1].length
         for length in longer(count, most, after):
-            if value.plan(0.0, length, True) >= min(valued, key=lambda one: one[0])[0]:
+            if value.plan(0.0, length, True) >= min(one.worth for one in valued):
                 continue
             search = searcher.search(length)
             if search is None:
@@ -259,21 +266,16 @@ class Mpc:
             valued.append(self._valued(searcher, search, value))
         return valued
 
-    def _worth(
-        self, problem: Problem, signals: Floats, value: Worth, cost: float = math.inf
-    ) -> float:
-        """Return the value of a plan of given signals (L,), whose cost may be known."""
-        error, touches = cost, False
-        if cost >= problem.obstacle_weight:
-            ahead = compiled_foresee(problem, signals)
-            error, touches = ahead.target, ahead.obstacle > 0
+    def _worth(self, problem: Problem, signals: Floats, value: Worth, seen: Foreseen) -> float:
+        """Return the value of a plan of given signals (L,), given their prediction."""
         new = self._warm is None or len(signals) > len(self._warm) + 1
-        unheard = not self._safe(problem, signals)
-        return value.plan(error, len(signals), new, touches, unheard)
+        unheard = not self._safe(problem, signals, seen)
+        return value.plan(seen.target, len(signals), new, seen.obstacle > 0, unheard)
 
-    def _valued(self, searcher: Searcher, search: Search, value: Worth) -> tuple[float, Search]:
-        """Return a plan found, after its value."""
-        return self._worth(searcher.problem, search.signals, value, search.cost), search
+    def _valued(self, searcher: Searcher, search: Search, value: Worth) -> Candidate:
+        """Return a plan found, with its value and its prediction."""
+        seen = compiled_foresee(searcher.problem, search.signals)
+        return Candidate(self._worth(searcher.problem, search.signals, value, seen), search, seen)
 
     def _at_rest(self, problem: Problem, value: Worth, gaps: Floats, holds: bool) -> Plan | Outcome:
         """Decide while no plan is under way."""
@@ -298,26 +300,28 @@ class Mpc:
             return replace(plan, state=State.STUCK, instead=Stop()) if enters else plan
         return plan
 
-    def _search_afresh(self, searcher: Searcher, value: Worth) -> Search:
+    def _search_afresh(self, searcher: Searcher, value: Worth) -> Candidate:
         """Search plans of all lengths; return the one of least value."""
         good_enough = self.section.optimizer.good_enough or 0.0
         problem, most = searcher.problem, max(1, self._signals_left)
 
         def good(search: Search) -> bool:
-            return search.cost <= good_enough and self._safe(problem, search.signals)
+            signals = search.signals
+            reached = search.cost <= good_enough
+            return reached and self._safe(problem, signals, compiled_foresee(problem, signals))
 
         if not searcher.spread(least_length(problem), most, good):
             accepted = max(good_enough, self.section.accept_error)
             if min(search.cost for search in searcher.found) > accepted:
                 later = self._with_margins(problem, None)  # the motion will be identified by then
                 searcher.thoroughly(later, most, good_enough)
-        return min(searcher.found, key=lambda one: self._valued(searcher, one, value)[0])
+        valued = (self._valued(searcher, search, value) for search in searcher.found)
+        return min(valued, key=lambda one: one.worth)
 
-    def _planned(self, searcher: Searcher, search: Search) -> Plan:
-        """Return the plan of a search."""
-        chosen = next(i for i, one in enumerate(searcher.found) if one is search)
-        key = mix(self.key, self.k)
-        return make_plan(searcher.problem, searcher.found, chosen, key, compiled_foresee)
+    def _planned(self, searcher: Searcher, candidate: Candidate) -> Plan:
+        """Return the plan of a candidate."""
+        chosen = next(i for i, one in enumerate(searcher.found) if one is candidate.search)
+        return make_plan(searcher.found, chosen, mix(self.key, self.k), candidate.seen)
 
     def _given(
         self,
@@ -329,8 +333,10 @@ class Mpc:
     ) -> Plan:
         """Return a plan of given signals (L,), none of which is sent while the robots stand; the
         searches `before` have found no better one."""
-        found = given_search(problem, np.zeros(1) if signals is None else signals)
-        plan = make_plan(problem, [*before, found], len(before), mix(self.key, self.k))
+        signals = np.zeros(1) if signals is None else signals
+        seen = compiled_foresee(problem, signals)
+        found = given_search(problem, signals, seen)
+        plan = make_plan([*before, found], len(before), mix(self.key, self.k), seen)
         instead = Stop() if state is State.RESTING else None
         return replace(plan, state=state, instead=instead, delay_ns=delay_ns)
 
@@ -341,7 +347,8 @@ class Mpc:
         limits, length = Limits(None, self._expired()), signals_ahead(problem.period)
         key = mix(self.key, self.k)
         found = self.circler.search(problem, length, self._warm, key, limits)
-        return replace(make_plan(problem, [found], 0, key), state=State.HOLDING)
+        seen = compiled_foresee(problem, found.signals)
+        return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
         """Return the problem with its margins, given the estimate `known` of the motion, which is
@@ -369,7 +376,7 @@ class Mpc:
         end = self.timer() + round(self.section.deadline * SECOND)
         return lambda _: self.timer() >= end
 
-    def _safe(self, problem: Problem, signals: Floats) -> bool:
+    def _safe(self, problem: Problem, signals: Floats, seen: Foreseen) -> bool:
         """Return whether robots keep clear if, after any one of the signals (L,), they receive no
         command for `silence` or until their watchdog stops them.
 
@@ -379,7 +386,6 @@ class Mpc:
         count = min(len(signals) - UNSURE, NEXT if under_way else len(signals))
         if not collision.silence or count <= 0:
             return True
-        path = compiled_path(problem, signals[:count])[:-1]
         kept = KEPT * collision.radius, collision.separation
         seconds = min(collision.silence + self.section.period, self.setup.watchdog_s)
-        return self.margins.clear_unheard(problem, path, signals[:count], seconds, *kept)
+        return self.margins.clear_unheard(problem, seen.path, signals[:count], seconds, *kept)

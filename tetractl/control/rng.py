@@ -12,15 +12,15 @@ from tetractl.core.poses import Floats
 
 Bits = NDArray[np.uint64]
 
-GOLDEN = 0x9E3779B97F4A7C15
+GOLDEN, FACTORS = 0x9E3779B97F4A7C15, (0xBF58476D1CE4E5B9, 0x94D049BB133111EB)
 MASK = 0xFFFF_FFFF_FFFF_FFFF
 
 
 def mix(key: int, index: int) -> int:
     """Return draw `index` of `key`, 64 random bits, which may also serve as a new key."""
     z = (key + (index + 1) * GOLDEN) & MASK
-    z = ((z ^ (z >> 30)) * 0xBF58476D1CE4E5B9) & MASK
-    z = ((z ^ (z >> 27)) * 0x94D049BB133111EB) & MASK
+    z = ((z ^ (z >> 30)) * FACTORS[0]) & MASK
+    z = ((z ^ (z >> 27)) * FACTORS[1]) & MASK
     return z ^ (z >> 31)
 
 
@@ -29,8 +29,8 @@ def bits(key: int, first: int, count: int) -> Bits:
     with np.errstate(over="ignore"):
         z = np.arange(first + 1, first + count + 1, dtype=np.uint64) * np.uint64(GOLDEN)
         z += np.uint64(key)
-        z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-        z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+        z = (z ^ (z >> np.uint64(30))) * np.uint64(FACTORS[0])
+        z = (z ^ (z >> np.uint64(27))) * np.uint64(FACTORS[1])
     return z ^ (z >> np.uint64(31))
 
 

@@ -17,7 +17,7 @@ from typing import ClassVar, Literal
 import numpy as np
 
 from tetractl.control.cost import evaluate
-from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
+from tetractl.control.fixed_sequence import best_stop, given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.control.rng import uniform
 from tetractl.core.plan import End, Outcome, Plan, Problem, Region
@@ -90,7 +90,7 @@ class Rrt(PlainController):
         """Point the field at the next corner of the path, or end the trial."""
         signals = np.array([self._towards(problem, step_key)])
         ended = self._passing(problem, signals, float(gaps[0]))
-        return ended or make_plan(problem, [given_search(problem, signals)], 0, step_key)
+        return ended or given_plan(problem, signals, step_key)
 
     def _towards(self, problem: Problem, key: int) -> float:
         """Return the direction of the next corner [rad]; a blocked path is replaced by a new one.

@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field
 
-from tetractl.control.fixed_sequence import given_search, make_plan
+from tetractl.control.fixed_sequence import given_plan
 from tetractl.control.plain import PlainController, PlainSection
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import End, Outcome, Plan, Problem
@@ -55,4 +55,4 @@ class SequenceController(PlainController):
             done = Outcome.SEQUENCE_COMPLETED
             return End(done, delay_ns) if delay_ns else done
         signals = np.array(section.directions[self.k : self.k + section.ahead])
-        return make_plan(problem, [given_search(problem, signals)], 0, step_key)
+        return given_plan(problem, signals, step_key)

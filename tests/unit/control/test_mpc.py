@@ -8,7 +8,7 @@ import pytest
 from support.scripted import STARTS, TARGETS, Scripted, mpc, seen
 from support.trials import experiment
 
-from tetractl.control.fixed_sequence import given_search, make_plan
+from tetractl.control.fixed_sequence import given_plan
 from tetractl.core.commands import Command, Steer, Stop
 from tetractl.core.plan import End, Outcome, Plan, State
 
@@ -42,7 +42,7 @@ def driving(costs, left=5, **fields):
 def first(controller, length):
     """A plan of so many signals for robots at their starts."""
     problem = controller.section.problem(controller.setup)
-    return make_plan(problem, [given_search(problem, np.linspace(0.1, 0.3, length))], 0, 0)
+    return given_plan(problem, np.linspace(0.1, 0.3, length), 0)
 
 
 def lengths(search):

@@ -52,7 +52,7 @@ def _least(rows, walls, x, y):
 
 
 @compiled(**INLINE_EXACT)
-def _crosses(rows, walls, x0, y0, x1, y1):
+def crosses(rows, walls, x0, y0, x1, y1):
     """Return whether the segment from (x0, y0) to (x1, y1) touches an obstacle."""
     for w in range(walls.size):
         o = rows.shape[0] + w
@@ -99,7 +99,7 @@ def enters(rows, walls, body_rows, body_walls, radius, x, y):
         first = _least(rows, walls, x[0, i], y[0, i])
         for m in range(1, x.shape[0]):
             ends = x[m - 1, i], y[m - 1, i], x[m, i], y[m, i]
-            crossed |= _crosses(body_rows, body_walls, *ends)
+            crossed |= crosses(body_rows, body_walls, *ends)
             deeper |= _least(rows, walls, x[m, i], y[m, i]) < first
             for k in range(i):
                 before = math.hypot(x[0, k] - x[0, i], y[0, k] - y[0, i])
@@ -109,22 +109,3 @@ def enters(rows, walls, body_rows, body_walls, radius, x, y):
         if crossed and (deeper or _least(body_rows, body_walls, x[0, i], y[0, i]) > 0):
             return True
     return False
-
-
-@compiled(**ENTRY)
-def clear(rows, walls, separation, ways):
-    """Return whether no robot touches an obstacle on ways (S + 1, L, N, 3), L ways of N robots
-    each, and no two robots of a way come nearer than `separation`."""
-    for j in range(ways.shape[1]):
-        for m in range(ways.shape[0]):
-            now = ways[m, j]
-            for i in range(ways.shape[2]):
-                x, y = now[i, 0], now[i, 1]
-                if m > 0:
-                    before = ways[m - 1, j, i]
-                    if _crosses(rows, walls, before[0], before[1], x, y):
-                        return False
-                for k in range(i):
-                    if math.hypot(now[k, 0] - x, now[k, 1] - y) < separation:
-                        return False
-    return True

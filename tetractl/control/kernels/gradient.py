@@ -45,11 +45,10 @@ def width(length: int) -> int:
     return -(-length // VECTOR) * VECTOR
 
 
-def workspace(headings: Floats, length: int) -> Trace:
-    """Return the arrays for robots with cos and sin (2, N) of their start headings."""
-    count, across = headings.shape[1], width(length)
+def workspace(count: int, length: int) -> Trace:
+    """Return the arrays for `count` robots; the first of `cos` and `sin` are of the start."""
+    across = width(length)
     cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
-    cos[:-1, 0], sin[:-1, 0] = headings
     return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
 
 

@@ -12,6 +12,8 @@ The readable version of this algorithm is `tests/oracles/levenberg.py`; tests co
 """
 
 import math
+from functools import lru_cache
+from threading import get_ident
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,20 +22,45 @@ from numpy.typing import NDArray
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import Trace, backward, trace, width, workspace
 from tetractl.control.kernels.motion import flat
-from tetractl.control.kernels.obstacles import find_deepest, outward
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.control.kernels.obstacles import count_hits, find_deepest, outward
+from tetractl.control.kernels.options import INLINE_FAST, inlined
+from tetractl.control.kernels.rollout import count_meetings
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
+from tetractl.model.motion import polynomials
 
 Integers = NDArray[np.int64]
+_wrap = inlined(polynomials.wrap)
 
 LARGEST_STEP = 1.0  # largest change of any signal in one iteration [rad]
 DEPTH_WEIGHT = 3.0  # weight W of a depth relative to a miss
 PROGRESS = 0.8  # the merit must fall by this factor in `patience` iterations
 
 
+class Scratch(NamedTuple):
+    """The working arrays for polishing one sequence at a time, of N robots, L signals, O obstacles,
+    R residuals."""
+
+    traced: Trace
+    near: Floats  # (M,)
+    before: Floats  # (3, L) positions of one robot before each signal, and its clearance
+    hits: Floats  # (N, M) number of obstacles and robots that each robot touches
+    depths: Floats  # (N, O) depth of each robot's deepest position in each obstacle
+    where: Integers  # (N, O) index of that position
+    meetings: Floats  # (pairs,) separation minus the least distance of each pair of robots
+    nearest: Integers  # (pairs,) index of the positions with that least distance
+    pulls: Floats  # (R + pairs, 5) residual, robot, index of a position, and derivatives by x and y
+    rows: Floats  # (R, L) the Jacobian
+    residual: Floats  # (R,)
+    gram: Floats  # (R, R)
+    factor: Floats  # (R, R)
+    step: Floats  # (R,)
+    trial: Floats  # (L,)
+    damping: Floats  # (1,) with which a polish that was interrupted continues, inf if it has ended
+
+
 class Polish(NamedTuple):
-    """A problem and the working arrays for polishing one sequence at a time."""
+    """A problem and, as in `Scratch`, the working arrays for polishing one sequence at a time."""
 
     start: Floats  # (N, 3) x, y, heading
     target: Floats  # (N, 2)
@@ -46,51 +73,73 @@ class Polish(NamedTuple):
     rest: Any  # `Lanes`, the same for the other signals
     shapes: Floats  # `Obstacles.rows`
     walls: Floats  # `Obstacles.walls`
-    traced: Trace
-    near: Floats  # (M,) scratch
-    depths: Floats  # (N, O) depth of each robot's deepest position in each obstacle
-    where: Integers  # (N, O) index of that position
     separation: float  # least distance of two robots, 0 for robots that may meet
-    meetings: Floats  # (M,) separation minus the least distance of each pair of robots
-    nearest: Integers  # (M,) index of the positions with that least distance
-    pulls: Floats  # (R + M, 5) residual, robot, index of a position, and derivatives by its x and y
-    rows: Floats  # (R, L) the Jacobian
-    residual: Floats  # (R,)
-    gram: Floats  # (R, R)
-    step: Floats  # (R,)
-    trial: Floats  # (L,)
-    damping: Floats  # (1,) with which a polish that was interrupted continues, inf if it has ended
+    weight: float  # of a hit in J
+    swept: bool
+    traced: Trace
+    near: Floats
+    before: Floats
+    hits: Floats
+    depths: Floats
+    where: Integers
+    meetings: Floats
+    nearest: Integers
+    pulls: Floats
+    rows: Floats
+    residual: Floats
+    gram: Floats
+    factor: Floats
+    step: Floats
+    trial: Floats
+    damping: Floats
 
 
 def lay_out_polish(problem: Problem, length: int) -> Polish:
-    """Return the workspace for sequences of `length` signals."""
-    count, obstacles = problem.a.size, problem.obstacles.count
-    pairs = count * (count - 1) // 2 if problem.separation > 0 else 0
-    rows = 2 * count + count * obstacles + pairs
-    of = flat(problem)
+    """Return a problem with the scratch arrays for sequences of `length` signals, which other
+    problems of the same shape laid out in this thread use too."""
+    of, obstacles = flat(problem), problem.obstacles
+    paired = problem.separation > 0
+    scratch = _scratch(get_ident(), problem.a.size, obstacles.count, paired, length)
+    scratch.traced.cos[:-1, 0], scratch.traced.sin[:-1, 0] = of.turned[2:]
     return Polish(
-        start=of.start,
-        target=np.ascontiguousarray(problem.targets),
-        a=problem.a,
-        v=problem.speed,
-        drift=of.drift,
-        first_period=problem.first_period,
-        period=problem.period,
-        first=of.first,
-        rest=of.rest,
-        shapes=problem.obstacles.rows,
-        walls=problem.obstacles.walls,
-        traced=workspace(of.turned[2:], length),
-        near=np.empty(width(length)),
+        of.start,
+        np.ascontiguousarray(problem.targets),
+        problem.a,
+        problem.speed,
+        of.drift,
+        problem.first_period,
+        problem.period,
+        of.first,
+        of.rest,
+        obstacles.rows,
+        obstacles.walls,
+        float(problem.separation),
+        float(problem.obstacle_weight),
+        problem.swept,
+        *scratch,
+    )
+
+
+@lru_cache(maxsize=64)
+def _scratch(thread: int, count: int, obstacles: int, paired: bool, length: int) -> Scratch:
+    """Return the scratch arrays of one thread for robots, obstacles and signals of these numbers;
+    `paired` if robots keep a separation."""
+    pairs = count * (count - 1) // 2 if paired else 0
+    rows, across = 2 * count + count * obstacles + pairs, width(length)
+    return Scratch(
+        traced=workspace(count, length),
+        near=np.empty(across),
+        before=np.empty((3, length)),
+        hits=np.empty((count, across)),
         depths=np.empty((count, obstacles)),
         where=np.empty((count, obstacles), dtype=np.int64),
-        separation=float(problem.separation),
         meetings=np.empty(pairs),
         nearest=np.empty(pairs, dtype=np.int64),
         pulls=np.empty((rows + pairs, 5)),
         rows=np.empty((rows, length)),
         residual=np.empty(rows),
         gram=np.empty((rows, rows)),
+        factor=np.empty((rows, rows)),
         step=np.empty(rows),
         trial=np.empty(length),
         damping=np.empty(1),
@@ -258,11 +307,9 @@ def _propose(work, u, r):
         work.trial[j] = u[j] - shrink * work.trial[j]
 
 
-@compiled(**ENTRY_FAST)
-def polish(
-    work, u, tolerance, slack, iterations, patience, budget, factor, history, z=0, pause=2**62
-):
-    """Improve u (L,) in place; returns (merit, iterations used, evaluations).
+@compiled(**INLINE_FAST)
+def polish(work, u, tolerance, slack, iterations, patience, budget, history, z, pause):
+    """Improve u (L,) in place; returns (iterations used, evaluations).
 
     A polish may be interrupted at iteration `pause`; it continues at iteration `z`, with the
     evaluations since then.
@@ -307,11 +354,45 @@ def polish(
         while not solved and z < iterations and damping < 1e4 and evaluations < budget:
             z += 1
             history[z] = merit
-            solved = _solve(work.gram, work.residual, work.step, r, damping * size, factor)
+            solved = _solve(work.gram, work.residual, work.step, r, damping * size, work.factor)
             if not solved:
                 damping *= 5
         if not solved:
             break
         _propose(work, u, r)
         evaluations += 1
-    return merit, z, evaluations
+    return z, evaluations
+
+
+@compiled(**INLINE_FAST)
+def score(work, length):
+    """Return f of (8) and P of (9) of the path in work.traced after `length` signals."""
+    path, hits, before = work.traced.path, work.hits, work.before
+    x, y, x0, y0, gap, last = path[0], path[1], before[0], before[1], before[2], length - 1
+    target = obstacle = 0.0
+    for i in range(work.a.size):
+        x0[0], y0[0] = work.start[i, 0], work.start[i, 1]
+        for j in range(last):
+            x0[j + 1], y0[j + 1] = x[i, j], y[i, j]
+        for j in range(length):
+            hits[i, j] = 0.0
+        rows, walls, swept = work.shapes, work.walls, work.swept
+        count_hits(rows, walls, x0, y0, x, y, i, swept, gap, work.near, hits)
+        dx, dy = x[i, last] - work.target[i, 0], y[i, last] - work.target[i, 1]
+        target += math.sqrt(dx * dx + dy * dy)
+    if work.separation > 0:
+        count_meetings(x, y, work.separation, hits)
+    for i in range(work.a.size):
+        for j in range(length):
+            obstacle += hits[i, j]
+    return target, obstacle
+
+
+@compiled(**INLINE_FAST)
+def judge(work, u):
+    """Wrap u (L,) into [-pi, pi] in place, and return J of (7) of its path."""
+    for j in range(u.size):
+        u[j] = _wrap(u[j])
+    _trace(work, u)
+    target, obstacle = score(work, u.size)
+    return target + work.weight * obstacle

@@ -1,28 +1,33 @@
-"""Polishes the starts of a round of `tetractl.control.optimizers.multistart`."""
+"""A round of `tetractl.control.optimizers.multistart`: random sequences, and the polish of some."""
 
 import math
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.levenberg import Integers, Polish, polish
-from tetractl.control.kernels.rollout import Rollout, costs
-from tetractl.core.plan import never
+from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.levenberg import Integers, judge, polish
+from tetractl.control.kernels.options import ENTRY_FAST, inlined
+from tetractl.control.kernels.rollout import costs
+from tetractl.control.rng import FACTORS, GOLDEN
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 
 BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, below 1 ms
+WARM = 0.5  # largest distance of a scattered sequence from the warm start [rad]
+
+_wrap = inlined(polynomials.wrap)
+_GOLDEN, _ONE, _TWO = map(np.uint64, (GOLDEN, FACTORS[0], FACTORS[1]))
 
 
 class Polished(NamedTuple):
-    """The result of each of up to K starts, updated in place."""
+    """The result of each of up to K starts."""
 
     signals: Floats  # (K, L), within [-pi, pi]
     costs: Floats  # (K,) J
     steps: Integers  # (K,) iterations
-    evaluations: Integers  # (K,) evaluations of the polish, without the one of J
-    merits: Floats  # (K, steps_max + 1) merit after each iteration
+    evaluations: Integers  # (K,) evaluations of the polish and of J
+    merits: Floats  # (K, steps_max + 1) merit at first and after each iteration
 
 
 def workspace(count: int, length: int, steps_max: int) -> Polished:
@@ -30,50 +35,72 @@ def workspace(count: int, length: int, steps_max: int) -> Polished:
     return Polished(
         signals=np.empty((count, length)),
         costs=np.empty(count),
-        steps=np.empty(count, dtype=np.int64),
-        evaluations=np.empty(count, dtype=np.int64),
+        steps=np.zeros(count, dtype=np.int64),
+        evaluations=np.zeros(count, dtype=np.int64),
         merits=np.empty((count, steps_max + 1)),
     )
 
 
-def polish_each(
-    work: Polish,
-    one: Rollout,
-    starts: Floats,
-    tolerance: float,
-    slack: float,
-    patience: int,
-    budget: int,
-    factor: Floats,
-    polished: Polished,
-    expired: Callable[[int], bool] = never,
-) -> int:
-    """Polish starts (K, L) until one costs at most `tolerance`, within `budget` evaluations.
+@compiled(**ENTRY_FAST)
+def improve(work, starts, done, tolerance, slack, patience, budget, look, polished):
+    """Polish starts (K, L) from number `done` until one costs at most `tolerance`, within `budget`
+    evaluations; return how many starts are polished.
 
-    `one` is a rollout of one particle. Returns how many starts were polished; `polished` holds
-    their results. `expired`, given the evaluations that a start would have taken if it ended now,
-    may end its polish early. This loop is not compiled: two kernels compile in half the time of one
-    that calls both, and run as fast.
+    A positive `look` is a number of iterations after which the polish is interrupted; the next call
+    continues it. A negative one ends the start that was begun as it is; 0 is no limit.
     """
-    iterations, spent = polished.merits.shape[1] - 1, 0
-    stride = max(1, BETWEEN_LOOKS // (work.residual.size * work.a.size * starts.shape[1]))
-    for done, start in enumerate(starts):
-        if spent + 2 > budget:
-            return done
-        u, cost = polished.signals[done], polished.costs[done : done + 1]
-        u[:] = start
-        left, merits, z, evaluations = budget - spent - 1, polished.merits[done], 0, 0
-        work.damping[0] = 0.0
-        while work.damping[0] < math.inf and not (evaluations and expired(evaluations + 1)):
-            rest, pause = left - evaluations, 2**62 if expired is never else z + stride
-            _, z, more = polish(
-                work, u, tolerance, slack, iterations, patience, rest, factor, merits, z, pause
-            )
-            evaluations += more
-        u[:] = polynomials.wrap(u)
-        costs(one, u.reshape(-1, 1), cost)
-        polished.steps[done], polished.evaluations[done] = z, evaluations
-        spent += evaluations + 1
-        if cost[0] <= tolerance:
-            return done + 1
-    return len(starts)
+    iterations, used = polished.merits.shape[1] - 1, 0
+    while done < starts.shape[0] and (look <= 0 or used < look):
+        u, z, merits = polished.signals[done], polished.steps[done], polished.merits[done]
+        if z == 0:
+            if budget < 2:
+                break
+            work.damping[0], polished.evaluations[done] = 0.0, 0
+            for j in range(u.size):
+                u[j] = starts[done, j]
+        pause = 2**62 if look == 0 else max(z, z + look - used)
+        now, more = polish(
+            work, u, tolerance, slack, iterations, patience, budget - 1, merits, z, pause
+        )
+        polished.steps[done] = now
+        polished.evaluations[done] += more
+        used, budget = used + now - z + 1, budget - more
+        if look > 0 and work.damping[0] < math.inf:
+            break
+        polished.costs[done] = judge(work, u)
+        polished.evaluations[done] += 1
+        budget, done = budget - 1, done + 1
+        if look < 0 or not polished.costs[done - 1] > tolerance:
+            break
+    return done
+
+
+@compiled(**ENTRY_FAST)
+def scatter(rollout, key, middle, warm, draws, signals, total):
+    """Fill signals (L, P) with smooth random sequences, and total (P,) with their J; return whether
+    all are finite.
+
+    Each sequence is linear between knots, directions drawn uniformly within pi of `middle`. With a
+    warm start (L,), every second sequence is the warm start plus such a curve within WARM of 0;
+    without one, `warm` is empty. draws (knots, P) is a scratch array.
+    """
+    knots, particles = draws.shape
+    for k in range(knots):
+        for n in range(particles):
+            z = key + np.uint64(k * particles + n + 1) * _GOLDEN
+            z = (z ^ (z >> np.uint64(30))) * _ONE
+            z = (z ^ (z >> np.uint64(27))) * _TWO
+            z = (z ^ (z >> np.uint64(31))) >> np.uint64(11)
+            draws[k, n] = 2 * (np.float64(z) * 2.0**-53) - 1
+    length = signals.shape[0]
+    for j in range(length):
+        at = j * (knots - 1) / max(length - 1, 1)
+        below = min(int(at), max(knots - 2, 0))
+        after, share = min(below + 1, knots - 1), at - below
+        for n in range(particles):
+            curve = draws[below, n] * (1 - share) + draws[after, n] * share
+            signals[j, n] = _wrap(middle + math.pi * curve)
+        for n in range(0, particles if warm.size else 0, 2):
+            curve = draws[below, n] * (1 - share) + draws[after, n] * share
+            signals[j, n] = _wrap(warm[j] + WARM * curve)
+    return costs(rollout, signals, total)

@@ -1,10 +1,27 @@
-"""The predicted path of one sequence: `tetractl.control.cost.predict`, compiled."""
+"""The predicted path of one sequence, compiled: `tetractl.control.cost.predict` and `foresee`, and
+where robots go that receive nothing."""
 
 import math
 
+import numpy as np
+
 from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.clearance import crosses
+from tetractl.control.kernels.levenberg import score
 from tetractl.control.kernels.motion import derivatives
-from tetractl.control.kernels.options import ENTRY_FAST
+from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
+
+
+@compiled(**INLINE_FAST)
+def _signal(u, a, v, drift, t, motion, before, after):
+    """Write the poses (N, 3) `after` the signal u, held for t [s], from those `before` it."""
+    cu, su = math.cos(u), math.sin(u)
+    for i in range(a.size):
+        x, y, heading = before[i, 0], before[i, 1], before[i, 2]
+        cos, sin, c, s = math.cos(heading), math.sin(heading), drift[0, i], drift[1, i]
+        step = derivatives(motion, cos, sin, cu * c - su * s, su * c + cu * s, a[i], v[i], t)
+        after[i, 0], after[i, 1] = x + step[0] + t * drift[2, i], y + step[1] + t * drift[3, i]
+        after[i, 2] = heading + step[2]
 
 
 @compiled(**ENTRY_FAST)
@@ -14,17 +31,48 @@ def predict(u, a, v, drift, first_period, period, motion, path):
     The class of `motion`, a motion's constants, defines how robots move.
     """
     for j in range(u.size):
-        t, cu, su = first_period if j == 0 else period, math.cos(u[j]), math.sin(u[j])
+        t = first_period if j == 0 else period
+        _signal(u[j], a, v, drift, t, motion, path[j], path[j + 1])
+
+
+@compiled(**ENTRY_FAST)
+def foresee(work, u, path):
+    """Fill path (L + 1, N, 3) with the poses under u (L,), the start first; return f of (8) and P
+    of (9)."""
+    xy = work.traced.path
+    for i in range(work.a.size):
+        for k in range(3):
+            path[0, i, k] = work.start[i, k]
+    for j in range(u.size):
+        t = work.first_period if j == 0 else work.period
+        _signal(u[j], work.a, work.v, work.drift, t, work.rest, path[j], path[j + 1])
+        for i in range(work.a.size):
+            xy[0, i, j], xy[1, i, j] = path[j + 1, i, 0], path[j + 1, i, 1]
+    return score(work, u.size)
+
+
+@compiled(**ENTRY_FAST)
+def unheard(u, a, v, drift, t, steps, motion, path, rows, walls, separation):
+    """Return whether robots keep clear that after any one of the signals u (L,) follow it for
+    `steps` times t [s] more; path (L + 1, N, 3) are the poses before each.
+
+    They touch no obstacle on the way and come no nearer to each other than `separation`.
+    """
+    poses = np.empty((2, a.size, 3))
+    for j in range(u.size):
+        now, then = poses[0], poses[1]
         for i in range(a.size):
-            x, y, heading = path[j, i, 0], path[j, i, 1], path[j, i, 2]
-            c, s = math.cos(heading), math.sin(heading)
-            own_cu, own_su = (
-                cu * drift[0, i] - su * drift[1, i],
-                su * drift[0, i] + cu * drift[1, i],
-            )
-            step = derivatives(motion, c, s, own_cu, own_su, a[i], v[i], t)
-            path[j + 1, i, 0], path[j + 1, i, 1] = (
-                x + step[0] + t * drift[2, i],
-                y + step[1] + t * drift[3, i],
-            )
-            path[j + 1, i, 2] = heading + step[2]
+            for k in range(3):
+                now[i, k] = path[j, i, k]
+        for m in range(steps + 1):
+            for i in range(a.size):
+                x, y = now[i, 0], now[i, 1]
+                if m > 0 and crosses(rows, walls, then[i, 0], then[i, 1], x, y):
+                    return False
+                for k in range(i):
+                    if math.hypot(now[k, 0] - x, now[k, 1] - y) < separation:
+                        return False
+            if m < steps:
+                _signal(u[j], a, v, drift, t, motion, now, then)
+                now, then = then, now
+    return True

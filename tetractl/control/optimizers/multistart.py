@@ -14,8 +14,6 @@ arbitrary starts and targets, most random sequences end in a corner between wall
 other robots, and hops from nearly good sequences find good ones.
 """
 
-import math
-from collections.abc import Callable
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -23,10 +21,9 @@ from pydantic import Field
 
 from tetractl.control.cost import require_finite
 from tetractl.control.curves import bearing, interpolate
-from tetractl.control.evaluate import compiled_costs
 from tetractl.control.rng import mix, uniform
 from tetractl.control.search_progress import Progress
-from tetractl.core.plan import Limits, Problem, Search, StopReason, never
+from tetractl.core.plan import Limits, Problem, Search, StopReason
 from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
@@ -142,66 +139,94 @@ class _PolishedProgress(Progress):
         warm: Floats | None,
         limits: Limits,
     ) -> None:
-        from tetractl.control.kernels import levenberg, multistart, rollout
+        from tetractl.control.kernels import levenberg, multistart
 
         super().__init__(length, limits)
         self.section, self.problem, self.warm = section, problem, warm
-        self.kernels = multistart
-        # compiled rollouts of a round; prepared when needed, as most warm starts do not need them
-        self.many: Callable[[Floats], Floats] | None = None
-        self.one, self.costs = rollout.lay_out(problem, 1), rollout.costs
-        self.work = levenberg.lay_out_polish(problem, length)
+        self.kernels, self.work = multistart, levenberg.lay_out_polish(problem, length)
         self.slack = section.slack * float(problem.speed.max()) * problem.period
-        rows, growth = len(self.work.residual), section.growth(problem)
-        self.factor = np.empty((rows, rows))
+        growth = section.growth(problem)
         self.patience = round(section.patience * growth)
         steps = round(section.steps * growth)
         if limits.thorough:
             self.patience, steps = HOPS.patience, HOPS.steps
             self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
         self.polished = multistart.workspace(section.polished, length, steps)
+        # iterations between two looks at the deadline
+        step = len(self.work.residual) * len(problem.a) * length
+        self.look = max(1, multistart.BETWEEN_LOOKS // step) if limits.timed else 0
 
     def select(self, key: int) -> Floats:
         """Scatter and evaluate a round, and return its best sequences (K, length), best first."""
-        if self.many is None:
-            particles = self.section.particles
-            self.many = compiled_costs(self.problem, particles)
-            count = round(self.section.knots * self.section.growth(self.problem))
-            self.shape = min(count, self.length), particles
-            self.middle = bearing(self.problem)
-        starts = self._scatter(key)
-        found = self.many(starts)
+        from tetractl.control.kernels.rollout import lay_out
+
+        section, length, warm = self.section, self.length, self.warm
+        count = min(round(section.knots * section.growth(self.problem)), length)
+        starts, found = np.empty((length, section.particles)), np.empty(section.particles)
+        finite = self.kernels.scatter(
+            lay_out(self.problem, section.particles),
+            np.uint64(key),
+            bearing(self.problem),
+            np.empty(0) if warm is None else warm,
+            np.empty((count, section.particles)),
+            starts,
+            found,
+        )
+        if not finite:
+            require_finite(found)
         self.add(starts, found)
-        order = np.argsort(found, kind="stable")[: self.section.polished]
+        order = np.argsort(found, kind="stable")[: section.polished]
         return np.ascontiguousarray(starts[:, order].T)
-
-    def _scatter(self, key: int) -> Floats:
-        """Draw smooth random sequences (length, P), within the bounds of the paper's equation (12).
-
-        Each sequence is linear between `knots` directions drawn uniformly within pi of the mean
-        bearing of the targets; with a warm start, every second sequence is the warm start plus a
-        curve of this kind with values within half a radian of 0.
-        """
-        draws = uniform(key, 0, math.prod(self.shape)).reshape(self.shape)
-        curve = interpolate(2 * draws - 1, self.length)
-        starts = self.middle + np.pi * curve
-        if self.warm is not None:
-            starts[:, ::2] = self.warm[:, None] + 0.5 * curve[:, ::2]
-        return wrap(starts)
 
     def try_one(self, signals: Floats) -> None:
         """Evaluate one sequence (length,) and add its cost to the history."""
-        found = np.empty(1)
-        self.costs(self.one, np.ascontiguousarray(signals[:, None]), found)
-        require_finite(found)
-        self.add(signals[:, None], found)
+        self.polished.steps[0] = 0
+        self._improve(signals[None], 0, look=-1)
+        self.add(signals[:, None], self.polished.costs[:1])
 
     def polish(self, starts: Floats) -> None:
         """Polish sequences (K, length) in turn until one is good enough; keep the best."""
-        first = 0
-        while first < len(starts) and self.affords(2):
-            last = first + 1 if self.limits.timed else len(starts)
-            first += self._polish_some(starts[first:last])
+        done, self.polished.steps[:] = 0, 0
+        while done < len(starts) and self.affords(2):
+            done = self._polish_some(starts, done)
+
+    def _polish_some(self, starts: Floats, done: int) -> int:
+        """Polish sequences (K, length) from number `done` until it is time to look at the deadline;
+        return how many are polished."""
+        found, first = self.polished, done
+        done = self._improve(starts, first, self.look)
+        begun = int(found.evaluations[done]) if done < len(starts) and found.steps[done] else 0
+        if begun and self.limits.expired(self.evaluations + begun):
+            done, self.ended = self._improve(starts, done, look=-1), StopReason.DEADLINE
+        require_finite(found.costs[first:done])
+        for n in range(first, done):
+            before, cost = self.cost, float(found.costs[n])
+            self.evaluations += int(found.evaluations[n])
+            self.keep(found.signals[n], cost)
+            if cost < before:
+                merits = found.merits[n, : found.steps[n]]
+                self.history[-1:] = np.clip(merits, cost, before).tolist()
+                self.history.append(cost)
+        if self.cost <= self.section.tolerance and self.ended is None:
+            self.ended = StopReason.TARGET
+        return done
+
+    def _improve(self, starts: Floats, done: int, look: int) -> int:
+        """Call the kernel `improve`."""
+        most = 2**62 if self.limits.evaluations is None else self.limits.evaluations
+        found = self.polished
+        begun = int(found.evaluations[done]) if found.steps[done] else 0
+        return self.kernels.improve(
+            self.work,
+            starts,
+            done,
+            self.section.tolerance,
+            self.slack,
+            self.patience,
+            most - self.evaluations - begun,
+            look,
+            found,
+        )
 
     def hop(self, key: int) -> None:
         """Polish randomly changed copies of the best sequences until one is good enough.
@@ -223,49 +248,12 @@ class _PolishedProgress(Progress):
             if number == 0 and self.warm is not None:
                 start = self.warm
             self.slack = self.section.slack * step * 30 ** draws[7]
-            self._polish_some(start[None])
+            self.polish(start[None])
             hits = found.costs[0] // self.problem.obstacle_weight
             merit = found.merits[0, found.steps[0]] + HOPS.hit * step * hits
             pool.append((float(merit), found.signals[0].copy()))
             pool.sort(key=lambda one: one[0])
             del pool[HOPS.pool :]
-
-    def _polish_some(self, starts: Floats) -> int:
-        """Polish sequences within the limit of evaluations; return how many were polished."""
-        most = 2**62 if self.limits.evaluations is None else self.limits.evaluations
-        found, expired = self.polished, self._expired if self.limits.timed else never
-        done = self.kernels.polish_each(
-            self.work,
-            self.one,
-            starts,
-            self.section.tolerance,
-            self.slack,
-            self.patience,
-            most - self.evaluations,
-            self.factor,
-            found,
-            expired,
-        )
-        require_finite(found.costs[:done])
-        costs, spent = found.costs[:done].tolist(), found.evaluations[:done].tolist()
-        for n in range(done):
-            before = self.cost
-            self.evaluations += spent[n] + 1
-            self.keep(found.signals[n], costs[n])
-            if self.cost < before:
-                merits = found.merits[n, : found.steps[n]]
-                self.history[-1:] = np.clip(merits, self.cost, before).tolist()
-                self.history.append(self.cost)
-        if self.cost <= self.section.tolerance and self.ended is None:
-            self.ended = StopReason.TARGET
-        return done
-
-    def _expired(self, evaluations: int) -> bool:
-        """Return whether the deadline passed during a polish of so many evaluations; if so, end the
-        search."""
-        if self.limits.expired(self.evaluations + evaluations):
-            self.ended = StopReason.DEADLINE
-        return self.ended is not None
 
 
 def _moved(pool: list[tuple[float, Floats]], draws: Floats, length: int, middle: float) -> Floats:

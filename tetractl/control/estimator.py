@@ -45,11 +45,7 @@ class StateEstimator:
         self._last_sent: int | None = None
         self._newest_ns = 0
         self._held = np.full(len(problem.a), np.nan)
-
-    @property
-    def dead_time_s(self) -> float:
-        """The identified dead time, or the spec's if none is identified [s]."""
-        return float(self.filter.dead_times()[0].mean())
+        self.dead_time_s = prior.dead_time  # the identified one, or the spec's if none is [s]
 
     @property
     def left(self) -> Bools:
@@ -78,6 +74,7 @@ class StateEstimator:
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
         self.filter.restart(others)
+        self.dead_time_s = float(self.filter.dead_times()[0].mean())
         poses, a, speed, bias, flow, self._held = self.filter.ahead(self.sends(observation))
         if self.estimate is None:
             return replace(self.problem, poses=poses).only(self.left)

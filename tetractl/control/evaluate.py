@@ -61,3 +61,14 @@ def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)
+
+
+def compiled_drive(problem: Problem, towards: Floats, seconds: Floats) -> Floats:
+    """Return the poses (M, N, 3) of robots that drive for each of `seconds` (M,), each towards its
+    own direction (N,) [rad]; a robot stands if that is NaN."""
+    from tetractl.control.kernels.motion import flat
+    from tetractl.control.kernels.prediction import drive
+
+    of, path = flat(problem), np.empty((len(seconds), len(towards), 3))
+    drive(of.start, towards, problem.a, problem.speed, of.drift, of.rest, seconds, path)
+    return path

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tetractl.control.cost import Foreseen, foresee
+from tetractl.control.evaluate import compiled_drive
 from tetractl.core.clock import SECOND
 from tetractl.core.plan import Plan, Problem, Search, StopReason
-from tetractl.core.poses import Floats, Poses
-from tetractl.core.registries import MOTIONS
+from tetractl.core.poses import Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,28 +64,7 @@ def best_stop(
     follow `direction` (N,) [rad], NaN for a robot that stands still.
     """
     delays = np.arange(moments, dtype=np.float64) * (period_s / moments)
-    x, y, _ = driven(problem, problem.poses, direction, delays[:, None])
-    targets = problem.targets
-    errors = np.hypot(x - targets[:, 0], y - targets[:, 1]).sum(axis=1)
+    path, targets = compiled_drive(problem, direction, delays), problem.targets
+    errors = np.hypot(path[..., 0] - targets[:, 0], path[..., 1] - targets[:, 1]).sum(axis=1)
     best = int(np.argmin(errors))
     return StopForecast(round(float(delays[best]) * SECOND), float(errors[best]))
-
-
-def driven(
-    problem: Problem, start: Poses, direction: Floats, seconds: Floats | float
-) -> tuple[Floats, Floats, Floats]:
-    """Return x, y and heading (..., N) of robots that start at `start` and drive for `seconds`.
-
-    `seconds` [s] is a number or an array (..., 1). Robots follow `direction` (N,) [rad], NaN for a
-    robot that stands still.
-    """
-    stands = np.isnan(direction)
-    moving = np.where(stands, 0.0, seconds)
-    towards = np.where(stands, 0.0, direction)
-    if problem.bias is not None:
-        towards = towards + problem.bias
-    step = MOTIONS.load(problem.motion).step
-    x, y, heading = step(start.x, start.y, start.heading, towards, problem.a, problem.speed, moving)
-    if problem.flow is not None:
-        x, y = x + moving * problem.flow[:, 0], y + moving * problem.flow[:, 1]
-    return x, y, heading

@@ -8,8 +8,6 @@ the robots away from their targets and back.
 import math
 from collections.abc import Callable, Iterator
 
-import numpy as np
-
 from tetractl.control.rng import mix
 from tetractl.core.plan import Limits, Problem, Search, never
 from tetractl.core.poses import Floats
@@ -27,12 +25,14 @@ def least_length(problem: Problem) -> int:
     """Return the least length to try: enough signals for each robot to drive straight to its
     target, and at least SIGNALS per robot.
     """
-    gaps = problem.poses.distances(problem.targets)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        seconds = float(np.max(np.where(gaps > 0, gaps / problem.speed, 0.0)))
-    if not math.isfinite(seconds):
+    gaps = problem.poses.distances(problem.targets).tolist()
+    pairs = zip(gaps, problem.speed.tolist(), strict=True)
+    seconds = [gap / speed if speed else math.inf for gap, speed in pairs if gap != 0]
+    if not all(map(math.isfinite, seconds)):
         return 1
-    straight = 1 + max(0, math.ceil((seconds - problem.first_period) / problem.period))
+    straight = 1 + max(
+        0, math.ceil((max(seconds, default=0.0) - problem.first_period) / problem.period)
+    )
     return max(straight, SIGNALS * len(gaps) if len(gaps) > 1 else 1)
 
 

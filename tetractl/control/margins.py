@@ -108,13 +108,13 @@ class Margins:
         clearance.gaps(self._bare.rows, self._bare.walls, x, y, found)
         return found
 
-    def entered(self, x: Floats, y: Floats) -> bool:
+    def entered(self, path: Floats) -> bool:
         """Return whether a body would touch an obstacle or another body, margins ignored, on the
-        way along x, y (M, N), or would go deeper if it touches one at the beginning.
+        way along path (M, N, 3), or would go deeper if it touches one at the beginning.
         """
         bare, bodies = self._bare, self._bodies
         obstacles = bare.rows, bare.walls, bodies.rows, bodies.walls
-        return clearance.enters(*obstacles, self._radius, x, y)
+        return clearance.enters(*obstacles, self._radius, path)
 
     def clear_unheard(
         self,

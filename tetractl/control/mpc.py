@@ -15,6 +15,7 @@ As in Algorithm 2 of the paper, plans of several lengths are searched, each from
 plan under way, and only the first signal is exerted.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,8 +25,8 @@ import numpy as np
 from tetractl.control.corners import away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
-from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.fixed_sequence import best_stop, driven, given_search, make_plan
+from tetractl.control.evaluate import compiled_drive, compiled_foresee
+from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins, off_course
@@ -125,6 +126,7 @@ class Mpc:
         if (self.estimator.left != self.left).any():
             self._begin(replace(self.leg, moving=self._moving))
         while True:
+            self._phase, self._warm = self._left_of_plan()
             first_period = (self.section.signal_periods - self._phase) * self.section.period
             problem = replace(known, targets=self._targets, first_period=first_period)
             problem = self._with_margins(problem, self.estimator.known)
@@ -154,18 +156,13 @@ class Mpc:
         """Whether the robots drive when the step begins."""
         return self.leg.moving if self.last is None else not self.last.pauses
 
-    @property
-    def _phase(self) -> int:
-        """Number of control periods for which the plan's present signal has been held."""
-        under_way = self.last is not None and not self.last.pauses
-        return (self.k - self.began) % self.section.signal_periods if under_way else 0
-
-    @property
-    def _warm(self) -> Floats | None:
-        """What is left of the plan under way (H,), u_(warm); None if none is."""
+    def _left_of_plan(self) -> tuple[int, Floats | None]:
+        """Return the number of control periods for which the present signal of the plan under way
+        has been held, and what is left of the plan (H,), u_(warm); None if none is under way."""
         if self.last is None or self.last.pauses:
-            return None
-        return self.last.signals[self._phase == 0 :]
+            return 0, None
+        phase = (self.k - self.began) % self.section.signal_periods
+        return phase, self.last.signals[phase == 0 :]
 
     @property
     def _targets(self) -> Floats:
@@ -266,16 +263,26 @@ class Mpc:
             valued.append(self._valued(searcher, search, value))
         return valued
 
-    def _worth(self, problem: Problem, signals: Floats, value: Worth, seen: Foreseen) -> float:
-        """Return the value of a plan of given signals (L,), given their prediction."""
+    def _worth(
+        self,
+        problem: Problem,
+        signals: Floats,
+        value: Worth,
+        seen: Foreseen,
+        cost: float = math.inf,
+    ) -> float:
+        """Return the value of a plan of given signals (L,), whose cost may be known."""
+        touched = cost >= problem.obstacle_weight
+        error, touches = (seen.target, seen.obstacle > 0) if touched else (cost, False)
         new = self._warm is None or len(signals) > len(self._warm) + 1
         unheard = not self._safe(problem, signals, seen)
-        return value.plan(seen.target, len(signals), new, seen.obstacle > 0, unheard)
+        return value.plan(error, len(signals), new, touches, unheard)
 
     def _valued(self, searcher: Searcher, search: Search, value: Worth) -> Candidate:
         """Return a plan found, with its value and its prediction."""
-        seen = compiled_foresee(searcher.problem, search.signals)
-        return Candidate(self._worth(searcher.problem, search.signals, value, seen), search, seen)
+        problem, signals = searcher.problem, search.signals
+        seen = compiled_foresee(problem, signals)
+        return Candidate(self._worth(problem, signals, value, seen, search.cost), search, seen)
 
     def _at_rest(self, problem: Problem, value: Worth, gaps: Floats, holds: bool) -> Plan | Outcome:
         """Decide while no plan is under way."""
@@ -365,11 +372,10 @@ class Mpc:
 
     def _enters(self, problem: Problem, signals: Floats) -> bool:
         """Return whether a body enters an obstacle before the next stop can act."""
-        held = self.estimator.held_at_action
         seconds = self.section.period + LATE * self.estimator.dead_time_s
-        ahead = np.full_like(held, signals[0])
-        x, y, _ = driven(problem, problem.poses, ahead, seconds * TESTED[:, None])
-        return self.margins.entered(x, y)
+        towards = np.full(len(problem.a), signals[0])
+        path = compiled_drive(problem, towards, seconds * TESTED)
+        return self.margins.entered(path)
 
     def _expired(self) -> Callable[[int], bool]:
         """Return whether the deadline of the step, which begins now, has passed."""

@@ -239,13 +239,14 @@ class RecommendedMpc(SearchFields):
 
     def warm_up(self, setup: Setup) -> None:
         """Call the functions of the planner and of the margins once, so that they are compiled."""
+        from tetractl.control.evaluate import compiled_drive
         from tetractl.control.margins import Margins
 
         super().warm_up(setup)
         problem, margins = self.problem(setup), Margins(setup.obstacles, setup.arena, setup.targets)
-        poses = problem.poses
-        margins.entered(poses.x[None], poses.y[None])
-        margins.clear_unheard(problem, poses.array()[None], np.zeros(1), 0.0, 0.0, 0.0)
+        path = compiled_drive(problem, np.zeros(len(problem.a)), np.zeros(1))
+        margins.entered(path)
+        margins.clear_unheard(problem, path, np.zeros(1), 0.0, 0.0, 0.0)
 
     def build(self, setup: Setup, key: int, host: Host = ALONE) -> Controller:
         """Return the controller of one trial."""

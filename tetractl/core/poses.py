@@ -54,7 +54,7 @@ class Poses:
     @property
     def xy(self) -> Floats:
         """Positions, shape (N, 2)."""
-        return np.column_stack([self.x, self.y])
+        return np.array([self.x, self.y]).T
 
     def distances(self, points: Floats) -> Floats:
         """Return the distances (N,) of the robots to `points` (N, 2), one point for each robot."""

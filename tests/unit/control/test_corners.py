@@ -9,7 +9,7 @@ from support.trials import experiment
 
 from tetractl.control.corners import OUT, away, turn_away, way_out
 from tetractl.control.cost import predict
-from tetractl.control.fixed_sequence import driven
+from tetractl.control.evaluate import compiled_drive
 from tetractl.control.margins import Margins
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -62,7 +62,7 @@ def test_where_every_arc_leads_out_turning_on_the_spot_gives_a_way_out():
     assert facing is not None
     assert facing < 0  # away from the upper edge
     still = replace(problem, speed=np.zeros(3))
-    turned = Poses(*driven(still, problem.poses, np.full(3, facing), OUT.turn_s))
+    turned = Poses.of(compiled_drive(still, np.full(3, facing), np.array([OUT.turn_s]))[0])
     assert way_out(replace(problem, poses=turned), margins, 95.0) is not None
 
 

@@ -73,8 +73,9 @@ def test_two_robots_keep_their_radii_apart_unless_they_are_nearer():
     [(940, 949, False), (940, 951, True), (960, 961, True), (960, 959, False)],
 )
 def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
-    x, y = np.linspace(x0, x1, 4)[:, None], np.full((4, 1), 1050.0)
-    assert Margins([BOX], None, FAR[:1], 50).entered(x, y) is enters
+    path = np.zeros((4, 1, 3))
+    path[:, 0, 0], path[:, 0, 1] = np.linspace(x0, x1, 4), 1050.0
+    assert Margins([BOX], None, FAR[:1], 50).entered(path) is enters
 
 
 @pytest.mark.parametrize(
@@ -82,9 +83,9 @@ def test_a_body_enters_where_it_touches_or_goes_deeper(x0, x1, enters):
     [((200, 110), False), ((200, 90), True), ((90, 95), False), ((90, 85), True)],
 )
 def test_a_body_enters_another_where_they_come_nearer_than_two_radii(gaps, enters):
-    x, y = np.zeros((2, 2)), np.zeros((2, 2))
-    x[:, 1] = gaps
-    assert Margins([], None, FAR[:2], 50).entered(x, y) is enters
+    path = np.zeros((2, 2, 3))
+    path[:, 1, 0] = gaps
+    assert Margins([], None, FAR[:2], 50).entered(path) is enters
 
 
 def test_robots_keep_the_separation_they_have():

@@ -88,24 +88,24 @@ def least_apart(x, y):
 
 
 @compiled(**ENTRY)
-def enters(rows, walls, body_rows, body_walls, radius, x, y):
-    """Return whether a body would touch an obstacle or another body on the way along x, y (M, N),
-    or would go deeper if it touches one at the beginning.
+def enters(rows, walls, body_rows, body_walls, radius, path):
+    """Return whether a body would touch an obstacle or another body on the way along path
+    (M, N, 3), or would go deeper if it touches one at the beginning.
 
     The obstacles are given bare and grown by the bodies' radius.
     """
-    for i in range(x.shape[1]):
+    for i in range(path.shape[1]):
         crossed = deeper = False
-        first = _least(rows, walls, x[0, i], y[0, i])
-        for m in range(1, x.shape[0]):
-            ends = x[m - 1, i], y[m - 1, i], x[m, i], y[m, i]
+        first = _least(rows, walls, path[0, i, 0], path[0, i, 1])
+        for m in range(1, path.shape[0]):
+            ends = path[m - 1, i, 0], path[m - 1, i, 1], path[m, i, 0], path[m, i, 1]
             crossed |= crosses(body_rows, body_walls, *ends)
-            deeper |= _least(rows, walls, x[m, i], y[m, i]) < first
+            deeper |= _least(rows, walls, path[m, i, 0], path[m, i, 1]) < first
             for k in range(i):
-                before = math.hypot(x[0, k] - x[0, i], y[0, k] - y[0, i])
-                apart = math.hypot(x[m, k] - x[m, i], y[m, k] - y[m, i])
+                before = math.hypot(path[0, k, 0] - path[0, i, 0], path[0, k, 1] - path[0, i, 1])
+                apart = math.hypot(path[m, k, 0] - path[m, i, 0], path[m, k, 1] - path[m, i, 1])
                 if apart < min(2 * radius, before):
                     return True
-        if crossed and (deeper or _least(body_rows, body_walls, x[0, i], y[0, i]) > 0):
+        if crossed and (deeper or _least(body_rows, body_walls, path[0, i, 0], path[0, i, 1]) > 0):
             return True
     return False

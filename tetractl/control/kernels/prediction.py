@@ -13,15 +13,23 @@ from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**INLINE_FAST)
-def _signal(u, a, v, drift, t, motion, before, after):
-    """Write the poses (N, 3) `after` the signal u, held for t [s], from those `before` it."""
-    cu, su = math.cos(u), math.sin(u)
-    for i in range(a.size):
-        x, y, heading = before[i, 0], before[i, 1], before[i, 2]
-        cos, sin, c, s = math.cos(heading), math.sin(heading), drift[0, i], drift[1, i]
+def _robot(u, a, v, drift, t, motion, before, after, i):
+    """Write the pose of robot i `after` the signal u; the robot stands if u is NaN."""
+    x, y, heading = before[i, 0], before[i, 1], before[i, 2]
+    after[i, 0], after[i, 1], after[i, 2] = x, y, heading
+    if not math.isnan(u):
+        cu, su, c, s = math.cos(u), math.sin(u), drift[0, i], drift[1, i]
+        cos, sin = math.cos(heading), math.sin(heading)
         step = derivatives(motion, cos, sin, cu * c - su * s, su * c + cu * s, a[i], v[i], t)
         after[i, 0], after[i, 1] = x + step[0] + t * drift[2, i], y + step[1] + t * drift[3, i]
         after[i, 2] = heading + step[2]
+
+
+@compiled(**INLINE_FAST)
+def _signal(u, a, v, drift, t, motion, before, after):
+    """Write the poses (N, 3) `after` the signal u, held for t [s], from those `before` it."""
+    for i in range(a.size):
+        _robot(u, a, v, drift, t, motion, before, after, i)
 
 
 @compiled(**ENTRY_FAST)
@@ -33,6 +41,17 @@ def predict(u, a, v, drift, first_period, period, motion, path):
     for j in range(u.size):
         t = first_period if j == 0 else period
         _signal(u[j], a, v, drift, t, motion, path[j], path[j + 1])
+
+
+@compiled(**ENTRY_FAST)
+def drive(start, towards, a, v, drift, motion, seconds, path):
+    """Fill path (M, N, 3) with the poses of robots after each of `seconds` (M,), from start (N, 3).
+
+    Each follows its own direction towards (N,) [rad], or stands if that is NaN.
+    """
+    for m in range(seconds.size):
+        for i in range(a.size):
+            _robot(towards[i], a, v, drift, seconds[m], motion, start, path[m], i)
 
 
 @compiled(**ENTRY_FAST)

@@ -13,7 +13,7 @@ import hashlib, sys
 from pathlib import Path
 from tetractl.core.commands import Steer
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.kernels.levenberg import polish
+from tetractl.control.kernels.multistart import improve
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
 from tetractl.core.plan import Limits
@@ -26,7 +26,7 @@ for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
     search = optimizer.search(problem, 30, None, 1, Limits())
     digest.update(search.signals.tobytes() + search.history.tobytes())
     digest.update(compiled_foresee(problem, search.signals).path.tobytes())
-print(sum(polish.stats.cache_hits.values()), digest.hexdigest())
+print(sum(improve.stats.cache_hits.values()), digest.hexdigest())
 """
 
 

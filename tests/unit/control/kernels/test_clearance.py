@@ -1,13 +1,12 @@
 """The compiled clearance computes what the readable obstacle region does."""
 
 import numpy as np
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
 from support.shapes import SHAPES
 
 from tetractl.control.kernels import clearance
 from tetractl.core.setup import Bounds
-from tetractl.core.shape import Shape
 from tetractl.model.obstacles import Obstacles
 
 WALLS = st.none() | st.just(Bounds(-8.0, -7.5, 9.0, 7.0))
@@ -17,7 +16,6 @@ REGIONS = st.builds(
     st.sampled_from([0.0, 0.25, 1.0]),
     WALLS,
 )
-SQUARE = Obstacles.of([Shape(np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]]))])
 PATHS = st.lists(st.tuples(st.floats(-12, 12), st.floats(-12, 12)), min_size=4, max_size=12)
 
 
@@ -27,20 +25,6 @@ def test_gaps_are_those_of_the_readable_region_to_the_last_bit(region, points):
     found = np.empty((region.count, len(x)))
     clearance.gaps(region.rows, region.walls, x, y, found)
     assert np.array_equal(found, region.distances(x, y))
-
-
-@given(REGIONS, PATHS, st.sampled_from([0.0, 2.0]))
-@example(SQUARE, [(2.0, 0.0), (0.0, 2.0), (2.0, 0.0), (0.0, -1.0)], 0.0)
-def test_ways_are_clear_where_no_segment_crosses_and_no_two_robots_meet(region, points, apart):
-    x, y = (np.array(points)[: len(points) // 2 * 2].T).reshape(2, -1, 2)  # two robots
-    ways = np.stack([x, y, 0 * x], axis=-1)[:, None]
-    ends = x[:-1], y[:-1], x[1:], y[1:]
-    meets = (np.hypot(np.diff(x, axis=1), np.diff(y, axis=1)) < apart).any()
-    grown = region.grown(np.full(region.count, 1e-9))  # a touched corner is a matter of rounding
-    if not grown.cross(*ends).any():
-        assert clearance.clear(region.rows, region.walls, apart, ways) == (not meets)
-    if region.cross(*ends).any():
-        assert not clearance.clear(grown.rows, grown.walls, apart, ways)
 
 
 @given(PATHS)

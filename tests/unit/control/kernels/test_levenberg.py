@@ -11,28 +11,19 @@ from support import problems
 
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.levenberg import polish as compiled_polish
+from tetractl.control.kernels.multistart import improve, workspace
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
 TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    work = lay_out_polish(problem, len(start))
-    rows, signals = len(work.residual), start.copy()
-    history = np.empty(iterations + 1)
-    merit, z, evaluations = compiled_polish(
-        work,
-        signals,
-        TOLERANCE,
-        SLACK,
-        iterations,
-        PATIENCE,
-        budget,
-        np.empty((rows, rows)),
-        history,
-    )
-    return levenberg.Polished(signals, merit, history[: z + 1].copy(), evaluations)
+    work, found = lay_out_polish(problem, len(start)), workspace(1, len(start), iterations)
+    starts, limits = start[None].copy(), (TOLERANCE, SLACK, PATIENCE)
+    done = improve(work, starts, 0, *limits, max(budget, 1) + 1, 0, found)
+    assert done == 1
+    merits = found.merits[0, : found.steps[0] + 1].copy()
+    return levenberg.Polished(found.signals[0], merits[-1], merits, found.evaluations[0] - 1)
 
 
 def random_start(seed, length):

@@ -6,33 +6,29 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles import levenberg
 from support import problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.kernels.levenberg import lay_out_polish, polish
-from tetractl.control.kernels.multistart import polish_each, workspace
+from tetractl.control.curves import interpolate
+from tetractl.control.kernels.levenberg import lay_out_polish
+from tetractl.control.kernels.multistart import WARM, improve, scatter, workspace
 from tetractl.control.kernels.rollout import lay_out
+from tetractl.control.rng import uniform
 from tetractl.core.poses import wrap
 
 TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
 
 
-def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH):
+def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH, look=0):
     """Return how many of the starts were polished, and what became of them."""
     count, length = starts.shape
     work, found = lay_out_polish(problem, length), workspace(count, length, STEPS)
-    rows = len(work.residual)
-    done = polish_each(
-        work,
-        lay_out(problem, 1),
-        starts,
-        tolerance,
-        SLACK,
-        PATIENCE,
-        budget,
-        np.empty((rows, rows)),
-        found,
-    )
+    done, calls = 0, 0
+    while calls == 0 or (look and done < count and calls < 1000):
+        spent = int(found.evaluations[: done + 1].sum())
+        limits = tolerance, SLACK, PATIENCE, budget - spent
+        done, calls = improve(work, starts, done, *limits, look, found), calls + 1
     return done, found
 
 
@@ -41,19 +37,49 @@ def starts_of(seed, count, length):
 
 
 @pytest.mark.parametrize("model", ["euler", "arc", "exact"])
-def test_each_start_is_polished_as_it_is_alone_and_costs_j(model):
+@pytest.mark.parametrize("look", [0, 1, 3])
+def test_each_start_is_polished_as_it_is_alone_and_costs_j(model, look):
     problem, starts = problems.problem(problems.world(4, 3, 2, model)), starts_of(1, 3, 20)
-    done, found = polished(problem, starts)
+    done, found = polished(problem, starts, look=look)
     assert done == 3
     for n, start in enumerate(starts):
-        work, alone, merits = lay_out_polish(problem, 20), start.copy(), np.empty(STEPS + 1)
-        rows = len(work.residual)
-        factor = np.empty((rows, rows))
-        _, z, spent = polish(work, alone, TOLERANCE, SLACK, STEPS, PATIENCE, MUCH, factor, merits)
-        assert found.signals[n] == pytest.approx(wrap(alone), abs=1e-12)
-        assert (found.steps[n], found.evaluations[n]) == (z, spent)
-        assert found.merits[n, : z + 1] == pytest.approx(merits[: z + 1], rel=1e-12)
+        alone = levenberg.polish(problem, start, TOLERANCE, SLACK, STEPS, None, PATIENCE)
+        assert found.signals[n] == pytest.approx(wrap(alone.signals), abs=1e-6)
+        assert found.evaluations[n] == alone.evaluations + 1
+        merits = found.merits[n, : found.steps[n] + 1]
+        assert merits == pytest.approx(alone.history, rel=1e-6)
     assert found.costs == pytest.approx(evaluate(problem, found.signals).total, rel=1e-9)
+
+
+def test_a_start_is_ended_as_it_is():
+    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
+    done, found = polished(problem, starts, look=-1)
+    assert done == 3
+    assert found.signals == pytest.approx(starts)
+    assert found.costs == pytest.approx(evaluate(problem, starts).total, rel=1e-9)
+
+
+@given(
+    seed=st.integers(0, 2**32),
+    length=st.integers(1, 30),
+    knots=st.integers(1, 12),
+    warmed=st.booleans(),
+)
+def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, warmed):
+    problem, particles = problems.problem(problems.world(seed, 2, 1, "exact")), 9
+    knots = min(knots, length)
+    warm = starts_of(seed, 1, length)[0] if warmed else np.empty(0)
+    signals, total = np.empty((length, particles)), np.empty(particles)
+    scratch = np.empty((knots, particles))
+    assert scatter(lay_out(problem, particles), np.uint64(seed), 0.7, warm, scratch, signals, total)
+    draws = 2 * uniform(seed, 0, knots * particles).reshape(knots, particles) - 1
+    curve = interpolate(draws, length)
+    expected = 0.7 + math.pi * curve
+    if warmed:
+        expected[:, ::2] = warm[:, None] + WARM * curve[:, ::2]
+    assert np.abs(wrap(signals - expected)).max() < 1e-9
+    assert np.abs(signals).max() <= math.pi + 1e-9
+    assert total == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)
 
 
 def test_the_first_that_is_good_enough_is_the_last():
@@ -69,6 +95,6 @@ def test_the_first_that_is_good_enough_is_the_last():
 def test_a_round_keeps_its_budget(budget):
     problem, starts = problems.problem(problems.world(4, 2, 1, "exact")), starts_of(3, 4, 12)
     done, found = polished(problem, starts, budget=budget)
-    spent = int(found.evaluations[:done].sum()) + done
+    spent = int(found.evaluations[:done].sum())
     assert spent <= budget
     assert done == 4 or budget - spent < 2

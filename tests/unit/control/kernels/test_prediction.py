@@ -9,8 +9,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from support import problems
 
-from tetractl.control.cost import evaluate, foresee
-from tetractl.control.evaluate import compiled_branches, compiled_costs, compiled_foresee
+from tetractl.control.cost import evaluate, foresee, predict
+from tetractl.control.evaluate import (
+    compiled_branches,
+    compiled_costs,
+    compiled_drive,
+    compiled_foresee,
+)
+from tetractl.control.kernels.motion import flat
+from tetractl.control.kernels.prediction import unheard
 from tetractl.core.errors import ControlError
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
@@ -90,6 +97,54 @@ def test_a_pose_that_is_no_number_is_told():
     problem.poses.x[0] = np.nan
     with pytest.raises(ControlError, match="not finite"):
         compiled_foresee(problem, np.zeros(3))
+
+
+@given(
+    seed=st.integers(0, 2**32), robots=st.integers(1, 3), drifts=st.booleans(), walls=st.booleans()
+)
+def test_robots_that_hear_nothing_are_clear_where_the_readable_predictions_are(
+    seed, robots, drifts, walls
+):
+    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 2, "exact")
+    problem, apart = problems.problem(world, 0.0, drifts), rng.choice([0.0, 100.0])
+    shapes = [thing.shape() for thing in world.obstacles]
+    region = Obstacles.of(shapes, 0.0, Bounds(50, 50, 750, 750) if walls else None)
+    signals, steps, seconds = rng.uniform(-3, 3, 3), 4, 0.4
+    path, of = compiled_foresee(problem, signals).path, flat(problem)
+    branches = []
+    for j, u in enumerate(signals):
+        held = replace(problem, poses=Poses.of(path[j]), first_period=0.1, period=0.1)
+        branches.append(predict(held, np.full(steps, u)))
+    x, y = np.moveaxis(np.stack(branches)[..., :2], -1, 0)  # (L, steps + 1, N)
+    one, other = np.triu_indices(robots, 1)
+    meets = (np.hypot(x[..., one] - x[..., other], y[..., one] - y[..., other]) < apart).any()
+
+    def clear(obstacles):
+        motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
+        return unheard(signals, *motion, path, obstacles.rows, obstacles.walls, apart)
+
+    ends = x[:, :-1], y[:, :-1], x[:, 1:], y[:, 1:]
+    grown = region.grown(np.full(region.count, 1e-6))  # a touched corner is a matter of rounding
+    if not grown.cross(*ends).any():
+        assert clear(region) == (not meets)
+    if region.cross(*ends).any():
+        assert not clear(grown)
+
+
+@given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())
+def test_each_robot_drives_towards_its_own_direction_or_stands(seed, robots, drifts):
+    rng, world = np.random.default_rng(seed), problems.world(seed, robots, 0, "exact")
+    problem = problems.problem(world, 0.0, drifts)
+    towards, seconds = rng.uniform(-3, 3, robots), np.array([0.0, 0.07, 0.9])
+    towards[0] = np.nan if seed % 2 else towards[0]
+    found = compiled_drive(problem, towards, seconds)
+    for m, t in enumerate(seconds.tolist()):
+        for i, u in enumerate(towards.tolist()):
+            expected = problem.poses.array()[i]
+            if u == u and t > 0:
+                held = replace(problem, first_period=t, period=t)
+                expected = predict(held, np.array([u]))[1, i]
+            assert found[m, i] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
 @given(seed=st.integers(0, 2**32), robots=st.integers(1, 4), drifts=st.booleans())

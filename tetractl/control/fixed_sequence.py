@@ -54,6 +54,15 @@ def given_plan(problem: Problem, signals: Floats, step_key: int) -> Plan:
     return make_plan([given_search(problem, signals, seen)], 0, step_key, seen)
 
 
+def least_error(problem: Problem, period_s: float) -> float:
+    """Return a bound that no stop in the coming `period_s` can better: the sum of distances that
+    would be left if every robot drove straight to its target."""
+    speed = problem.speed
+    if problem.flow is not None:
+        speed = speed + np.hypot(problem.flow[:, 0], problem.flow[:, 1])
+    return float((problem.poses.distances(problem.targets) - period_s * speed).sum())
+
+
 def best_stop(
     problem: Problem, direction: Floats, period_s: float, moments: int = 40
 ) -> StopForecast:

@@ -26,7 +26,7 @@ from tetractl.control.corners import away
 from tetractl.control.cost import Foreseen
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.evaluate import compiled_drive, compiled_foresee
-from tetractl.control.fixed_sequence import best_stop, given_search, make_plan
+from tetractl.control.fixed_sequence import best_stop, given_search, least_error, make_plan
 from tetractl.control.holding import CircleSearch, signals_ahead
 from tetractl.control.lengths import Searcher, least_length, longer
 from tetractl.control.margins import Margins, off_course
@@ -207,8 +207,6 @@ class Mpc:
         warm = self._warm
         assert warm is not None
         last = self._last_leg
-        held = self.estimator.held_at_action
-        stop = best_stop(problem, held, self.section.period if last else 0.0)
         goes_on = np.inf
         if len(warm):
             goes_on = self._worth(problem, warm, value, compiled_foresee(problem, warm))
@@ -219,11 +217,14 @@ class Mpc:
             driven_s = (self.k - self.began) * self.section.period
             if self.stands and last and driven_s > RESTED_S:
                 rest = value.rest(least, wait_s)
-        if stop.error <= min(goes_on, rest):
-            if holds or (self.stands and last):
-                return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
-            outcome = Outcome.NOTHING_BETTER if len(warm) else Outcome.SEQUENCE_COMPLETED
-            return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
+        period, held = self.section.period if last else 0.0, self.estimator.held_at_action
+        if least_error(problem, period) <= min(goes_on, rest):
+            stop = best_stop(problem, held, period)
+            if stop.error <= min(goes_on, rest):
+                if holds or (self.stands and last):
+                    return self._given(problem, State.RESTING, delay_ns=stop.delay_ns)
+                outcome = Outcome.NOTHING_BETTER if len(warm) else Outcome.SEQUENCE_COMPLETED
+                return End(outcome, stop.delay_ns) if stop.delay_ns else outcome
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), self._expired())
         valued = self._search_on(searcher, value, warm)
         for candidate in sorted(valued, key=lambda one: one.worth):

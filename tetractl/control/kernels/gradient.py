@@ -46,7 +46,7 @@ def width(length: int) -> int:
 
 
 def workspace(count: int, length: int) -> Trace:
-    """Return the arrays for `count` robots; the first of `cos` and `sin` are of the start."""
+    """Return the arrays for `count` robots."""
     across = width(length)
     cos, sin = np.ones((count + 1, across)), np.zeros((count + 1, across))
     return Trace(cos, sin, np.empty((2, count, across)), np.empty((5, count, across)))
@@ -54,13 +54,17 @@ def workspace(count: int, length: int) -> Trace:
 
 @compiled(**INLINE_FAST)
 def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
-    """Predict under signals u (L,) from start (N, 3), with a and v (N,) and drift (4, N).
+    """Predict under signals u (L,) from start, with a and v (N,) and drift (4, N).
+
+    start (4, N) are x, y, and cos and sin of the heading.
 
     `first` and `rest` are the motion's constants for the first signal's period and the others';
     their class defines how robots move.
     """
     cos, sin, path, gradients = traced.cos, traced.sin, traced.path, traced.gradients
     count, across = a.size, cos.shape[1]
+    for i in range(count):
+        cos[i, 0], sin[i, 0] = start[2, i], start[3, i]
     for j in range(u.size):
         sin[count, j], cos[count, j] = _sincos(_wrap(u[j]))
     for j in range(u.size - 1):
@@ -103,8 +107,8 @@ def trace(u, start, a, v, drift, first_period, period, first, rest, traced):
                     t,
                 )
         fx, fy = drift[2, i], drift[3, i]
-        x[i, 0] = start[i, 0] + x[i, 0] + fx * first_period
-        y[i, 0] = start[i, 1] + y[i, 0] + fy * first_period
+        x[i, 0] = start[0, i] + x[i, 0] + fx * first_period
+        y[i, 0] = start[1, i] + y[i, 0] + fy * first_period
         for j in range(1, u.size):
             x[i, j] = x[i, j - 1] + x[i, j] + fx * period
             y[i, j] = y[i, j - 1] + y[i, j] + fy * period

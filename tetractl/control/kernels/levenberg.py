@@ -63,6 +63,7 @@ class Polish(NamedTuple):
     """A problem and, as in `Scratch`, the working arrays for polishing one sequence at a time."""
 
     start: Floats  # (N, 3) x, y, heading
+    turned: Floats  # (4, N) x, y, cos and sin of the heading
     target: Floats  # (N, 2)
     a: Floats
     v: Floats
@@ -94,15 +95,16 @@ class Polish(NamedTuple):
     damping: Floats
 
 
+@lru_cache(maxsize=4)  # a search and the prediction of what it found
 def lay_out_polish(problem: Problem, length: int) -> Polish:
     """Return a problem with the scratch arrays for sequences of `length` signals, which other
     problems of the same shape laid out in this thread use too."""
     of, obstacles = flat(problem), problem.obstacles
     paired = problem.separation > 0
     scratch = _scratch(get_ident(), problem.a.size, obstacles.count, paired, length)
-    scratch.traced.cos[:-1, 0], scratch.traced.sin[:-1, 0] = of.turned[2:]
     return Polish(
         of.start,
+        of.turned,
         np.ascontiguousarray(problem.targets),
         problem.a,
         problem.speed,
@@ -150,7 +152,7 @@ def _scratch(thread: int, count: int, obstacles: int, paired: bool, length: int)
 def _trace(work, u):
     """Predict the path under signals u, and its gradients."""
     t0, t = work.first_period, work.period
-    trace(u, work.start, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
+    trace(u, work.turned, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
 
 
 @compiled(**INLINE_FAST)

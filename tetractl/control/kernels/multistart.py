@@ -1,6 +1,7 @@
 """A round of `tetractl.control.optimizers.multistart`: random sequences, and the polish of some."""
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -30,8 +31,9 @@ class Polished(NamedTuple):
     merits: Floats  # (K, steps_max + 1) merit at first and after each iteration
 
 
-def workspace(count: int, length: int, steps_max: int) -> Polished:
-    """Return the arrays for a number of starts."""
+@lru_cache(maxsize=64)
+def workspace(thread: int, count: int, length: int, steps_max: int) -> Polished:
+    """Return the arrays of one thread for a number of starts."""
     return Polished(
         signals=np.empty((count, length)),
         costs=np.empty(count),

@@ -14,6 +14,7 @@ arbitrary starts and targets, most random sequences end in a corner between wall
 other robots, and hops from nearly good sequences find good ones.
 """
 
+from threading import get_ident
 from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -151,7 +152,7 @@ class _PolishedProgress(Progress):
         if limits.thorough:
             self.patience, steps = HOPS.patience, HOPS.steps
             self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
-        self.polished = multistart.workspace(section.polished, length, steps)
+        self.polished = multistart.workspace(get_ident(), section.polished, length, steps)
         # iterations between two looks at the deadline
         step = len(self.work.residual) * len(problem.a) * length
         self.look = max(1, multistart.BETWEEN_LOOKS // step) if limits.timed else 0
@@ -182,7 +183,9 @@ class _PolishedProgress(Progress):
         """Evaluate one sequence (length,) and add its cost to the history."""
         self.polished.steps[0] = 0
         self._improve(signals[None], 0, look=-1)
-        self.add(signals[:, None], self.polished.costs[:1])
+        require_finite(self.polished.costs[:1])
+        self.evaluations += 1
+        self.keep(signals, float(self.polished.costs[0]))
 
     def polish(self, starts: Floats) -> None:
         """Polish sequences (K, length) in turn until one is good enough; keep the best."""

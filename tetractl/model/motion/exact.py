@@ -101,8 +101,10 @@ class ExactLanes(NamedTuple):
         series = (4 * v / a)[:, None] * middle[:, None] ** ODD / ODD
         sines, cosines = odd_multiples(TERMS)
         right, along = series @ sines, series @ cosines
-        head = np.column_stack([middle, 1 - middle**2, end, 1 - end**2])
-        return cls(np.hstack([head, right, (right - along)[:, :-1]]), pieces)
+        rows, last = np.empty((len(a), cls.size)), 4 + TERMS
+        rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3] = middle, 1 - middle**2, end, 1 - end**2
+        rows[:, 4:last], rows[:, last:] = right, (right - along)[:, :-1]
+        return cls(rows, pieces)
 
     @staticmethod
     def advance(x: Any, y: Any, c: Any, s: Any, cu: Any, su: Any, k: Any) -> Any:

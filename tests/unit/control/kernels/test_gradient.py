@@ -30,7 +30,7 @@ def traced(problem, signals):
     work = lay_out_polish(problem, len(signals))
     trace(
         signals,
-        work.start,
+        work.turned,
         work.a,
         work.v,
         work.drift,

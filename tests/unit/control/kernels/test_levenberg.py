@@ -18,7 +18,10 @@ TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    work, found = lay_out_polish(problem, len(start)), workspace(1, len(start), iterations)
+    work, found = (
+        lay_out_polish(problem, len(start)),
+        workspace.__wrapped__(0, 1, len(start), iterations),
+    )
     starts, limits = start[None].copy(), (TOLERANCE, SLACK, PATIENCE)
     done = improve(work, starts, 0, *limits, max(budget, 1) + 1, 0, found)
     assert done == 1

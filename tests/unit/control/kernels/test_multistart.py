@@ -23,7 +23,7 @@ TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
 def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH, look=0):
     """Return how many of the starts were polished, and what became of them."""
     count, length = starts.shape
-    work, found = lay_out_polish(problem, length), workspace(count, length, STEPS)
+    work, found = lay_out_polish(problem, length), workspace.__wrapped__(0, count, length, STEPS)
     done, calls = 0, 0
     while calls == 0 or (look and done < count and calls < 1000):
         spent = int(found.evaluations[: done + 1].sum())

@@ -76,13 +76,15 @@ class Searcher:
         return found
 
     def spread(self, least: int, most: int, good: Callable[[Search], bool]) -> bool:
-        """Search growing lengths from `least` to `most` until a plan is good; return whether one
-        was found.
+        """Search growing lengths, of which `least` is the shortest and `most` the longest that can
+        be good, until a plan is good; return whether one was found.
 
         Bisection between the last two lengths then approaches the shortest good length, up to a
         difference of the fraction FINE of the length.
         """
-        length, failed = min(least, most), 0
+        # several robots hardly ever reach their targets along straight lines
+        several = self.problem.a.size > 1
+        length, failed = min(round(SPREAD * least) if several else least, most), least - 1
         while True:
             found = self.search(length)
             if found is None:
@@ -92,7 +94,7 @@ class Searcher:
             if length == most:
                 return False
             length, failed = min(most, max(length + 1, round(SPREAD * length))), length
-        while failed > 0 and length - failed > max(1, FINE * length):
+        while length - failed > max(1, FINE * length):
             middle = (length + failed) // 2
             found = self.search(middle)
             if found is None:

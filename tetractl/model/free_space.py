@@ -11,8 +11,9 @@ The reverse does not hold: a wall thinner than a cell may be missed.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tetractl.core.poses import Floats
+from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Setup
 from tetractl.model.obstacles import Obstacles
 
@@ -39,8 +40,6 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     from obstacles; with `walls` they stay in the arena, otherwise they may leave it. A start nearer
     to an obstacle than the margin is not in free space, and also gives 0.
     """
-    from scipy.ndimage import label
-
     arena = setup.arena
     side = max(arena.width, arena.height) / CELLS
     x = _centres(arena.left, arena.width, side, walls)
@@ -49,8 +48,7 @@ def shut_out(setup: Setup, margin: float, walls: bool) -> Floats:
     free = ~(depth >= (0.5 - TOUCHING) * side)  # a NaN depth blocks nothing
     if not walls:  # the outside counts as one free region
         free[[0, -1], :] = free[:, [0, -1]] = True
-    regions = np.zeros(free.shape, dtype=np.int32)
-    label(free, np.ones((3, 3)), output=regions)
+    regions = _regions(free)
 
     def around(point: Floats) -> set[int]:
         """Return the numbers of the connected regions to which the cells around a point (2,)
@@ -74,3 +72,29 @@ def _centres(begin: float, extent: float, side: float, walls: bool) -> Floats:
     beyond = 0 if walls else 2
     cells = np.arange(-beyond, math.ceil(extent / side - 1e-9) + beyond, dtype=np.float64)
     return begin + (cells + 0.5) * side
+
+
+def _regions(free: Bools) -> NDArray[np.int64]:
+    """Return the number of each free cell's connected region, from 1, and 0 for the other cells.
+
+    The runs of free cells along each row are joined with those that they touch in the row before
+    (SciPy's `ndimage.label` takes 0.15 s to import).
+    """
+    steps = np.diff(free.astype(np.int8), axis=1, prepend=0, append=0)
+    (row, begin), (_, end) = np.nonzero(steps > 0), np.nonzero(steps < 0)
+    wide = free.shape[1] + 1  # places along all rows, one after the other
+    first = np.searchsorted(row * wide + end, (row - 1) * wide + begin)
+    after = np.searchsorted(row * wide + begin, (row - 1) * wide + end, side="right")
+    of = list(range(len(row)))  # another run of the same region
+
+    def root(run: int) -> int:
+        while of[run] != run:
+            of[run] = run = of[of[run]]
+        return run
+
+    for run, touched in enumerate(map(range, first.tolist(), after.tolist())):
+        for other in touched:
+            of[root(other)] = root(run)
+    found = np.zeros(free.shape, dtype=np.int64)
+    found[free] = np.repeat([root(run) + 1 for run in of], end - begin)
+    return found

@@ -45,7 +45,7 @@ def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
             drives = min(max(stops, t), end) - t
             for way, seconds in ((now, drives), (math.nan, end - t - drives)):
                 if seconds > 0:
-                    advance(model, i, z, None, way, None, seconds)
+                    advance(model, i, z, None, way, None, seconds, None)
             t = end
             if c < when.size and acts > begin and s != STUCK:
                 now, stops = u[c], acts + model.watchdog

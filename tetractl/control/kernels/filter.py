@@ -33,11 +33,17 @@ from tetractl.model.motion.polynomials import wrap
 
 _wrap = inlined(wrap)
 
+# the states that each measured number depends on; the slopes by the last of x and y are 0
+BY = np.array(
+    [(X, HEADING, SINE, X, X), (Y, HEADING, SINE, Y, Y), (HEADING, MARKER, COSINE, LN_V, LN_W)]
+)
+
 
 @compiled(**INLINE_FAST)
-def advance(model, i, z, cov, u, scale, seconds):
+def advance(model, i, z, cov, u, scale, seconds, more):
     """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule;
-    without a covariance, None, the compiler leaves out what it needs.
+    without a covariance, None, the compiler leaves out what it needs. `more` (MOVED, SIZE) is room
+    for products.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
     the robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
@@ -46,11 +52,11 @@ def advance(model, i, z, cov, u, scale, seconds):
     goal = 1.0 if drives else 0.0
     if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
         z[SWING] = z[PACE] = 0.0
-    slopes = np.zeros((MOVED, SIZE))  # of the change of the moved states
+    a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
+    helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
     while left > 0 and (drives or z[PACE] > 0):
         t = min(left, ASSUMED.substep_s)
         left -= ASSUMED.substep_s
-        a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
         early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
         late = early * early
         off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
@@ -68,126 +74,149 @@ def advance(model, i, z, cov, u, scale, seconds):
         z[X] += dx + t * z[FLOW_X]
         z[Y] += dy + t * z[FLOW_Y]
         z[HEADING] += turn
-        for row, by in ((X, -dy), (Y, dx)):  # by the heading in the middle
-            slopes[row, HEADING], slopes[row, BIAS] = 0.5 * by * (1 + keep), 0.5 * by * (1 - keep)
-            slopes[row, LN_A] = by * half
-        slopes[X, LN_V], slopes[Y, LN_V] = dx, dy
-        slopes[X, FLOW_X] = slopes[Y, FLOW_Y] = t
-        slopes[HEADING, HEADING], slopes[HEADING, BIAS] = keep - 1, 1 - keep
-        slopes[HEADING, LN_A] = turn
-        if model.helix > 0:
-            angle = t * model.helix * math.exp(z[LN_W])
+        if cov is not None:
+            _spread(cov, more, t, dx, dy, half, turn, keep)
+        if helix > 0:
+            angle = t * helix
             c, s = math.cos(angle), math.sin(angle)
             z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
-            slopes[SINE, SINE], slopes[SINE, COSINE] = c - 1, s
-            slopes[COSINE, SINE], slopes[COSINE, COSINE] = -s, c - 1
-            slopes[SINE, LN_W], slopes[COSINE, LN_W] = angle * z[COSINE], -angle * z[SINE]
+            if cov is not None:
+                _swing(cov, more, c - 1, s, angle * z[SINE], angle * z[COSINE])
         if cov is not None:
-            _spread(cov, slopes)
             for k in range(SIZE):
                 factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
                 cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
 
 
 @compiled(**INLINE_FAST)
-def _spread(cov, slopes):
-    """Replace P by (1 + S) P (1 + S)' for the slopes S (MOVED, SIZE) of the moved states."""
-    more = np.zeros((MOVED, SIZE))
-    for _ in range(2):  # rows, then columns, which are the rows of the transposed matrix
-        for j in range(MOVED):
-            for k in range(SIZE):
-                more[j, k] = 0.0
-            for m in range(SIZE):
-                by = slopes[j, m]
-                if by != 0.0:
-                    for k in range(SIZE):
-                        more[j, k] += by * cov[m, k]
-        for j in range(MOVED):
-            for k in range(SIZE):
-                cov[j, k] += more[j, k]
-        for j in range(SIZE):
-            for k in range(j):
-                cov[j, k], cov[k, j] = cov[k, j], cov[j, k]
+def _spread(cov, more, t, dx, dy, half, turn, keep):
+    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading.
+
+    With M = S P this is P + M + M' + M S'. Heading, ln a and turn bias alone change the heading,
+    and the headings in the middle, by which the way (dx, dy) turns.
+    """
+    stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
+    for k in range(SIZE):
+        middle = stays * cov[HEADING, k] + goes * cov[BIAS, k] + half * cov[LN_A, k]
+        x = dx * cov[LN_V, k] + t * cov[FLOW_X, k] - dy * middle
+        y = dy * cov[LN_V, k] + t * cov[FLOW_Y, k] + dx * middle
+        heading = (1 - keep) * (cov[BIAS, k] - cov[HEADING, k]) + turn * cov[LN_A, k]
+        more[X, k], more[Y, k], more[HEADING, k] = x, y, heading
+    for j in range(HEADING + 1):
+        middle = stays * more[j, HEADING] + goes * more[j, BIAS] + half * more[j, LN_A]
+        x = dx * more[j, LN_V] + t * more[j, FLOW_X] - dy * middle
+        y = dy * more[j, LN_V] + t * more[j, FLOW_Y] + dx * middle
+        heading = (1 - keep) * (more[j, BIAS] - more[j, HEADING]) + turn * more[j, LN_A]
+        cov[X, j] += x
+        cov[Y, j] += y
+        cov[HEADING, j] += heading
+    _add(cov, more, X, HEADING + 1)
+
+
+@compiled(**INLINE_FAST)
+def _swing(cov, more, c, s, sine, cosine):
+    """The same for the changes of the helix's sine and cosine."""
+    for k in range(SIZE):
+        p, q, w = cov[SINE, k], cov[COSINE, k], cov[LN_W, k]
+        more[SINE, k], more[COSINE, k] = c * p + s * q + cosine * w, c * q - s * p - sine * w
+    for j in range(SINE, MOVED):
+        p, q, w = more[j, SINE], more[j, COSINE], more[j, LN_W]
+        cov[SINE, j] += c * p + s * q + cosine * w
+        cov[COSINE, j] += c * q - s * p - sine * w
+    _add(cov, more, SINE, MOVED)
+
+
+@compiled(**INLINE_FAST)
+def _add(cov, more, first, end):
+    """Add M + M' to P for the rows `first` to `end` of M (MOVED, SIZE), the others of which are 0;
+    P stays symmetric."""
+    for j in range(first, end):
+        for k in range(SIZE):
+            cov[j, k] += more[j, k]
+        for k in range(first, end):
+            cov[k, j] += more[j, k]
+    for j in range(first, end):
+        for k in range(SIZE):
+            if k < first or k > j:
+                cov[k, j] = cov[j, k]
 
 
 @compiled(**INLINE_FAST)
 def _expected(model, i, z, slopes):
-    """Return the pose that a camera would measure; its slopes (3, SIZE) are filled."""
+    """Return the pose that a camera would measure; its slopes by the states BY are filled."""
     c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
     rate = model.helix * math.exp(z[LN_W]) / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
     across = rate * z[COSINE]
     flat = 1 / (1 + across * across)
-    slopes[0, X] = slopes[1, Y] = slopes[2, HEADING] = slopes[2, MARKER] = 1.0
-    slopes[0, SINE], slopes[1, SINE], slopes[2, COSINE] = -s, c, rate * flat
-    slopes[0, HEADING], slopes[1, HEADING] = -c * z[SINE], -s * z[SINE]
-    slopes[2, LN_W], slopes[2, LN_V] = across * flat, -across * flat
+    slopes[0, 0] = slopes[1, 0] = slopes[2, 0] = slopes[2, 1] = 1.0
+    slopes[0, 1], slopes[1, 1] = -c * z[SINE], -s * z[SINE]
+    slopes[0, 2], slopes[1, 2], slopes[2, 2] = -s, c, rate * flat
+    slopes[2, 3], slopes[2, 4] = -across * flat, across * flat
     tilt = math.atan(across)
     return z[X] - s * z[SINE], z[Y] + c * z[SINE], z[HEADING] + z[MARKER] + tilt
 
 
 @compiled(**INLINE_FAST)
-def _correct(z, cov, slope, off, var):
-    """Update by a measured number that differs by `off` from its prediction, of the given slope
-    (SIZE,) and variance; return the number's variance before the update.
+def _correct(z, cov, j, slopes, off, var, gain):
+    """Update by measured number j; return its variance before the update.
 
-    P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': after a long time without a
-    fit, P is many orders larger than `var`, and by rounding P - k h P would not be a covariance.
+    The numbers differ by off (3,) from their predictions, which are updated too, and have
+    variances var (3,). P is updated in Joseph's form, (1 - k h) P (1 - k h)' + k var k': after a
+    long time without a fit, P is many orders larger than `var`, and by rounding P - k h P would
+    not be a covariance.
     """
-    gain, total = np.zeros(SIZE), var
+    total, miss = var[j], off[j]
     for k in range(SIZE):
-        for j in range(SIZE):
-            gain[k] += cov[k, j] * slope[j]
-    for k in range(SIZE):
-        total += slope[k] * gain[k]
+        gain[k] = 0.0
+        for n in range(len(BY[0])):
+            gain[k] += slopes[j, n] * cov[BY[j, n], k]
+    for n in range(len(BY[0])):
+        total += slopes[j, n] * gain[BY[j, n]]
     for k in range(SIZE):
         share, left = gain[k] / total, 0.0
-        z[k] += share * off
+        z[k] += share * miss
         for m in range(SIZE):
             cov[k, m] -= share * gain[m]
-        for j in range(SIZE):
-            left += cov[k, j] * slope[j]
+        for n in range(len(BY[0])):
+            left += cov[k, BY[j, n]] * slopes[j, n]
         for m in range(SIZE):
-            cov[k, m] += (var * share - left) * (gain[m] / total)
-    for k in range(SIZE):
-        for m in range(k):
-            cov[k, m] = cov[m, k] = 0.5 * (cov[k, m] + cov[m, k])
+            cov[k, m] += (var[j] * share - left) * (gain[m] / total)
+    for later in range(j + 1, 3):
+        for n in range(len(BY[0])):
+            off[later] -= slopes[later, n] * gain[BY[later, n]] * (miss / total)
     return total
 
 
 @compiled(**INLINE_FAST)
-def _measure(model, i, z, cov, scale, pose, found):
+def _measure(model, i, z, cov, scale, pose, found, work):
     """Update one hypothesis by a pose (3,); return the logarithm of the pose's likelihood.
 
     `found` (3,) is filled with the innovations along and across the course and of the heading, over
     their deviations; an outlier has the likelihood of a pose at the gate.
     """
-    slopes, before = np.zeros((3, SIZE)), np.empty(SIZE)
-    for k in range(SIZE):
-        before[k] = z[k]
+    _, slopes, off, var, gain = work
     expected = _expected(model, i, z, slopes)
     c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
-    off, var, sure = np.empty(3), np.empty(3), np.empty(3)
     d2 = lns = 0.0
     for j in range(3):
         off[j] = pose[j] - expected[j] if j < 2 else _wrap(pose[j] - expected[j])
-        var[j] = sure[j] = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
-        for k in range(SIZE):
-            for m in range(SIZE):
-                sure[j] += slopes[j, k] * cov[k, m] * slopes[j, m]
-        d2 += off[j] * off[j] / sure[j]
-        lns += math.log(sure[j])
-    east, north = off[0] / math.sqrt(sure[0]), off[1] / math.sqrt(sure[1])
-    found[0], found[1] = c * east + s * north, c * north - s * east
-    found[2] = off[2] / math.sqrt(sure[2])
+        var[j] = sure = model.noise[j, i] ** 2 * scale[0 if j < 2 else 1]
+        for n in range(len(BY[0])):
+            for m in range(len(BY[0])):
+                sure += slopes[j, n] * cov[BY[j, n], BY[j, m]] * slopes[j, m]
+        d2 += off[j] * off[j] / sure
+        lns += math.log(sure)
+        found[j] = off[j] / math.sqrt(sure)
+    found[0], found[1] = c * found[0] + s * found[1], c * found[1] - s * found[0]
     if not d2 <= ASSUMED.gate:
         return -0.5 * (ASSUMED.gate + lns)
     ln = 0.0
     for j in range(3):
-        miss = off[j]
-        for k in range(SIZE):
-            miss -= slopes[j, k] * (z[k] - before[k])
-        total = _correct(z, cov, slopes[j], miss, var[j])
-        ln -= 0.5 * (miss * miss / total + math.log(total))
+        total = _correct(z, cov, j, slopes, off, var, gain)
+        ln -= 0.5 * (off[j] * off[j] / total + math.log(total))
+    for k in range(SIZE):
+        for m in range(k):
+            cov[k, m] = cov[m, k] = 0.5 * (cov[k, m] + cov[m, k])
     return ln
 
 
@@ -259,19 +288,21 @@ def _stick(bank, b, i, seconds, now):
 
 
 @compiled(**INLINE_FAST)
-def _weigh(bank, b, i, model, pose, seconds):
+def _weigh(bank, b, i, model, pose, seconds, found, best, work):
     """Update all hypotheses of robot i by a pose; return the logarithm of the pose's likelihood."""
     weight, scale = bank.weight[b, i], bank.scale[b, i]
-    found, best, most = np.zeros(3), np.zeros(3), -math.inf
+    most, total = -math.inf, 0.0
     for s in range(SLOTS):
         if weight[s] > -math.inf:
             z, cov = bank.state[b, i, s], bank.cov[b, i, s]
-            weight[s] += _measure(model, i, z, cov, scale, pose, found)
+            weight[s] += _measure(model, i, z, cov, scale, pose, found, work)
             if weight[s] > most:
                 most = weight[s]
                 for k in range(3):
                     best[k] = found[k]
-    total = most + math.log(np.exp(weight - most).sum())
+    for s in range(SLOTS):
+        total += math.exp(weight[s] - most)
+    total = most + math.log(total)
     for s in range(SLOTS):
         if weight[s] > -math.inf:
             weight[s] = max(weight[s] - total, ASSUMED.least_weight)
@@ -330,7 +361,8 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
     Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
     measured; only those with `seen` (N,) True are used. Returns ln of their likelihoods (B, N).
     """
-    found = np.zeros(bank.unfit.shape)
+    found, off, best = np.zeros(bank.unfit.shape), np.zeros(3), np.zeros(3)
+    work = np.empty((MOVED, SIZE)), np.zeros(BY.shape), np.empty(3), np.empty(3), np.empty(SIZE)
     for i in range(model.a.size):
         for b in range(bank.tau.shape[0]):
             if bank.score[b, i] == -math.inf:
@@ -347,13 +379,13 @@ def follow(bank, model, step, since, until, when, u, poses, seen):
                         stops = min(max(bank.until[b, i, s], t), end)
                         for way, time in ((held, stops - t), (math.nan, end - stops)):
                             if time > 0:
-                                advance(model, i, z, cov, way, bank.scale[b, i], time)
+                                advance(model, i, z, cov, way, bank.scale[b, i], time, work[0])
                 t = end
                 if acts:
                     _switch(bank, model, b, i, u[coming], step, t)
                     bank.next[b, i] += 1
             if seen[i]:
-                found[b, i] = _weigh(bank, b, i, model, poses[i], until - since)
+                found[b, i] = _weigh(bank, b, i, model, poses[i], until - since, off, best, work)
                 bank.score[b, i] += found[b, i]
             _stick(bank, b, i, until - since, until)
         most, memory = -math.inf, math.exp(-(until - since) / ASSUMED.forget_s)

@@ -71,6 +71,7 @@ Ints = NDArray[np.int64]
 
 PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""
+KEPT_COMMANDS = 32  # least number of commands kept after they acted: filters may restart
 SPACING_S = 0.03  # least time between two frames used [s]
 LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
 SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
@@ -172,8 +173,8 @@ class FilterBank:
             self._from_ns = command.sent_ns + round(settled * SECOND)
         self._when = np.append(self._when, when)
         self._u = np.append(self._u, np.nan if command.direction is None else command.direction)
-        done = int(self._bank.next.min())
-        if done > 64:  # some commands are kept after they have acted
+        done = int(self._bank.next.min()) - KEPT_COMMANDS
+        if done > KEPT_COMMANDS:
             self._when, self._u = self._when[done:].copy(), self._u[done:].copy()
             self._bank.next[:] -= done
 

@@ -1,6 +1,7 @@
 """The filters of the robots: what they identify, and what they take for lost, stuck or stale."""
 
 import math
+from copy import deepcopy
 from dataclasses import replace
 
 import numpy as np
@@ -297,3 +298,17 @@ def test_a_covariance_of_many_orders_stays_a_covariance():
         both = cov[:, heading, heading] + cov[:, marker, marker] + 2 * cov[:, heading, marker]
         assert both.min() >= 0
         assert np.isfinite(filters._bank.score).all()
+
+
+def test_the_filters_of_a_replaced_robot_know_the_direction_it_follows():
+    """Regression: commands that had acted were forgotten at once, 65 at a time."""
+    stand = []
+
+    def replaced(k, problem, estimator, plant):
+        bank = deepcopy(estimator.filter)
+        bank.restart([0])
+        if k > 10:
+            stand.append(bool(np.isnan(bank._bank.u[:, 0, 0]).any()))
+
+    know(["plant.dead_time=0.1"], seconds=4, rate=20, until=replaced)
+    assert not any(stand)

@@ -4,10 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.ndimage import label
 from support.bounded import shapes, spec
 
 from tetractl.core.poses import Poses
-from tetractl.model.free_space import clearance, shut_out
+from tetractl.model.free_space import _connected, clearance, shut_out
 from tetractl.model.obstacles import Obstacles
 
 
@@ -81,3 +84,12 @@ def test_where_a_random_path_goes_nothing_is_shut_out(seed, margin):
     ]
     assert len(apart) > 20
     assert shut_out(placed(apart, path[0], path[-1]), margin, walls=True) == [0]
+
+
+@given(st.integers(0, 2**32), st.integers(1, 30), st.integers(1, 30), st.floats(0.3, 0.8))
+def test_cells_are_connected_as_scipy_labels_them(seed, rows, columns, share):
+    rng = np.random.default_rng(seed)
+    free, cells = rng.random((rows, columns)) < share, rng.random((rows, columns)) < 0.01
+    regions, _ = label(free, np.ones((3, 3)))
+    expected = np.isin(regions, regions[cells & free])
+    assert np.array_equal(_connected(cells, free), expected)

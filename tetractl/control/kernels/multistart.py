@@ -10,7 +10,7 @@ from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import Integers, judge, polish
 from tetractl.control.kernels.options import ENTRY_FAST, inlined
 from tetractl.control.kernels.rollout import costs
-from tetractl.control.rng import FACTORS, GOLDEN
+from tetractl.control.kernels.update import drawn
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials
 
@@ -18,7 +18,7 @@ BETWEEN_LOOKS = 130_000  # robot steps between two checks of the deadline, below
 WARM = 0.5  # largest distance of a scattered sequence from the warm start [rad]
 
 _wrap = inlined(polynomials.wrap)
-_GOLDEN, _ONE, _TWO = map(np.uint64, (GOLDEN, FACTORS[0], FACTORS[1]))
+S11 = np.uint64(11)
 
 
 class Polished(NamedTuple):
@@ -89,20 +89,17 @@ def scatter(rollout, key, middle, warm, draws, signals, total):
     knots, particles = draws.shape
     for k in range(knots):
         for n in range(particles):
-            z = key + np.uint64(k * particles + n + 1) * _GOLDEN
-            z = (z ^ (z >> np.uint64(30))) * _ONE
-            z = (z ^ (z >> np.uint64(27))) * _TWO
-            z = (z ^ (z >> np.uint64(31))) >> np.uint64(11)
-            draws[k, n] = 2 * (np.float64(z) * 2.0**-53) - 1
-    length = signals.shape[0]
+            draw = drawn(key, k * particles + n) >> S11
+            draws[k, n] = 2 * (np.float64(draw) * 2.0**-53) - 1
+    length, every = signals.shape[0], 2 if warm.size else 1
     for j in range(length):
         at = j * (knots - 1) / max(length - 1, 1)
         below = min(int(at), max(knots - 2, 0))
         after, share = min(below + 1, knots - 1), at - below
-        for n in range(particles):
+        for n in range(every - 1, particles, every):
             curve = draws[below, n] * (1 - share) + draws[after, n] * share
             signals[j, n] = _wrap(middle + math.pi * curve)
-        for n in range(0, particles if warm.size else 0, 2):
+        for n in range(0, particles if warm.size else 0, every):
             curve = draws[below, n] * (1 - share) + draws[after, n] * share
             signals[j, n] = _wrap(warm[j] + WARM * curve)
     return costs(rollout, signals, total)

@@ -6,17 +6,17 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
-from tetractl.control.rng import GOLDEN
+from tetractl.control.rng import FACTORS, GOLDEN
 
-_GOLDEN = np.uint64(GOLDEN)
-MIX_1, MIX_2 = np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+STEP, MIX_1, MIX_2 = (np.uint64(number) for number in (GOLDEN, *FACTORS))
 S27, S30, S31, S33 = (np.uint64(s) for s in (27, 30, 31, 33))
 LOW_31 = np.uint64(0x7FFF_FFFF)
 
 
 @compiled(**INLINE_FAST)
-def mixed(z):
-    """Return 64 random bits, the mix of the generator's state z; see `tetractl.control.rng`."""
+def drawn(key, index):
+    """Return draw `index` of a key, 64 random bits; see `tetractl.control.rng`."""
+    z = key + np.uint64(index + 1) * STEP
     z = (z ^ (z >> S30)) * MIX_1
     z = (z ^ (z >> S27)) * MIX_2
     return z ^ (z >> S31)
@@ -28,9 +28,8 @@ def move(u, v, best, u_gb, key, z, inertia, cognitive, social):
     length, particles = u.shape
     c1, c2 = cognitive * 2.0**-31, social * 2.0**-31  # r1, r2 are integers of 31 bits
     for j in range(length):
-        base = key + np.uint64((z * length + j) * particles + 1) * _GOLDEN
         for n in range(particles):
-            draw = mixed(base + np.uint64(n) * _GOLDEN)
+            draw = drawn(key, (z * length + j) * particles + n)
             r1, r2 = float(np.int32(draw >> S33)), float(np.int32(draw & LOW_31))
             at = u[j, n]
             velocity = inertia * v[j, n] + c1 * r1 * (best[j, n] - at) + c2 * r2 * (u_gb[j] - at)

@@ -184,7 +184,8 @@ class Comparison:
 
     def differences(self) -> Iterator[Difference]:
         """Yield the first difference of each channel and attachment, those of control steps first,
-        and what the log has beyond the records compared.
+        and what the log has beyond the messages compared. Attachments that only the log has are
+        not differences: others may add them.
         """
         yield from sorted(self._found, key=lambda found: found.step is None)
         for topic in self._left.keys() - {channels.LOG}:

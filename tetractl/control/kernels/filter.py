@@ -192,7 +192,8 @@ def _measure(model, i, z, cov, scale, pose, found, work):
     """Update one hypothesis by a pose (3,); return the logarithm of the pose's likelihood.
 
     `found` (3,) is filled with the innovations along and across the course and of the heading, over
-    their deviations; an outlier has the likelihood of a pose at the gate.
+    their deviations; an outlier has the likelihood of a pose at the gate. `work` has scratch
+    arrays.
     """
     _, slopes, off, var, gain = work
     expected = _expected(model, i, z, slopes)

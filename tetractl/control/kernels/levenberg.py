@@ -60,7 +60,7 @@ class Scratch(NamedTuple):
 
 
 class Polish(NamedTuple):
-    """A problem and, as in `Scratch`, the working arrays for polishing one sequence at a time."""
+    """A problem, and room for polishing one sequence at a time."""
 
     start: Floats  # (N, 3) x, y, heading
     turned: Floats  # (4, N) x, y, cos and sin of the heading
@@ -77,22 +77,7 @@ class Polish(NamedTuple):
     separation: float  # least distance of two robots, 0 for robots that may meet
     weight: float  # of a hit in J
     swept: bool
-    traced: Trace
-    near: Floats
-    before: Floats
-    hits: Floats
-    depths: Floats
-    where: Integers
-    meetings: Floats
-    nearest: Integers
-    pulls: Floats
-    rows: Floats
-    residual: Floats
-    gram: Floats
-    factor: Floats
-    step: Floats
-    trial: Floats
-    damping: Floats
+    room: Scratch
 
 
 @lru_cache(maxsize=4)  # a search and the prediction of what it found
@@ -101,7 +86,6 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
     problems of the same shape laid out in this thread use too."""
     of, obstacles = flat(problem), problem.obstacles
     paired = problem.separation > 0
-    scratch = _scratch(get_ident(), problem.a.size, obstacles.count, paired, length)
     return Polish(
         of.start,
         of.turned,
@@ -118,7 +102,7 @@ def lay_out_polish(problem: Problem, length: int) -> Polish:
         float(problem.separation),
         float(problem.obstacle_weight),
         problem.swept,
-        *scratch,
+        _scratch(get_ident(), problem.a.size, obstacles.count, paired, length),
     )
 
 
@@ -151,8 +135,8 @@ def _scratch(thread: int, count: int, obstacles: int, paired: bool, length: int)
 @compiled(**INLINE_FAST)
 def _trace(work, u):
     """Predict the path under signals u, and its gradients."""
-    t0, t = work.first_period, work.period
-    trace(u, work.turned, work.a, work.v, work.drift, t0, t, work.first, work.rest, work.traced)
+    motion = work.drift, work.first_period, work.period, work.first, work.rest
+    trace(u, work.turned, work.a, work.v, *motion, work.room.traced)
 
 
 @compiled(**INLINE_FAST)
@@ -160,9 +144,10 @@ def _merit(work, slack):
     """Return the bound of f(u) plus DEPTH_WEIGHT times the sum of all depths in obstacles and
     meetings; find the depths of positions that are within `slack` of an obstacle.
     """
-    path, length = work.traced.path, work.rows.shape[1]
-    shapes, walls, depths = work.shapes, work.walls, work.depths
-    find_deepest(shapes, walls, path, length, -slack, work.near, depths, work.where)
+    room = work.room
+    path, length = room.traced.path, room.rows.shape[1]
+    shapes, walls, depths = work.shapes, work.walls, room.depths
+    find_deepest(shapes, walls, path, length, -slack, room.near, depths, room.where)
     merit = 0.0
     last = length - 1
     for i in range(work.a.size):
@@ -171,12 +156,12 @@ def _merit(work, slack):
         merit += dx * dx + dy * dy
     merit = math.sqrt(work.a.size * merit)
     for i in range(work.a.size):
-        for o in range(work.depths.shape[1]):
-            merit += DEPTH_WEIGHT * max(0.0, work.depths[i, o])
-    if work.meetings.size:
+        for o in range(room.depths.shape[1]):
+            merit += DEPTH_WEIGHT * max(0.0, room.depths[i, o])
+    if room.meetings.size:
         _find_meetings(work)
-        for m in range(work.meetings.size):
-            merit += DEPTH_WEIGHT * max(0.0, work.meetings[m])
+        for m in range(room.meetings.size):
+            merit += DEPTH_WEIGHT * max(0.0, room.meetings[m])
     return merit
 
 
@@ -185,16 +170,17 @@ def _find_meetings(work):
     """Find the nearest positions of each pair of robots, and the separation minus their
     distance.
     """
-    path, m = work.traced.path, 0
+    room = work.room
+    path, m = room.traced.path, 0
     for i in range(work.a.size):
         for k in range(i):
             least, at = math.inf, 0
-            for j in range(work.rows.shape[1]):
+            for j in range(room.rows.shape[1]):
                 dx, dy = path[0, i, j] - path[0, k, j], path[1, i, j] - path[1, k, j]
                 square = dx * dx + dy * dy
                 if square < least:
                     least, at = square, j
-            work.meetings[m], work.nearest[m] = work.separation - math.sqrt(least), at
+            room.meetings[m], room.nearest[m] = work.separation - math.sqrt(least), at
             m += 1
 
 
@@ -211,7 +197,8 @@ def _linearise(work, floor, slack):
     Obstacles are grown by `slack`, so that a path pushed to their edge ends outside. Each residual
     is linear in one position or, for two robots that meet, in two: the pulls.
     """
-    rows, residual, path, pulls = work.rows, work.residual, work.traced.path, work.pulls
+    room = work.room
+    rows, residual, path, pulls = room.rows, room.residual, room.traced.path, room.pulls
     last, r, squares = rows.shape[1] - 1, 0, 0.0
     for i in range(work.a.size):
         dx, dy = path[0, i, last] - work.target[i, 0], path[1, i, last] - work.target[i, 1]
@@ -224,8 +211,8 @@ def _linearise(work, floor, slack):
         _pull(pulls, r + 1, r + 1, i, last, 0.0, scale)
         r += 2
     for i in range(work.a.size):
-        for o in range(work.depths.shape[1]):
-            deepest, at = work.depths[i, o] + slack, work.where[i, o]
+        for o in range(room.depths.shape[1]):
+            deepest, at = room.depths[i, o] + slack, room.where[i, o]
             if deepest > 0:
                 x, y = path[0, i, at], path[1, i, at]
                 east, north = outward(work.shapes, work.walls, o, x, y)
@@ -234,9 +221,9 @@ def _linearise(work, floor, slack):
                 _pull(pulls, r, r, i, at, -scale * east, -scale * north)
                 r += 1
     e, m = r, 0
-    for i in range(work.a.size if work.meetings.size else 0):
+    for i in range(work.a.size if room.meetings.size else 0):
         for k in range(i):
-            depth, at = work.meetings[m] + slack, work.nearest[m]
+            depth, at = room.meetings[m] + slack, room.nearest[m]
             m += 1
             if depth > 0:
                 dx, dy = path[0, i, at] - path[0, k, at], path[1, i, at] - path[1, k, at]
@@ -251,14 +238,15 @@ def _linearise(work, floor, slack):
         for j in range(last + 1):
             rows[p, j] = 0.0
     for p in range(e):
-        backward(work.traced.gradients, pulls[p], rows)
+        backward(room.traced.gradients, pulls[p], rows)
     return r
 
 
 @compiled(**INLINE_FAST)
 def _gram(work, r):
     """Compute J J' of the first r rows."""
-    rows, gram = work.rows, work.gram
+    room = work.room
+    rows, gram = room.rows, room.gram
     for p in range(r):
         for q in range(p + 1):
             total = 0.0
@@ -268,8 +256,9 @@ def _gram(work, r):
 
 
 @compiled(**INLINE_FAST)
-def _solve(gram, residual, step, r, damping, factor):
+def _solve(room, r, damping):
     """Solve (gram + damping I) step = residual by Cholesky in `factor`; False if it fails."""
+    gram, residual, step, factor = room.gram, room.residual, room.step, room.factor
     for p in range(r):
         for q in range(p + 1):
             total = gram[p, q] + (damping if p == q else 0.0)
@@ -296,17 +285,18 @@ def _solve(gram, residual, step, r, damping, factor):
 
 @compiled(**INLINE_FAST)
 def _propose(work, u, r):
-    """Write u - c J' step to work.trial; c <= 1 keeps every change within LARGEST_STEP."""
+    """Write u - c J' step to `trial`; c <= 1 keeps every change within LARGEST_STEP."""
+    room = work.room
     largest = 0.0
     for j in range(u.size):
         move = 0.0
         for p in range(r):
-            move += work.rows[p, j] * work.step[p]
-        work.trial[j] = move
+            move += room.rows[p, j] * room.step[p]
+        room.trial[j] = move
         largest = max(largest, abs(move))
     shrink = min(1.0, LARGEST_STEP / largest) if largest > 0 else 1.0
     for j in range(u.size):
-        work.trial[j] = u[j] - shrink * work.trial[j]
+        room.trial[j] = u[j] - shrink * room.trial[j]
 
 
 @compiled(**INLINE_FAST)
@@ -321,19 +311,20 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, history, z, 
     evaluations are exceeded. history[z] is the merit after z iterations, (iterations + 1,). A
     Jacobian counts as one evaluation for each of its rows.
     """
-    evaluations, damping = (1, 1e-2) if z == 0 else (0, work.damping[0])
-    work.damping[0] = math.inf
-    most = work.residual.size + 1  # largest number of evaluations in one iteration
+    room = work.room
+    evaluations, damping = (1, 1e-2) if z == 0 else (0, room.damping[0])
+    room.damping[0] = math.inf
+    most = room.residual.size + 1  # largest number of evaluations in one iteration
     merit, begins, r, size = math.inf, True, 0, 0.0
     for j in range(u.size):
-        work.trial[j] = u[j]
+        room.trial[j] = u[j]
     while True:
-        _trace(work, work.trial)
+        _trace(work, room.trial)
         new = _merit(work, slack)
         if begins or new < merit:
             merit = history[z] = new
             for j in range(u.size):
-                u[j] = work.trial[j]
+                u[j] = room.trial[j]
             if not begins:
                 damping = max(0.2 * damping, 1e-10)
                 if z >= patience and merit > PROGRESS * history[z - patience]:
@@ -342,21 +333,21 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, history, z, 
             if z >= iterations or evaluations + most > budget or merit <= tolerance:
                 break
             if z >= pause:
-                work.damping[0] = damping
+                room.damping[0] = damping
                 break
             r = _linearise(work, max(tolerance, 1e-9), slack)
             _gram(work, r)
             evaluations += r
             size = 0.0
             for p in range(r):
-                size += work.gram[p, p] / r
+                size += room.gram[p, p] / r
         else:
             damping *= 5
         solved = False
         while not solved and z < iterations and damping < 1e4 and evaluations < budget:
             z += 1
             history[z] = merit
-            solved = _solve(work.gram, work.residual, work.step, r, damping * size, work.factor)
+            solved = _solve(room, r, damping * size)
             if not solved:
                 damping *= 5
         if not solved:
@@ -368,8 +359,9 @@ def polish(work, u, tolerance, slack, iterations, patience, budget, history, z, 
 
 @compiled(**INLINE_FAST)
 def score(work, length):
-    """Return f of (8) and P of (9) of the path in work.traced after `length` signals."""
-    path, hits, before = work.traced.path, work.hits, work.before
+    """Return f of (8) and P of (9) of the path in `traced` after `length` signals."""
+    room = work.room
+    path, hits, before = room.traced.path, room.hits, room.before
     x, y, x0, y0, gap, last = path[0], path[1], before[0], before[1], before[2], length - 1
     target = obstacle = 0.0
     for i in range(work.a.size):
@@ -379,7 +371,7 @@ def score(work, length):
         for j in range(length):
             hits[i, j] = 0.0
         rows, walls, swept = work.shapes, work.walls, work.swept
-        count_hits(rows, walls, x0, y0, x, y, i, swept, gap, work.near, hits)
+        count_hits(rows, walls, x0, y0, x, y, i, swept, gap, room.near, hits)
         dx, dy = x[i, last] - work.target[i, 0], y[i, last] - work.target[i, 1]
         target += math.sqrt(dx * dx + dy * dy)
     if work.separation > 0:

@@ -57,7 +57,7 @@ def improve(work, starts, done, tolerance, slack, patience, budget, look, polish
         if z == 0:
             if budget < 2:
                 break
-            work.damping[0], polished.evaluations[done] = 0.0, 0
+            work.room.damping[0], polished.evaluations[done] = 0.0, 0
             for j in range(u.size):
                 u[j] = starts[done, j]
         pause = 2**62 if look == 0 else max(z, z + look - used)
@@ -67,7 +67,7 @@ def improve(work, starts, done, tolerance, slack, patience, budget, look, polish
         polished.steps[done] = now
         polished.evaluations[done] += more
         used, budget = used + now - z + 1, budget - more
-        if look > 0 and work.damping[0] < math.inf:
+        if look > 0 and work.room.damping[0] < math.inf:
             break
         polished.costs[done] = judge(work, u)
         polished.evaluations[done] += 1

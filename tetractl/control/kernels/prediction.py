@@ -58,7 +58,7 @@ def drive(start, towards, a, v, drift, motion, seconds, path):
 def foresee(work, u, path):
     """Fill path (L + 1, N, 3) with the poses under u (L,), the start first; return f of (8) and P
     of (9)."""
-    xy = work.traced.path
+    xy = work.room.traced.path
     for i in range(work.a.size):
         for k in range(3):
             path[0, i, k] = work.start[i, k]

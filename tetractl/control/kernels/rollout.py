@@ -48,7 +48,7 @@ def aligned(shape: tuple[int, ...]) -> Floats:
     return raw[first : first + size].reshape(shape)
 
 
-@lru_cache(maxsize=4)  # a step's problem is laid out for one sequence and for a round
+@lru_cache(maxsize=4)  # the rounds of one control step need the same arrays
 def lay_out(problem: Problem, particles: int) -> Rollout:
     """Prepare a problem for rollouts of a number of particles at once; every call returns the same
     arrays."""

@@ -154,7 +154,7 @@ class _PolishedProgress(Progress):
             self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
         self.polished = multistart.workspace(get_ident(), section.polished, length, steps)
         # iterations between two looks at the deadline
-        step = len(self.work.residual) * len(problem.a) * length
+        step = len(self.work.room.residual) * len(problem.a) * length
         self.look = max(1, multistart.BETWEEN_LOOKS // step) if limits.timed else 0
 
     def select(self, key: int) -> Floats:

@@ -38,9 +38,9 @@ def traced(problem, signals):
         work.period,
         work.first,
         work.rest,
-        work.traced,
+        work.room.traced,
     )
-    return work.traced
+    return work.room.traced
 
 
 @given(

@@ -163,7 +163,7 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
             places = bank.mean[rows, :3].copy()
             question = opened(bank, (0, 1), rows.tolist(), places, alike, t)
         field = (math.cos(direction), math.sin(direction))
-        cells.swim(field, [STEP_S], random)
+        cells.swim(field, STEP_S, random)
         bank.predict([(STEP_S, *field)])
         left -= STEP_S
         frame += 1

@@ -166,7 +166,7 @@ def _swum(
             cells = cells.divide(divides, random)
         past.append(cells.copy())
         direction = turns[max(np.searchsorted(turns[:, 0], t + STEP_S / 2, side="right") - 1, 0), 1]
-        cells.swim((math.cos(direction), math.sin(direction)), [STEP_S], random, drift)
+        cells.swim((math.cos(direction), math.sin(direction)), STEP_S, random, drift)
     if divides is not None:
         absent = past[-1].kept(np.arange(len(past[-1])) == len(past[-1]) - 1)
         absent.x[:] = absent.y[:] = np.nan

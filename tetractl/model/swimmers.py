@@ -6,15 +6,14 @@ docs/explanation/cells.md states the source of each number; `guess` means that n
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import cos, sin
 from typing import Self
 
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
+from tetractl.model.motion import helix
 
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
 WIDTH_UM = 26.3, 4.5
@@ -31,9 +30,6 @@ A_LOG_SD = 0.25  # guess
 DIPOLE_SD_RAD = 0.1  # guess: standard deviation of the angle between dipole and body axis
 WALK_RAD_S = 0.05  # guess: rad/sqrt(s)
 DRIFT_UM_S = 3.0  # guess: slow flow of the medium
-SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
-STEP_S = 0.005  # largest time step
-SINK_S = 5.0  # guess: time constant of the wander in depth
 
 
 def speed_factor(celsius: float) -> float:
@@ -89,7 +85,7 @@ class Swimmers:
             x=np.zeros(count),
             y=np.zeros(count),
             heading=random.uniform(-math.pi, math.pi, count),
-            depth=random.normal(0, SINK_UM, count),
+            depth=random.normal(0, helix.SINK_UM, count),
             phase=random.uniform(0, 2 * math.pi, count),
             length=normal(*BODY_UM),
             width=normal(*WIDTH_UM),
@@ -118,55 +114,40 @@ class Swimmers:
         """Return the cells for which a mask (N,) is true."""
         return Swimmers(**{name: each[which] for name, each in vars(self).items()})
 
-    def swim(
+    def laid_out(
         self,
         field: tuple[float | Floats, float | Floats],
-        spans: Sequence[float],
-        random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> Floats:
-        """Advance every cell over M `spans` of time [s], one after another, by the midpoint rule in
-        equal steps of at most STEP_S; return x, y, heading and phase (4, M, N) after each span.
+        """Return the constants (13, N) with which `helix.swim` advances the cells.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
         rate is proportional to its length. `drift` [um/s] is the medium's flow, `walls` [um] are
         edges along which cells slide. A resting cell only drifts.
         """
+        going, turns = ~self.resting, 2 * math.pi * self.helix_hz
+        own = self.a * going, self.bias, self.speed * going, self.walk * going, turns * going
+        edges = -math.inf, math.inf, -math.inf, math.inf
+        if walls is not None:
+            edges = walls.left, walls.right, walls.bottom, walls.top
+        return np.array([each + np.zeros(len(self)) for each in (*own, *field, *drift, *edges)])
+
+    def swim(
+        self,
+        field: tuple[float | Floats, float | Floats],
+        seconds: float,
+        random: np.random.Generator,
+        drift: tuple[float, float] = (0.0, 0.0),
+        walls: Bounds | None = None,
+    ) -> None:
+        """Advance every cell by a time [s]; arguments as of `laid_out`."""
+        shape = helix.steps_until([seconds]), 2, len(self)
         # plain floats: for a few cells ten times faster than arrays
-        count, going = len(self), ~self.resting
-        steps = [math.ceil(span / STEP_S) for span in spans]
-        noise = iter(random.standard_normal((sum(steps), 2, count)).tolist())
-        state = [x, y, heading, phase, depth] = [
-            each.tolist() for each in (self.x, self.y, self.heading, self.phase, self.depth)
-        ]
-        fields = [each + np.zeros(count) for each in field]
-        values = (self.a * going, self.bias, self.speed * going, self.walk * going, *fields)
-        turns = 2 * math.pi * self.helix_hz
-        rows = zip(range(count), *(each.tolist() for each in (*values, turns * going)), strict=True)
-        cells, path = list(rows), []
-        for span, parts in zip(spans, steps, strict=True):
-            for _ in range(parts):
-                dt = span / parts
-                pull, root, (walks, jolts) = dt / SINK_S, math.sqrt(dt), next(noise)
-                jolt = SINK_UM * math.sqrt(2 * pull)
-                for i, a, bias, speed, walk, across, up, turn in cells:
-                    at = heading[i]
-                    dipole = at + bias
-                    half = at + a * (up * cos(dipole) - across * sin(dipole)) * dt / 2
-                    x[i] += (speed * cos(half) + drift[0]) * dt
-                    y[i] += (speed * sin(half) + drift[1]) * dt
-                    dipole = half + bias
-                    at += a * (up * cos(dipole) - across * sin(dipole)) * dt  # (3)
-                    heading[i] = at + walk * root * walks[i]
-                    phase[i] += turn * dt
-                    depth[i] += jolt * jolts[i] - pull * depth[i]
-                if walls is not None:
-                    _slide(x, heading, 0.0, walls.left, walls.right)
-                    _slide(y, heading, math.pi / 2, walls.bottom, walls.top)
-            path.append([each.copy() for each in state[:4]])
-        self.x, self.y, self.heading, self.phase, self.depth = (np.array(each) for each in state)
-        return np.array(path).transpose(1, 0, 2)
+        noise, cells = random.standard_normal(shape).tolist(), self.laid_out(field, drift, walls)
+        state = [each.tolist() for each in (self.x, self.y, self.heading, self.phase, self.depth)]
+        helix.swim(state, cells.tolist(), [seconds], noise)
+        self.x, self.y, self.heading, self.phase, self.depth = np.array(state)
 
     def rest(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""
@@ -188,20 +169,6 @@ class Swimmers:
         both.heading[cell] += turn
         daughter.heading -= turn
         return both.joined(daughter)
-
-
-def _slide(at: list[float], heading: list[float], axis: float, least: float, most: float) -> None:
-    """Keep coordinates `at` of cells between walls, to which the direction `axis` [rad] is normal.
-
-    A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall, and leaves
-    the wall once its heading points away from it.
-    """
-    for i, place in enumerate(at):
-        if place < least or place > most:
-            outwards = 1.0 if place > most else -1.0
-            at[i], off = most if place > most else least, heading[i] - axis
-            if cos(off) * outwards > 0:
-                heading[i] = axis + (math.pi / 2 if sin(off) >= 0 else -math.pi / 2)
 
 
 def walls_of(setup: Setup, rim_um: float = 0.0) -> Bounds:

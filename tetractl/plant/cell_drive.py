@@ -9,6 +9,7 @@ from tetractl.core.poses import Bools, Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
+from tetractl.model.motion.helix import steps_until
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, to_the_left, walls_of
 from tetractl.plant.direct import NEVER
 
@@ -50,17 +51,24 @@ class CellDrive:
         walk: float,
         random: np.random.Generator,
     ) -> None:
+        from tetractl.control.kernels.helix import swim
+
         count, self._um, self._random = len(setup.names), setup.metres * 1e6, random
-        self.cells = cells = Swimmers.drawn(random, count)
+        self._swim, self.cells = swim, Swimmers.drawn(random, count)
+        cells = self.cells
         cells.bias, cells.walk = random.normal(0, section.dipole, count), np.full(count, walk)
         towards = random.uniform(-math.pi, math.pi)
         self._drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
         self._field = np.zeros((2, count))
+        self._laid_out: Floats | None = None  # the cells' constants, under the present field
         # 1 for cells whose last command lets them swim, 0 for others
         self.commanded = self.moving = np.zeros(count)
         rim_um = float(cells.helix_um.max())
         self._walls = walls_of(setup, rim_um) if section.walls else None
         cells.resting[:] = True
+        # the cells' arrays are its rows
+        self._state = np.array([cells.x, cells.y, cells.heading, cells.phase, cells.depth])
+        cells.x, cells.y, cells.heading, cells.phase, cells.depth = self._state
         self.vary(a, speed)
         self._across = cells.helix_um * np.cos(cells.phase)  # from the helix's axis to the body
         self.poses = starts
@@ -73,24 +81,27 @@ class CellDrive:
     @poses.setter
     def poses(self, poses: Poses) -> None:
         cells, um = self.cells, self._um
-        cells.heading, (x, y) = poses.heading, to_the_left(poses.heading, self._across)
-        cells.x = cells.x + (poses.x * um - (cells.x + x))
-        cells.y = cells.y + (poses.y * um - (cells.y + y))
+        cells.heading[:], (x, y) = poses.heading, to_the_left(poses.heading, self._across)
+        cells.x += poses.x * um - (cells.x + x)
+        cells.y += poses.y * um - (cells.y + y)
         self._poses = Poses((cells.x + x) / um, (cells.y + y) / um, poses.heading)
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
-        self.cells.a, self.cells.speed = a.copy(), speed * self._um
+        self.cells.a, self.cells.speed, self._laid_out = a.copy(), speed * self._um, None
 
     def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
         """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now.
 
         `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
-        cells, um, times = self.cells, self._um, seconds.tolist()
-        spans = [until - since for since, until in zip([0.0, *times], times, strict=False)]
-        field = self._field[0], self._field[1]
-        x, y, heading, phase = cells.swim(field, spans, self._random, self._drift, self._walls)
+        cells, um = self.cells, self._um
+        if self._laid_out is None:
+            self._laid_out = cells.laid_out(
+                (self._field[0], self._field[1]), self._drift, self._walls
+            )
+        noise = self._random.standard_normal((steps_until(seconds.tolist()), 2, len(cells)))
+        x, y, heading, phase = self._swim(self._state, self._laid_out, seconds, noise)
         across = cells.helix_um * np.cos(phase)
         left = to_the_left(heading, across)
         x, y, self._across = (x + left[0]) / um, (y + left[1]) / um, across[-1]
@@ -106,3 +117,4 @@ class CellDrive:
         if isinstance(command.action, Steer):
             new = math.cos(command.action.direction), math.sin(command.action.direction)
         self._field = np.where(got, np.array(new)[:, None], self._field)
+        self._laid_out = None

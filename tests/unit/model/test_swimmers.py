@@ -21,7 +21,7 @@ def cells(count=1, seed=1, **values):
 def swum(found, seconds, field=(0.0, 0.0), step=0.002, **options):
     random = np.random.default_rng(0)
     for _ in range(round(seconds / step)):
-        found.swim(field, [step], random, **options)
+        found.swim(field, step, random, **options)
     return found
 
 
@@ -63,12 +63,12 @@ def test_a_cell_slides_along_a_wall_until_it_is_turned_away():
     found = cells(speed=300.0, heading=math.radians(60), a=5.0)
     random = np.random.default_rng(0)
     for _ in range(1000):
-        found.swim((0.0, 0.0), [0.002], random, walls=Bounds(-100.0, -1e6, 100.0, 1e6))
+        found.swim((0.0, 0.0), 0.002, random, walls=Bounds(-100.0, -1e6, 100.0, 1e6))
         assert abs(found.x[0]) <= 100
     assert found.x[0] == 100  # it keeps what its heading has along the wall
     assert found.y[0] > 500
     for _ in range(1000):
-        found.swim((-1.0, -0.2), [0.002], random, walls=Bounds(-1e6, -1e6, 100.0, 1e6))
+        found.swim((-1.0, -0.2), 0.002, random, walls=Bounds(-1e6, -1e6, 100.0, 1e6))
     assert found.x[0] < 0
 
 

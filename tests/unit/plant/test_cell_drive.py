@@ -5,10 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from tetractl.control.kernels import helix as kernel
 from tetractl.core.commands import FieldOff, Steer, Stop
 from tetractl.core.poses import Poses
+from tetractl.core.setup import Bounds
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.experiment.load import parse_spec
+from tetractl.model.motion import helix
+from tetractl.model.swimmers import Swimmers
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.run.interrupt import Interrupt
 from tetractl.run.task import log_path, run_trial
@@ -69,6 +73,23 @@ def test_it_makes_no_difference_how_often_they_are_read():
     twice.advance(times[:37], np.ones(37))
     twice.advance(times[37:] - times[36], np.ones(63))
     assert np.allclose(once.poses.array(), twice.poses.array(), atol=1e-12)
+
+
+def test_compiled_they_swim_as_the_readable_ones_do():
+    """The same bits, along walls too and with a cell that rests."""
+    random = np.random.default_rng(4)
+    cells = Swimmers.drawn(random, 12)
+    cells.x, cells.y = random.uniform(0, 1000, (2, 12))
+    cells.resting[3] = True
+    times, walls = np.array([0.001, 0.0137, 0.2]), Bounds(0.0, 0.0, 1000.0, 1000.0)
+    own = cells.laid_out((0.6, np.linspace(-1, 1, 12)), (3.0, -2.0), walls)
+    state = np.array([cells.x, cells.y, cells.heading, cells.phase, cells.depth])
+    readable, noise = state.copy(), random.standard_normal((helix.steps_until(times), 2, 12))
+    expected = helix.swim(readable, own, times, noise)
+    assert np.array_equal(kernel.swim(state, own, times, noise), expected)
+    assert np.array_equal(state, readable)
+    slid = (expected[0] % 1000 == 0) | (expected[1] % 1000 == 0)
+    assert slid.any() and (expected[:2, -1, 3] != expected[:2, 0, 3]).all()
 
 
 def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():

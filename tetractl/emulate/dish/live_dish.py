@@ -98,7 +98,7 @@ class Dish:
                 x, y = self.field_mt
                 field = x / self._reference_mt, y / self._reference_mt
                 seconds = (self._now_ns - self._swum_ns) / SECOND
-                self.cells.swim(field, [seconds], self._random, walls=self._walls)
+                self.cells.swim(field, seconds, self._random, walls=self._walls)
                 self._swum_ns = self._now_ns
 
 

@@ -134,7 +134,7 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
             angle = (0.8, -0.8, 0.8, 2.5, 3.8)[k // 30]  # to and along the wall, and away from it
             ux, uy = math.cos(angle), math.sin(angle)
             for _ in range(8):
-                cells.swim((ux, uy), [1 / 240], random, walls=Bounds(-1e6, -1e6, 0.0, 1e6))
+                cells.swim((ux, uy), 1 / 240, random, walls=Bounds(-1e6, -1e6, 0.0, 1e6))
             bank.predict([(1 / 30, ux, uy)])
             body = bodies(cells)
             seen = np.column_stack([body.x, body.y, body.axis])

@@ -14,7 +14,7 @@ from tetractl.model.motion.exact import step as exact
 
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
-TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
+TURN_TO = np.linspace(-np.pi, np.pi, 12, endpoint=False)  # directions tried for a turn [rad]
 
 
 class WayOut(NamedTuple):
@@ -65,27 +65,33 @@ def turn_away(problem: Problem, margins: Margins, apart: float) -> float | None:
         towards = facing + bias + np.zeros_like(heading)
         turned = exact(x, y, heading, towards, problem.a, problem.speed, OUT.turn_s)[2]
         start = np.column_stack([x, y, turned])
-        _, *room = _roomiest(problem, start, margins, apart, OUT.room_s)
+        _, *room = _roomiest(problem, start, margins, apart, OUT.room_s, every=2)
         found.append((*room, facing))
     least, _, facing = max(found)
     return facing if least > -np.inf else None
 
 
 def _roomiest(
-    problem: Problem, start: Floats, margins: Margins, apart: float, keep_s: float
+    problem: Problem,
+    start: Floats,
+    margins: Margins,
+    apart: float,
+    keep_s: float,
+    every: int = 1,
 ) -> tuple[Floats, float, float]:
-    """Return the best signals for `way_out` from start (N, 3); the least clearance on their path
-    [length unit], -inf for an unsafe path; and that clearance plus OUT.final times the clearance at
-    the path's end."""
-    turns = problem.period * OUT_RATES[:, None] * np.arange(OUT.signals)
+    """Return the best signals for `way_out` from start (N, 3), of `every` second, third, ... first
+    direction and rate; the least clearance on their path [length unit], -inf for an unsafe path;
+    and that clearance plus OUT.final times the clearance at the path's end."""
+    starts, rates = OUT_STARTS[::every], OUT_RATES[::every]
+    turns = problem.period * rates[:, None] * np.arange(OUT.signals)
     part = problem.period / OUT.parts  # a robot that turns comes nearest within a signal
-    stand = start[None].repeat(len(OUT_STARTS), axis=0)
+    stand = start[None].repeat(len(starts), axis=0)
     rooms = []
     for each in np.repeat(turns, OUT.parts, axis=1):
-        path = compiled_branches(problem, stand, OUT_STARTS, each, part)
+        path = compiled_branches(problem, stand, starts, each, part)
         rooms.append(margins.room(path[..., 0], path[..., 1], apart))
     room = np.concatenate(rooms, axis=1)  # (OUT.parts OUT.signals + 1, B)
-    signals = wrap(turns[:, None] + OUT_STARTS[:, None]).reshape(-1, OUT.signals)
+    signals = wrap(turns[:, None] + starts[:, None]).reshape(-1, OUT.signals)
     least = room.min(axis=0)
     total = least + OUT.final * room[-1]
     best = int(np.argmax(total))

@@ -90,13 +90,7 @@ class Mpc:
     only while the robots move: a plan for standing robots has no deadline.
     """
 
-    def __init__(
-        self,
-        section: RecommendedMpc,
-        setup: Setup,
-        key: int,
-        host: Host,
-    ) -> None:
+    def __init__(self, section: RecommendedMpc, setup: Setup, key: int, host: Host) -> None:
         self.section, self.setup, self.key, self.timer = section, setup, key, host.timer
         self.optimizer, self.circler = host.wrap(section.optimizer), host.wrap(CircleSearch())
         square = isinstance(section.first_plan, Square)
@@ -157,8 +151,8 @@ class Mpc:
         return self.leg.moving if self.last is None else not self.last.pauses
 
     def _left_of_plan(self) -> tuple[int, Floats | None]:
-        """Return the number of control periods for which the present signal of the plan under way
-        has been held, and what is left of the plan (H,), u_(warm); None if none is under way."""
+        """Return for how many control periods the present signal has been held, and what is left of
+        the plan under way (H,), u_(warm); None if none is under way."""
         if self.last is None or self.last.pauses:
             return 0, None
         phase = (self.k - self.began) % self.section.signal_periods
@@ -296,35 +290,43 @@ class Mpc:
             return self._given(problem, State.RESTING) if holds else Outcome.NOTHING_BETTER
         expired = self._expired() if self._moving else never
         searcher = Searcher(self.optimizer, problem, mix(self.key, self.k), expired)
-        plan = self._planned(searcher, self._search_afresh(searcher, value))
-        touches = self.stands and plan.obstacle_cost > 0
-        enters = self.stands and self._enters(problem, plan.signals)
-        if enters or (touches and self._cornered(problem)):
-            out, facing = away(problem, self.margins, self.section.collision.separation)
-            if out is not None:
-                return self._given(problem, State.LEAVING, out, searcher.found)
-            if facing is not None:
-                return replace(plan, state=State.TURNING, instead=Turn(facing))
-            return replace(plan, state=State.STUCK, instead=Stop()) if enters else plan
-        return plan
-
-    def _search_afresh(self, searcher: Searcher, value: Worth) -> Candidate:
-        """Search plans of all lengths; return the one of least value."""
-        good_enough = self.section.optimizer.good_enough or 0.0
-        problem, most = searcher.problem, max(1, self._signals_left)
+        most, good_enough = max(1, self._signals_left), self.section.optimizer.good_enough or 0.0
 
         def good(search: Search) -> bool:
-            signals = search.signals
-            reached = search.cost <= good_enough
-            return reached and self._safe(problem, signals, compiled_foresee(problem, signals))
+            seen = compiled_foresee(problem, search.signals)
+            return search.cost <= good_enough and self._safe(problem, search.signals, seen)
 
-        if not searcher.spread(least_length(problem), most, good):
-            accepted = max(good_enough, self.section.accept_error)
-            if min(search.cost for search in searcher.found) > accepted:
-                later = self._with_margins(problem, None)  # the motion will be identified by then
-                searcher.thoroughly(later, most, good_enough)
+        reached = searcher.spread(least, most, good)
+        plan = self._best(searcher, value)
+        out = self._out(searcher, plan)
+        accepted = max(good_enough, self.section.accept_error)
+        # in a corner, thorough searches take longer than a way out, and are mostly in vain
+        if not (out or reached) and min(one.cost for one in searcher.found) > accepted:
+            later = self._with_margins(problem, None)  # the motion will be identified by then
+            searcher.thoroughly(later, most, good_enough)
+            plan = self._best(searcher, value)
+            out = self._out(searcher, plan)
+        if out is None and self.stands and self._enters(problem, plan.signals):
+            return replace(plan, state=State.STUCK, instead=Stop())
+        return out or plan
+
+    def _best(self, searcher: Searcher, value: Worth) -> Plan:
+        """Return the plan of least value that was found."""
         valued = (self._valued(searcher, search, value) for search in searcher.found)
-        return min(valued, key=lambda one: one.worth)
+        return self._planned(searcher, min(valued, key=lambda one: one.worth))
+
+    def _out(self, searcher: Searcher, best: Plan) -> Plan | None:
+        """Return a plan by which standing robots leave a corner, or turn so that they can next,
+        where the `best` plan found is not safe; None if there is none, or it is safe."""
+        problem = searcher.problem
+        touches = best.obstacle_cost > 0 and self._cornered(problem)
+        if not (self.stands and (touches or self._enters(problem, best.signals))):
+            return None
+        out, facing = away(problem, self.margins, self.section.collision.separation)
+        if out is not None:
+            return self._given(problem, State.LEAVING, out, searcher.found)
+        turning = self._given(problem, State.TURNING, before=searcher.found)
+        return None if facing is None else replace(turning, instead=Turn(facing))
 
     def _planned(self, searcher: Searcher, candidate: Candidate) -> Plan:
         """Return the plan of a candidate."""
@@ -359,8 +361,7 @@ class Mpc:
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
     def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins, given the estimate `known` of the motion, which is
-        None for a certain motion."""
+        """Return the problem with its margins, given the estimate `known`, None if certain."""
         times = self.section.period, self.estimator.dead_time_s
         return self.margins.around(problem, self.section.collision, *times, known)
 

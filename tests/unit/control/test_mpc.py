@@ -200,6 +200,12 @@ def test_a_trial_ends_after_a_step_where_no_turn_gives_a_way_out(monkeypatch):
     assert end is Outcome.NOTHING_BETTER
 
 
+def test_robots_in_a_corner_look_for_a_way_out_before_they_search_thoroughly():
+    """A search that hops a thousand times took twice the time of the way out, and found nothing."""
+    _, turn = decisions_beside_a_wall(2)
+    assert turn.evaluations < 10_000
+
+
 @pytest.mark.parametrize(("gap", "radius"), [(5, 0), (-30, 0), (52, 47), (30, 47)])
 def test_robots_stop_before_a_body_touches_a_wall_or_goes_deeper(gap, radius):
     controller, poses = beside_a_wall(gap, radius=radius)

@@ -158,13 +158,11 @@ class Heard:
     def restart(self, robots: Iterable[int]) -> None:
         pass
 
-    def dead_times(self) -> tuple[np.ndarray, np.ndarray]:
-        return self.banks[0].dead_times()
-
     def ahead(self, sent: int) -> Ahead:
-        poses, *others = zip(*(bank.ahead(sent) for bank in self.banks), strict=True)
-        together = (np.concatenate(one) for one in others)
-        return Ahead(Poses.of(np.vstack([one.array() for one in poses])), *together)
+        each = [bank.ahead(sent) for bank in self.banks]
+        poses = Poses.of(np.vstack([one.poses.array() for one in each]))
+        held = np.concatenate([one.held for one in each])
+        return each[0]._replace(poses=poses, held=held)
 
 
 class Knowing(Mpc):

@@ -74,13 +74,13 @@ class StateEstimator:
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
         self.filter.restart(others)
-        self.dead_time_s = float(self.filter.dead_times()[0].mean())
-        poses, a, speed, bias, flow, self._held = self.filter.ahead(self.sends(observation))
+        poses, bias, flow, self._held, known = self.filter.ahead(self.sends(observation))
+        assert known.dead_time is not None
+        self.dead_time_s = known.dead_time
         if self.estimate is None:
             return replace(self.problem, poses=poses).only(self.left)
-        self.estimate = self.filter.estimate()
-        of_all = replace(self.problem, poses=poses, a=a, speed=speed, bias=bias, flow=flow)
-        return of_all.only(self.left)
+        self.estimate, moves = known, {"a": known.a, "speed": known.speed}
+        return replace(self.problem, poses=poses, bias=bias, flow=flow, **moves).only(self.left)
 
     def sent(self, command: Command) -> None:
         """Add a direction with the time at which it was sent."""

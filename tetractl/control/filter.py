@@ -43,38 +43,37 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tetractl.control.kernels.filter_state import (
     BIAS,
     COSINE,
+    DRIFT,
     FLOW_X,
     FLOW_Y,
+    FOUND,
     GRID,
     LN_A,
     LN_V,
     LN_W,
     MARKER,
+    MISFIT,
     SINE,
     SIZE,
     STATE,
     Bank,
     FilterModel,
+    Shared,
 )
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, FieldOff, Stop, Turn
 from tetractl.core.plan import Estimate
-from tetractl.core.poses import Floats, Observation, Poses
-
-Ints = NDArray[np.int64]
+from tetractl.core.poses import Bools, Floats, Observation, Poses
 
 PITCHES = np.array([0.5, 0.75, 1.0, 1.4])
 """Frequencies of the helix to start from, over the usual one."""
 KEPT_COMMANDS = 32  # least number of commands kept after they acted: filters may restart
 SPACING_S = 0.03  # least time between two frames used [s]
-LEAST_BLOCKS = 10  # number of blocks for which those that are missing count as empty
-SURE = 3.09  # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
 
 
 class Usual(NamedTuple):
@@ -98,16 +97,15 @@ USUAL = Usual()
 
 
 class Ahead(NamedTuple):
-    """N robots at the moments when the next command acts on each: their poses, turning rates a,
-    speeds and turn biases (N,), flow (N, 2), and the directions that they follow (N,) [rad], NaN
-    for a robot that stands."""
+    """N robots at the moments when the next command acts on each: their poses, turn biases (N,),
+    flow (N, 2), and the directions `held` (N,) [rad] that they follow, NaN for a robot that stands;
+    and what is `known` of them."""
 
     poses: Poses
-    a: Floats
-    speed: Floats
     bias: Floats
     flow: Floats
     held: Floats
+    known: Estimate
 
 
 class FilterBank:
@@ -140,8 +138,12 @@ class FilterBank:
         turns = 2 * math.pi * prior.helix_frequency * helix
         times = turns, prior.lag, prior.watchdog
         self._model = FilterModel(prior.a, prior.speed, noise, walk, *times)
-        self._when, self._u = np.empty(0), np.empty(0)  # send times [s], directions [rad]
+        self._sent = np.empty((2, 3 * KEPT_COMMANDS))  # send times [s], and directions [rad]
+        self._when, self._u = self._sent[:, :0]
         self._last: Observation | None = None  # the last frame used
+        self._all = np.ones(count, dtype=np.bool_)
+        # those of the last frame used and of the new ones
+        self._poses, self._seen = np.empty((1, count, 3)), np.empty((1, count), dtype=np.bool_)
         # time at which the filters start [ns]; None if it depends on the first direction
         self._from_ns: int | None = None if drive_first else 0
         self._turning = False  # whether robots have turned on the spot since the last direction
@@ -150,8 +152,7 @@ class FilterBank:
         low, high = max(0.0, prior.dead_time - reach), prior.dead_time + reach
         self._tau = np.arange(low, high + 1e-9, GRID.step_s)  # dead times to start from [s]
         self._steps = np.full(count, GRID.step_s)  # spacing of each robot's dead times [s]
-        self._bank = self._first_bank()
-        self._share()
+        self._lay_out(self._first_bank())
 
     def _first_bank(self) -> Bank:
         tau, count = self._tau, len(self.prior.a)
@@ -161,39 +162,64 @@ class FilterBank:
         mean[..., LN_W] = pitches[pitch, None]
         return Bank.start(np.tile(tau, len(pitches)), mean, self._std.T, pitch)
 
+    def _lay_out(self, bank: Bank) -> None:
+        """Go on with other filters, and lay out what robots tell each other of these."""
+        self._bank, prior, finest = bank, self.prior, GRID.finest_s
+        size = max(len(bank.tau), 3 * len(PITCHES)), len(prior.a)
+        self._chosen = np.empty(size, np.int64), np.empty(size), np.empty(size)
+        times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
+        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
+        near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
+        near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
+        of_time = -(((times - prior.dead_time) / (prior.dead_time_std or 1.0)) ** 2) / 2
+        dead_times = np.array([bank.tau[0], np.zeros(size[1])])
+        room = np.empty((len(times), size[1]))
+        self._shared = Shared(near, of_time, room, bank.score.copy(), dead_times)
+        self._step = float(self._steps.max())
+        self._select(changes=False)
+
     def sent(self, command: Command) -> None:
         """Add a direction or a stop with the time at which it was sent."""
         if isinstance(command.action, FieldOff):
             return
         if not isinstance(command.action, Stop):
             self._turning = isinstance(command.action, Turn)
-        when = command.sent_ns / SECOND
         if self._from_ns is None:
             settled = self.prior.dead_time + GRID.reach * self.prior.dead_time_std
             self._from_ns = command.sent_ns + round(settled * SECOND)
-        self._when = np.append(self._when, when)
-        self._u = np.append(self._u, np.nan if command.direction is None else command.direction)
-        done = int(self._bank.next.min()) - KEPT_COMMANDS
-        if done > KEPT_COMMANDS:
-            self._when, self._u = self._when[done:].copy(), self._u[done:].copy()
+        count = len(self._when)
+        if count == self._sent.shape[1]:
+            done = max(0, int(self._bank.next.min()) - KEPT_COMMANDS)
+            self._sent = np.append(self._sent[:, done:], np.empty((2, done or count)), axis=1)
             self._bank.next[:] -= done
+            count -= done
+        direction = command.direction
+        self._sent[:, count] = command.sent_ns / SECOND, np.nan if direction is None else direction
+        self._when, self._u = self._sent[:, : count + 1]
 
     def seen(self, observation: Observation, earlier: Sequence[Observation] = ()) -> None:
         """Update the filters by those `earlier` frames that are at least SPACING_S apart, and by
         the frame `observation`."""
-        certain = self.prior.certain
+        certain, last, frames = self.prior.certain, self._last, list[Observation]()
+        since = None if self._turning or certain else self._from_ns
+        placed = False
         for frame in (*earlier, observation):
             least = 1 if earlier and frame is observation else round(SPACING_S * SECOND)
-            if self._last and not certain and frame.sampled_ns < self._last.sampled_ns + least:
+            if last and not certain and frame.sampled_ns < last.sampled_ns + least:
                 continue
-            since = None if self._turning or certain else self._from_ns
-            if self._last is None or since is None or frame.sampled_ns < since:
-                self._place(frame)
-            else:
-                self._follow(frame)
-            self._last = frame
-        if not certain:
-            self._select()
+            if last is None or since is None or frame.sampled_ns < since:
+                placed = True
+                frames.clear()  # of what came before nothing is left
+            frames.append(frame)
+            last = frame
+        if placed:
+            self._place(frames[0], self._all)
+        elif self._last:
+            frames.insert(0, self._last)
+        if len(frames) > 1:
+            self._follow(frames)
+        self._last = last
+        self._select()
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
@@ -208,135 +234,65 @@ class FilterBank:
             for column, new in zip(self._bank, first, strict=True):
                 column[:, replaced] = new[:, replaced]
             self._steps[replaced] = GRID.step_s
-            self._place(self._last, replaced)
-            self._share()
+            self._place(self._last, np.isin(np.arange(all_robots), replaced))
+            self._lay_out(self._bank)
 
-    def _place(self, frame: Observation, robots: Iterable[int] | None = None) -> None:
-        """Set the poses to those of a frame, and let robots follow the last command that acts at
-        or before the frame's exposure.
+    def _place(self, frame: Observation, robots: Bools) -> None:
+        """Set the poses of some `robots` (N,) to those of a frame, and let them follow the last
+        command that acts at or before the frame's exposure.
         """
         from tetractl.control.kernels.filter import place  # late: checking a spec needs no compiler
 
-        bank, poses = self._bank, frame.poses.array()
-        acting = np.searchsorted(self._when, frame.sampled_ns / SECOND - bank.tau, "right")
-        for i in range(len(poses)) if robots is None else robots:
-            for b in range(len(bank.tau)):
-                place(bank, b, i, self._model, poses[i])
-                if acting[b, i]:
-                    bank.next[b, i] = acting[b, i]
-                    bank.u[b, i] = self._u[acting[b, i] - 1]
-                    stops = self._when[acting[b, i] - 1] + self._model.watchdog
-                    bank.until[b, i] = stops + bank.tau[b, i]
+        commands, time = (self._when, self._u), frame.sampled_ns / SECOND
+        place(self._bank, self._model, *commands, time, frame.poses.array(), robots)
 
-    def _follow(self, frame: Observation) -> None:
+    def _follow(self, frames: Sequence[Observation]) -> None:
+        """Follow the robots from the first to the last of some frames."""
         from tetractl.control.kernels.filter import follow
 
-        assert self._last is not None
-        last, now = self._last.poses.array(), frame.poses.array()
-        same = (last == now).all(axis=1)
-        if not len(self._when) and frame.valid.any() and not same.all():
-            self._noisy = True
-        frozen = len(same) > 1 and same.all()  # the camera has repeated its last frame
-        # measurements with noise differ, so an equal pose is a repeated one
-        seen = frame.valid & ~(same & (self._noisy | frozen))
-        since, until = self._last.sampled_ns / SECOND, frame.sampled_ns / SECOND
-        step = float(self._steps.max())
-        commands = self._when, self._u
-        follow(self._bank, self._model, step, since, until, *commands, now, seen)
+        if len(frames) > len(self._poses):
+            self._poses = np.empty((len(frames), *self._poses.shape[1:]))
+            self._seen = np.empty(self._poses.shape[:2], dtype=np.bool_)
+        poses, seen = self._poses[: len(frames)], self._seen[: len(frames)]
+        for pose, valid, frame in zip(poses, seen, frames, strict=True):
+            pose[:, 0], pose[:, 1], pose[:, 2] = frame.poses.x, frame.poses.y, frame.poses.heading
+            valid[:] = frame.valid
+        if not len(self._when):
+            moved = (poses[1:] != poses[:-1]).any(axis=(1, 2))
+            self._noisy |= bool((moved & seen[1:].any(axis=1)).any())
+        time = np.array([frame.sampled_ns / SECOND for frame in frames])
+        given = self._when, self._u, time, poses, seen, self._noisy
+        follow(self._bank, self._model, self._step, *given)
 
-    def _share(self) -> None:
-        """Compute the ln of each filter's probability (B, N), up to a constant, by its own frames
-        and by what those of the other robots tell of the common dead time."""
-        bank, prior, finest = self._bank, self.prior, GRID.finest_s
-        times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
-        gaps, width = times[:, None, None] - bank.tau, np.maximum(self._steps, finest) / 2
-        near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
-        near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
-        ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
-        every = ln.sum(axis=1)
-        every -= ((times - prior.dead_time) / (prior.dead_time_std or 1.0)) ** 2 / 2
-        others = every[:, None] - ln
-        told = (near * np.exp(others - others.max(axis=0))[:, None]).sum(axis=0)
-        self._score = bank.score + np.log(told + 1e-300)
-        weight = np.exp(self._score - self._score.max(axis=0))
-        weight /= weight.sum(axis=0)
-        mean = (weight * bank.tau).sum(axis=0)
-        spread = (weight * (bank.tau - mean) ** 2).sum(axis=0)
-        self._dead_times = mean, np.sqrt(spread + (self._steps / 4) ** 2)
-
-    def _select(self) -> None:
-        """Drop filters that are unlikely, and refine each robot's grid around likely dead times."""
+    def _select(self, changes: bool = True) -> None:
+        """Compute how likely filters are; if the bank `changes`, drop filters that are unlikely,
+        and refine each robot's grid around likely dead times."""
         from tetractl.control.kernels.bank import select
 
-        self._share()
-        size = max(len(self._bank.tau), 3 * len(PITCHES)), len(self.prior.a)
-        which, tau, own = np.empty(size, np.int64), np.empty(size), np.empty(size)
-        begun = self._when.size > 0
-        if select(self._bank, self._score, self._steps, begun, which, tau, own):
-            there, robots = which >= 0, np.arange(size[1])
+        if self.prior.certain:
+            return
+        begun, (which, tau, own) = len(self._when) > 0, self._chosen
+        if select(self._bank, self._shared, self._steps, begun, changes, which, tau, own):
+            there, robots = which >= 0, np.arange(which.shape[1])
             last = there.sum(axis=0) - 1
             rows = np.minimum(np.arange(last.max() + 1)[:, None], last)  # the last fills the rest
-            self._bank = self._bank.part(which[rows, robots])
-            self._bank.tau[:] = tau[rows, robots]
-            self._bank.score[:] = np.where(there[: len(rows)], own[rows, robots], -np.inf)
-            self._share()
-
-    def dead_times(self) -> tuple[Floats, Floats]:
-        """Return each robot's dead time and its standard deviation, (N,) each [s]."""
-        if self.prior.certain:
-            return self._bank.tau[0], np.zeros(len(self.prior.a))
-        return self._dead_times
-
-    def _likely(self) -> tuple[tuple[Ints, Ints], tuple[Ints, Ints, Ints]]:
-        """Return the indices of each robot's likeliest filter, and of its likeliest hypothesis."""
-        best = np.argmax(self._score, axis=0), np.arange(len(self.prior.a))
-        return best, (*best, np.argmax(self._bank.weight[best], axis=1))
-
-    def estimate(self) -> Estimate:
-        """Return the parameters of the robots and their standard deviations, which grow by what the
-        test of the innovations finds."""
-        best, each = self._likely()
-        z, cov = self._bank.state[each], self._bank.cov[each]
-        blocks, squares = self._bank.white[best][:, 1, 3], self._bank.white[best][:, 1, :3]
-        more = np.sqrt(np.maximum(1, squares / np.maximum(blocks, LEAST_BLOCKS)[:, None]))
-        var = np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)
-        std = np.sqrt(var) * more.max(axis=1)[:, None]
-        a, speed = self.prior.a * np.exp(z[:, LN_A]), self.prior.speed * np.exp(z[:, LN_V])
-        tau, tau_std = self.dead_times()
-        of_bias = (cov[:, BIAS] + cov[:, MARKER])[:, [BIAS, MARKER]].sum(axis=1)
-        part = 2 / (9 * np.maximum(blocks, LEAST_BLOCKS))
-        limit = np.maximum(blocks, LEAST_BLOCKS) * (1 - part + SURE * np.sqrt(part)) ** 3
-        return Estimate(
-            a=a,
-            a_std=a * std[:, LN_A],
-            speed=speed,
-            speed_std=speed * std[:, LN_V],
-            heading_bias=z[:, BIAS] + z[:, MARKER],
-            heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more.max(axis=1),
-            dead_time=float(tau.mean()),
-            dead_time_std=math.sqrt(np.mean((tau_std * more.max(axis=1)) ** 2) + np.var(tau)),
-            misfit=squares / limit[:, None],
-        )
-
-    def course(self) -> tuple[Poses, Floats, Floats]:
-        """Return position and heading of each robot's course at the last frame, the turn biases
-        (N,) [rad] and the flow (N, 2) [length unit/s]."""
-        z = self._bank.state[self._likely()[1]]
-        return Poses.of(z[:, :3]), z[:, BIAS], z[:, [FLOW_X, FLOW_Y]]
+            bank = self._bank.part(which[rows, robots])
+            bank.tau[:] = tau[rows, robots]
+            bank.score[:] = np.where(there[: len(rows)], own[rows, robots], -np.inf)
+            self._lay_out(bank)
 
     def ahead(self, sent: int) -> Ahead:
         """Return the robots as each will be when a command sent at `sent` [ns] acts on it."""
-        from tetractl.control.kernels import bank as kernel
+        from tetractl.control.kernels.bank import forecast
 
         assert self._last is not None
-        _, (best, _, slots) = self._likely()
-        z, held = np.empty((len(best), STATE)), np.empty(len(best))
-        begin, tau = self._last.sampled_ns / SECOND, self.dead_times()[0]
-        moments = tau, begin, sent / SECOND
-        commands = self._when, self._u
-        kernel.ahead(self._bank, self._model, best, slots, *commands, *moments, z, held)
-        a, speed = self.prior.a * np.exp(z[:, LN_A]), self.prior.speed * np.exp(z[:, LN_V])
-        return Ahead(Poses.of(z[:, :3]), a, speed, z[:, BIAS], z[:, [FLOW_X, FLOW_Y]], held)
+        found = np.empty((FOUND, len(self.prior.a)))
+        given = self._when, self._u, self._last.sampled_ns / SECOND, sent / SECOND
+        dead_time, std = forecast(self._bank, self._model, self._shared, *given, found)
+        x, y, heading, *motion, turn, held = found[: DRIFT.start]
+        more = {"dead_time": dead_time, "dead_time_std": std, "misfit": found[MISFIT].T}
+        known = Estimate(*motion, **more)
+        return Ahead(Poses(x, y, heading), turn, found[DRIFT].T, held, known)
 
 
 def warm_up(prior: Prior, starts: Poses) -> None:

@@ -2,17 +2,18 @@
 
 import math
 from copy import deepcopy
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from oracles import bank as oracle
 from oracles.filter import RobotFilter
 from support.paths import ROOT
 
 from tetractl.control.estimator import StateEstimator
 from tetractl.control.filter import FilterBank
 from tetractl.control.kernels import filter as kernel
-from tetractl.control.kernels.filter_state import HEADING, MARKER
+from tetractl.control.kernels.filter_state import BIAS, FLOW_X, FLOW_Y, HEADING, MARKER, X
 from tetractl.control.prior import Prior
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
@@ -71,6 +72,13 @@ def know(
     return estimator.estimate, plant, estimator
 
 
+def likely(filters):
+    """The state of each robot's likeliest hypothesis (N, STATE) at the last frame."""
+    bank, robots = filters._bank, np.arange(len(filters.prior.a))
+    best = np.argmax(filters._shared.score, axis=0), robots
+    return bank.state[(*best, np.argmax(bank.weight[best], axis=1))]
+
+
 @pytest.mark.parametrize("dead_time", [0.0, 0.05, 0.14, 0.26])
 @pytest.mark.parametrize("rate", [5, 20])
 def test_the_dead_time_is_found_from_nothing(dead_time, rate):
@@ -81,7 +89,7 @@ def test_the_dead_time_is_found_from_nothing(dead_time, rate):
 def test_each_robot_may_have_a_dead_time_of_its_own():
     late_s = [0.0, 0.06, 0.12]
     found, plant, estimator = know([*NOISY, "plant.dead_time=0.1"], 8, 20, late_s=late_s)
-    assert estimator.filter.dead_times()[0] == pytest.approx(np.add(0.1, late_s), abs=0.006)
+    assert estimator.filter._shared.dead_times[0] == pytest.approx(np.add(0.1, late_s), abs=0.006)
     assert found.dead_time_std > 0.04
     assert found.a == pytest.approx(plant.a, rel=0.03)
 
@@ -141,8 +149,9 @@ def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     found, plant, estimator = know([*NOISY, off, "plant.dead_time=0.1"], 10)
     sides = plant._disturbances[0]._off
     assert found.heading_bias == pytest.approx(sides, abs=0.03)
-    assert estimator.filter.course()[1] == pytest.approx([0.0] * 3, abs=0.03)
-    assert estimator.filter.course()[0].heading == pytest.approx(plant.poses.heading, abs=0.03)
+    state = likely(estimator.filter)
+    assert state[:, BIAS] == pytest.approx([0.0] * 3, abs=0.03)
+    assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.03)
 
 
 def test_where_robots_with_lagging_wheels_come_to_rest_is_predicted():
@@ -167,11 +176,12 @@ WOBBLE = (  # points that weave, seen by a camera that measures the body's axis
 @pytest.mark.parametrize("settings", [(), WOBBLE], ids=["cells", "wobble"])
 def test_cells_are_followed_through_helix_noise_and_flow(settings):
     found, plant, estimator = know(settings, 12, spec=CELLS)
-    _, _, flow = estimator.filter.course()
+    state = likely(estimator.filter)
     assert found.a == pytest.approx(plant.a, rel=0.1)
     assert found.speed == pytest.approx(plant.speed, rel=0.02)
-    assert flow == pytest.approx(np.tile(plant._disturbances[0]._velocity, (3, 1)), abs=8)
-    assert estimator.filter.course()[0].heading == pytest.approx(plant.poses.heading, abs=0.15)
+    flow = np.tile(plant._disturbances[0]._velocity, (3, 1))
+    assert state[:, [FLOW_X, FLOW_Y]] == pytest.approx(flow, abs=8)
+    assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
 
 
 def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
@@ -205,7 +215,7 @@ def test_a_picture_that_is_shown_again_is_no_measurement():
     off = []
 
     def compare(k, problem, estimator, plant):
-        off.append(np.abs(estimator.filter.course()[0].x - plant.poses.x).max())
+        off.append(np.abs(likely(estimator.filter)[:, X] - plant.poses.x).max())
 
     found, plant, _ = know(NOISY, rate=20, altered=frozen(400), until=compare)
     assert max(off) < 10
@@ -221,7 +231,7 @@ def test_a_single_wrong_pose_is_an_outlier_and_a_lasting_one_a_jump():
 
     found, plant, estimator = know(NOISY, altered=jump)
     assert found.speed == pytest.approx(plant.setup.speed, rel=0.01)
-    assert estimator.filter.course()[0].x == pytest.approx(plant.poses.x + 150, abs=5)
+    assert likely(estimator.filter)[:, X] == pytest.approx(plant.poses.x + 150, abs=5)
 
 
 @pytest.mark.parametrize(("lag", "watchdog"), [(0.0, math.inf), (0.04, math.inf), (0.04, 0.15)])
@@ -236,7 +246,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
     made = made._make(column[1:2] for column in made)  # a frequency that is not the usual one
     made.tau[:] = 0.1
     start = np.array([10.0, 20.0, 3.1])
-    kernel.place(made, 0, 0, model, start)
+    kernel.place(made, model, np.empty(0), np.empty(0), 0.0, start[None], np.array([True]))
     slow = RobotFilter(model, 0, made.state[0, 0, 0], made.cov[0, 0, 0])
     when, u = 0.2 * np.arange(8) + 0.013, rng.uniform(-2, 2, 8)
     u[5] = math.nan  # a stop
@@ -245,9 +255,10 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
         until = k / 30
         pose = pose + rng.normal(0, [4, 4, 0.03])
         pose[2] = math.remainder(pose[2], math.tau)
-        seen = np.array([k % 7 > 0])
+        seen = np.array([[False], [k % 7 > 0]])
         made.score[:] = 0.0
-        kernel.follow(made, model, 0.02, now, until, when, u, pose[None], seen)
+        frames = np.array([now, until]), np.stack([0 * pose, pose])[:, None], seen
+        kernel.follow(made, model, 0.02, when, u, *frames, False)
         at = now
         while acts and acts[0] <= until:
             for one in filter(None, slow.slots):
@@ -256,7 +267,7 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
             slow.switch(float(u[len(u) - len(acts) - 1]), 0.02)
         for one in filter(None, slow.slots):
             slow.advance(one, until - at)
-        if seen[0]:
+        if seen[1, 0]:
             score = slow.weigh(pose)
         slow.stick(until - now)
         now = until
@@ -271,13 +282,30 @@ def test_the_kernel_does_what_the_readable_filter_does(lag, watchdog):
     assert np.isfinite(score)
 
 
+@pytest.mark.parametrize("spec", [EXPERIMENT, CELLS])
+def test_the_kernel_says_of_a_bank_what_the_readable_one_does(spec):
+    sizes, dead_time = set(), ["plant.dead_time=0.07"]
+
+    def compare(k, problem, estimator, plant):
+        filters, found = estimator.filter, estimator.estimate
+        sizes.add(filters._bank.tau.shape)
+        score, *dead_times = oracle.share(filters)
+        assert filters._shared.score == pytest.approx(score, rel=1e-9)
+        assert filters._shared.dead_times == pytest.approx(np.array(dead_times), rel=1e-9)
+        for name, value in asdict(oracle.estimate(filters)).items():
+            assert getattr(found, name) == pytest.approx(value, rel=1e-9, abs=1e-12), name
+
+    know([*NOISY, *dead_time] if spec is EXPERIMENT else dead_time, 4, until=compare, spec=spec)
+    assert len(sizes) > 2
+
+
 def test_a_robot_whose_watchdog_stops_it_fits_a_hypothesis():
     """At 5 Hz, a robot that misses one direction stands after 0.25 s, until it hears the next."""
     unfit = []
 
     def compare(k, problem, estimator, plant):
-        filters = estimator.filter
-        unfit.append(filters._bank.unfit[filters._likely()[0]].max() if k > 15 else 0.0)
+        bank, best = estimator.filter._bank, np.argmax(estimator.filter._shared.score, axis=0)
+        unfit.append(bank.unfit[best, np.arange(len(best))].max() if k > 15 else 0.0)
 
     settings = [*NOISY, "plant.dead_time=0.12", "plant.lost_commands=0.15"]
     know(settings, seconds=30, until=compare, seed=4)

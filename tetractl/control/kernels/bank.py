@@ -1,5 +1,5 @@
-"""What a bank of filters (`tetractl.control.kernels.filter`) says as a whole: where its likeliest
-hypotheses lead, and which filters are to go on.
+"""What a bank of filters (`tetractl.control.kernels.filter`) says as a whole: what its likeliest
+hypotheses tell of robots, and which filters go on. The readable twin is `tests/oracles/bank.py`.
 """
 
 import math
@@ -7,14 +7,22 @@ import math
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.filter import advance
+from tetractl.control.kernels.filter import likeliest
+from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import (
+    ASSUMED,
+    BIAS,
+    FLOW_X,
+    FLOW_Y,
     GRID,
     HEADING,
     LN_A,
     LN_V,
     LN_W,
+    MARKER,
+    MISFIT,
     PACE,
+    SLOTS,
     STUCK,
     SWING,
     X,
@@ -24,54 +32,141 @@ from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**ENTRY_FAST)
-def ahead(bank, model, best, slot, when, u, tau, begin, sent, states, held):
-    """Predict each robot by the hypothesis slot (N,) of its filter best (N,) from `begin` [s] to
-    the moment when a command sent at `sent` [s] acts on it, tau (N,) [s] later.
+def forecast(bank, model, shared, when, u, begin, sent, found):
+    """Fill found (FOUND, N) with what each robot's likeliest hypothesis tells; return the mean of
+    the dead times and its standard deviation [s].
 
-    Commands u (C,) [rad] were sent at times when (C,) [s]. states (N, STATE) are filled, as are the
-    directions held (N,) [rad] that robots follow then, NaN for a robot that stands. Lagging wheels
-    then stop: the states are those in which the robots come to rest.
+    Poses are those at which a command sent at `sent` [s] acts on each robot, and those in which
+    lagging wheels come to rest if they then stop; they are predicted from `begin` [s] through
+    commands u (C,) [rad], sent at times when (C,) [s]. Standard deviations grow by what the test of
+    the innovations finds.
     """
-    for i in range(tau.size):
-        b, s, z = best[i], slot[i], states[i]
+    count, z = model.a.size, np.empty(bank.state.shape[3])
+    mean = doubt = 0.0
+    for i in range(count):
+        best = likeliest(shared.score[:, i], bank.tau.shape[0])
+        slot = likeliest(bank.weight[best, i], SLOTS)
         for k in range(z.size):
-            z[k] = bank.state[b, i, s, k]
-        now, stops = bank.u[b, i, s], bank.until[b, i, s]
-        t, until = begin, max(sent + tau[i], begin)
-        held[i] = now if stops > until else math.nan
-        for c in range(when.size + 1):
-            acts = when[c] + tau[i] if c < when.size else until
-            end = min(max(acts, t), until)
-            drives = min(max(stops, t), end) - t
-            for way, seconds in ((now, drives), (math.nan, end - t - drives)):
-                if seconds > 0:
-                    advance(model, i, z, None, way, None, seconds, None)
-            t = end
-            if c < when.size and acts > begin and s != STUCK:
-                now, stops = u[c], acts + model.watchdog
-                if acts <= until + 1e-9:
-                    held[i] = now if stops > until else math.nan
-        turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
-        half = 0.5 * turn
-        chord = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE] * (1 - half * half / 6)
-        z[X] += chord * math.cos(z[HEADING] + half)
-        z[Y] += chord * math.sin(z[HEADING] + half)
-        z[HEADING] += turn
+            z[k] = bank.state[best, i, slot, k]
+        cov, white, more = bank.cov[best, i, slot], bank.white[best, i, 1], 1.0
+        blocks = max(white[3], ASSUMED.least_blocks)
+        part = 2 / (9 * blocks)
+        limit = blocks * (1 - part + ASSUMED.sure * math.sqrt(part)) ** 3
+        for k in range(3):
+            more = max(more, white[k] / blocks)
+            found[MISFIT.start + k, i] = white[k] / limit
+        more = math.sqrt(more)
+        tau, deviation = shared.dead_times[0, i], more * shared.dead_times[1, i]
+        mean, doubt = mean + tau, doubt + deviation * deviation
+        a, speed = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
+        a_std = more * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
+        speed_std = more * speed * math.sqrt(max(cov[LN_V, LN_V], 0.0))
+        var = cov[BIAS, BIAS] + cov[MARKER, MARKER] + 2 * cov[BIAS, MARKER]
+        held = _ahead(bank, model, best, i, slot, when, u, tau, begin, sent, z)
+        off, off_std = z[BIAS] + z[MARKER], more * math.sqrt(max(var, 0.0))
+        pose, flow = (z[X], z[Y], z[HEADING]), (z[FLOW_X], z[FLOW_Y])
+        numbers = (*pose, a, a_std, speed, speed_std, off, off_std, z[BIAS], held, *flow)
+        for k in range(MISFIT.start):
+            found[k, i] = numbers[k]
+    mean /= count
+    for i in range(count):
+        doubt += (shared.dead_times[0, i] - mean) ** 2
+    return mean, math.sqrt(doubt / count)
+
+
+@compiled(**INLINE_FAST)
+def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
+    """Predict the state z of a hypothesis of robot i to the moment when a command acts, tau [s]
+    after it is sent; return the direction followed then [rad], NaN for a robot that stands."""
+    now, stops = bank.u[b, i, s], bank.until[b, i, s]
+    t, until = begin, max(sent + tau, begin)
+    held = now if stops > until else math.nan
+    for c in range(when.size + 1):
+        acts = when[c] + tau if c < when.size else until
+        end = min(max(acts, t), until)
+        drives = min(max(stops, t), end) - t
+        for way, seconds in ((now, drives), (math.nan, end - t - drives)):
+            if seconds > 0:
+                advance(model, i, z, None, way, None, seconds, None)
+        t = end
+        if c < when.size and acts > begin and s != STUCK:
+            now, stops = u[c], acts + model.watchdog
+            if acts <= until + 1e-9:
+                held = now if stops > until else math.nan
+    turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
+    half = 0.5 * turn
+    chord = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE] * (1 - half * half / 6)
+    z[X] += chord * math.cos(z[HEADING] + half)
+    z[Y] += chord * math.sin(z[HEADING] + half)
+    z[HEADING] += turn
+    return held
+
+
+@compiled(**INLINE_FAST)
+def _share(bank, shared, steps):
+    """Compute ln of each filter's probability, by its own frames and by what those of the other
+    robots tell of the common dead time, and each robot's dead time.
+
+    A filter's frames tell of a time by `near`; those of the others by their sums over filters.
+    """
+    near, room, score = shared.near, shared.room, shared.score
+    own = np.empty(score.shape[0])
+    for i in range(steps.size):
+        for b in range(own.size):
+            own[b] = math.exp(bank.score[b, i])
+        for t in range(room.shape[0]):
+            total = 0.0
+            for b in range(own.size):
+                total += near[t, b, i] * own[b]
+            room[t, i] = math.log(total + 1e-300)
+    for t in range(room.shape[0]):
+        every = shared.prior[t]
+        for i in range(steps.size):
+            every += room[t, i]
+        for i in range(steps.size):
+            room[t, i] = every - room[t, i]
+    for i in range(steps.size):
+        most, total, mean, spread = -math.inf, 0.0, 0.0, 0.0
+        for t in range(room.shape[0]):
+            most = max(most, room[t, i])
+        for b in range(own.size):
+            own[b] = 0.0
+        for t in range(room.shape[0]):
+            others = math.exp(room[t, i] - most)
+            for b in range(own.size):
+                own[b] += near[t, b, i] * others
+        most = -math.inf
+        for b in range(own.size):
+            score[b, i] = bank.score[b, i] + math.log(own[b] + 1e-300)
+            most = max(most, score[b, i])
+        for b in range(own.size):
+            own[b] = math.exp(score[b, i] - most)
+            total += own[b]
+            mean += own[b] * bank.tau[b, i]
+        mean /= total
+        for b in range(own.size):
+            spread += own[b] / total * (bank.tau[b, i] - mean) ** 2
+        shared.dead_times[0, i] = mean
+        shared.dead_times[1, i] = math.sqrt(spread + (steps[i] / 4) ** 2)
 
 
 @compiled(**ENTRY_FAST)
-def select(bank, score, steps, begun, which, tau, own):
-    """Select each robot's filters, and refine its grid of dead times around likely ones.
+def select(bank, shared, steps, begun, changes, which, tau, own):
+    """Compute the probabilities of filters, and select each robot's if the bank may have `changes`:
+    its grid of dead times is refined around likely ones.
 
-    score (B, N) are the shared ln probabilities of all robots' filters; steps (N,) [s] the spacings
-    of the grids, halved in place. Filters far less likely than the best are dropped, and of two
-    frequencies of the helix that have become the same the less likely. A grid changes only if
-    commands were sent (`begun`). which (C, N) are filled with the filters that go on, -1 after the
-    last one, tau and own (C, N) with their dead times [s] and own ln likelihoods. Returns whether
-    anything has changed.
+    steps (N,) [s] are the spacings of the grids, halved in place. Filters far less likely than the
+    best are dropped, and of two frequencies of the helix that have become the same the less likely.
+    A grid changes only if commands were sent (`begun`). which (C, N) are filled with the filters
+    that go on, -1 after the last one, tau and own (C, N) with their dead times [s] and own ln
+    likelihoods. Returns whether anything has changed.
     """
-    changed, size = False, score.shape[0]
+    _share(bank, shared, steps)
+    if not changes:
+        return False
+    changed, score, size = False, shared.score, shared.score.shape[0]
     keep, grid, new = np.empty(size, np.bool_), np.empty(size + 1), np.empty(3)
+    kept = np.empty(size, np.int64)
     for i in range(steps.size):
         for b in range(which.shape[0]):
             which[b, i] = -1
@@ -123,17 +218,15 @@ def select(bank, score, steps, begun, which, tau, own):
             new[fresh] = max(grid[at] + steps[i] * k, 0.0)
             if fresh == 0 or new[fresh] != new[fresh - 1]:
                 fresh += 1
-        changed, kept, n = True, which[:n, i].copy(), 0
+        for r in range(n):
+            kept[r] = which[r, i]
+        changed, of, n = True, kept[:n], 0
         for p in range(pitches):  # frequencies that the poses do not distinguish stay
-            group = kept[bank.pitch[kept, i] == p]
-            for time in new[: fresh if group.size else 0]:
-                near = group[0]
-                for b in group:
-                    if abs(bank.tau[b, i] - time) < abs(bank.tau[near, i] - time):
-                        near = b
-                which[n, i], tau[n, i] = near, time
-                own[n, i] = _interpolated(bank, group, i, time)
-                n += 1
+            for k in range(fresh):
+                near, ln = _between(bank, of, p, i, new[k])
+                if near >= 0:
+                    which[n, i], tau[n, i], own[n, i] = near, new[k], ln
+                    n += 1
         for b in range(n, which.shape[0]):
             which[b, i] = -1
     return changed
@@ -142,20 +235,24 @@ def select(bank, score, steps, begun, which, tau, own):
 @compiled(**INLINE_FAST)
 def _reached(bank, b, i):
     """Return ln of the frequency of the helix that a filter of robot i has reached."""
-    return bank.state[b, i, np.argmax(bank.weight[b, i]), LN_W]
+    return bank.state[b, i, likeliest(bank.weight[b, i], SLOTS), LN_W]
 
 
 @compiled(**INLINE_FAST)
-def _interpolated(bank, group, i, time):
-    """Return the ln likelihood of a dead time `time` [s], between those of a group of filters."""
-    before = group[0]
+def _between(bank, group, p, i, time):
+    """Return which of a group of filters with helix p has its dead time nearest to `time` [s], -1
+    for none, and the ln likelihood of `time`, between those of two filters."""
+    near, before, ln, above = -1, -1, 0.0, False
     for b in group:
-        low, high = bank.tau[before, i], bank.tau[b, i]
-        if time < high:
-            rise = bank.score[b, i] - bank.score[before, i]
-            share = (time - low) / (high - low) if high > low else 0.0
-            return bank.score[before, i] + share * rise
-        if time == high:
-            return bank.score[b, i]
-        before = b
-    return bank.score[before, i]
+        if bank.pitch[b, i] == p and not above:
+            high, own = bank.tau[b, i], bank.score[b, i]
+            if near < 0 or abs(high - time) < abs(bank.tau[near, i] - time):
+                near = b
+            above = time < high
+            if above and before >= 0:
+                low, rise = bank.tau[before, i], own - bank.score[before, i]
+                ln = bank.score[before, i] + (time - low) / (high - low) * rise
+            else:
+                ln = own
+            before = b
+    return near, ln

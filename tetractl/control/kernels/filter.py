@@ -1,17 +1,16 @@
-"""The compiled part of `tetractl.control.filter`, whose readable twin is
-`tests/oracles/filter.py`."""
+"""How the filters of `tetractl.control.filter` follow robots from frame to frame; the readable twin
+is `tests/oracles/filter.py`."""
 
 import math
 
 import numpy as np
 
 from tetractl.control.kernels.cache import compiled
+from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     BIAS,
     COSINE,
-    FLOW_X,
-    FLOW_Y,
     FOLLOWS,
     HEADING,
     LN_A,
@@ -19,12 +18,10 @@ from tetractl.control.kernels.filter_state import (
     LN_W,
     MARKER,
     MOVED,
-    PACE,
     SINE,
     SIZE,
     SLOTS,
     STUCK,
-    SWING,
     X,
     Y,
 )
@@ -37,108 +34,6 @@ _wrap = inlined(wrap)
 BY = np.array(
     [(X, HEADING, SINE, X, X), (Y, HEADING, SINE, Y, Y), (HEADING, MARKER, COSINE, LN_V, LN_W)]
 )
-
-
-@compiled(**INLINE_FAST)
-def advance(model, i, z, cov, u, scale, seconds, more):
-    """Predict state and covariance of one hypothesis of robot i by (1)-(3), by the midpoint rule;
-    without a covariance, None, the compiler leaves out what it needs. `more` (MOVED, SIZE) is room
-    for products.
-
-    Lagging wheels follow the turning rate that the host sends, computed for the heading in which
-    the robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
-    """
-    left, lag, drives = seconds, model.lag, not math.isnan(u)
-    goal = 1.0 if drives else 0.0
-    if not drives and (lag == 0 or z[PACE] < ASSUMED.still):
-        z[SWING] = z[PACE] = 0.0
-    a, v = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
-    helix = model.helix * math.exp(z[LN_W]) if model.helix > 0 else 0.0
-    while left > 0 and (drives or z[PACE] > 0):
-        t = min(left, ASSUMED.substep_s)
-        left -= ASSUMED.substep_s
-        early = math.exp(-0.5 * t / lag) if lag > 0 else 0.0
-        late = early * early
-        off = u + z[BIAS] - z[HEADING] - lag * a * z[SWING]
-        wish = math.sin(off) if drives else 0.0
-        half = a * (0.5 * t * wish + lag * (1 - early) * (z[SWING] - wish))
-        middle, off = z[HEADING] + half, off - 0.5 * t * a * wish
-        wish, pull = (math.sin(off), math.cos(off)) if drives else (0.0, 0.0)
-        turn = a * (t * wish + lag * (1 - late) * (z[SWING] - wish))
-        chord = 1 - turn * turn / 24
-        way = v * (t * goal + lag * (1 - late) * (z[PACE] - goal)) * chord
-        z[SWING] = wish + late * (z[SWING] - wish)
-        z[PACE] = goal + late * (z[PACE] - goal)
-        keep = math.exp(-t * a * pull)
-        dx, dy = way * math.cos(middle), way * math.sin(middle)
-        z[X] += dx + t * z[FLOW_X]
-        z[Y] += dy + t * z[FLOW_Y]
-        z[HEADING] += turn
-        if cov is not None:
-            _spread(cov, more, t, dx, dy, half, turn, keep)
-        if helix > 0:
-            angle = t * helix
-            c, s = math.cos(angle), math.sin(angle)
-            z[SINE], z[COSINE] = c * z[SINE] + s * z[COSINE], c * z[COSINE] - s * z[SINE]
-            if cov is not None:
-                _swing(cov, more, c - 1, s, angle * z[SINE], angle * z[COSINE])
-        if cov is not None:
-            for k in range(SIZE):
-                factor = scale[0] if k <= Y else scale[1] if k == HEADING else 1.0
-                cov[k, k] += factor * model.walk[k, i] * model.walk[k, i] * t
-
-
-@compiled(**INLINE_FAST)
-def _spread(cov, more, t, dx, dy, half, turn, keep):
-    """Replace P by (1 + S) P (1 + S)' for the slopes S of the changes of x, y and heading.
-
-    With M = S P this is P + M + M' + M S'. Heading, ln a and turn bias alone change the heading,
-    and the headings in the middle, by which the way (dx, dy) turns.
-    """
-    stays, goes = 0.5 * (1 + keep), 0.5 * (1 - keep)
-    for k in range(SIZE):
-        middle = stays * cov[HEADING, k] + goes * cov[BIAS, k] + half * cov[LN_A, k]
-        x = dx * cov[LN_V, k] + t * cov[FLOW_X, k] - dy * middle
-        y = dy * cov[LN_V, k] + t * cov[FLOW_Y, k] + dx * middle
-        heading = (1 - keep) * (cov[BIAS, k] - cov[HEADING, k]) + turn * cov[LN_A, k]
-        more[X, k], more[Y, k], more[HEADING, k] = x, y, heading
-    for j in range(HEADING + 1):
-        middle = stays * more[j, HEADING] + goes * more[j, BIAS] + half * more[j, LN_A]
-        x = dx * more[j, LN_V] + t * more[j, FLOW_X] - dy * middle
-        y = dy * more[j, LN_V] + t * more[j, FLOW_Y] + dx * middle
-        heading = (1 - keep) * (more[j, BIAS] - more[j, HEADING]) + turn * more[j, LN_A]
-        cov[X, j] += x
-        cov[Y, j] += y
-        cov[HEADING, j] += heading
-    _add(cov, more, X, HEADING + 1)
-
-
-@compiled(**INLINE_FAST)
-def _swing(cov, more, c, s, sine, cosine):
-    """The same for the changes of the helix's sine and cosine."""
-    for k in range(SIZE):
-        p, q, w = cov[SINE, k], cov[COSINE, k], cov[LN_W, k]
-        more[SINE, k], more[COSINE, k] = c * p + s * q + cosine * w, c * q - s * p - sine * w
-    for j in range(SINE, MOVED):
-        p, q, w = more[j, SINE], more[j, COSINE], more[j, LN_W]
-        cov[SINE, j] += c * p + s * q + cosine * w
-        cov[COSINE, j] += c * q - s * p - sine * w
-    _add(cov, more, SINE, MOVED)
-
-
-@compiled(**INLINE_FAST)
-def _add(cov, more, first, end):
-    """Add M + M' to P for the rows `first` to `end` of M (MOVED, SIZE), the others of which are 0;
-    P stays symmetric."""
-    for j in range(first, end):
-        for k in range(SIZE):
-            cov[j, k] += more[j, k]
-        for k in range(first, end):
-            cov[k, j] += more[j, k]
-    for j in range(first, end):
-        for k in range(SIZE):
-            if k < first or k > j:
-                cov[k, j] = cov[j, k]
 
 
 @compiled(**INLINE_FAST)
@@ -239,13 +134,24 @@ def _rate(model, i, z, u):
 
 
 @compiled(**INLINE_FAST)
+def likeliest(weight, count):
+    """Return the index of the largest of the first `count` weights."""
+    best = 0
+    for s in range(1, count):
+        best = s if weight[s] > weight[best] else best
+    return best
+
+
+@compiled(**INLINE_FAST)
 def _switch(bank, model, b, i, u, step, now):
     """Add the hypotheses that robot i follows u [rad] from `now` [s] on, or did not receive it.
 
     The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
-    best, place = np.argmax(weight[:FOLLOWS]), np.argmin(weight[:FOLLOWS])
+    best, place = likeliest(weight, FOLLOWS), 0
+    for s in range(FOLLOWS):
+        place = s if weight[s] < weight[place] else place
     heard = weight[best] + math.log(1 - ASSUMED.lost)
     for s in range(FOLLOWS):
         if held[s] == u and weight[s] > -math.inf:  # the direction is the same as before
@@ -272,7 +178,7 @@ def _switch(bank, model, b, i, u, step, now):
 def _stick(bank, b, i, seconds, now):
     """Exchange probability between driving and being stuck, for the `seconds` before `now`."""
     weight = bank.weight[b, i]
-    best = np.argmax(weight[:FOLLOWS])
+    best = likeliest(weight, FOLLOWS)
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
         weight[STUCK] = -math.inf
         return
@@ -320,7 +226,7 @@ def _weigh(bank, b, i, model, pose, seconds, found, best, work):
     else:
         bank.unfit[b, i] += seconds
         if bank.unfit[b, i] > ASSUMED.lost_track_s:
-            place(bank, b, i, model, pose)
+            _place(bank, b, i, model, pose)
     return total
 
 
@@ -342,8 +248,8 @@ def _test(white, found):
             white[0, j] = 0.0
 
 
-@compiled(**ENTRY_FAST)
-def place(bank, b, i, model, pose):
+@compiled(**INLINE_FAST)
+def _place(bank, b, i, model, pose):
     """Set the pose of every hypothesis of robot i to a measured pose (3,)."""
     bank.unfit[b, i] = 0.0
     for s in range(SLOTS):
@@ -356,42 +262,81 @@ def place(bank, b, i, model, pose):
 
 
 @compiled(**ENTRY_FAST)
-def follow(bank, model, step, since, until, when, u, poses, seen):
-    """Predict every filter from `since` to `until` [s] and update it by the poses of a frame.
+def place(bank, model, when, u, time, poses, which):
+    """Set the poses of the robots `which` (N,) to those of a frame, poses (N, 3), and let them
+    follow the last of the commands u (C,), sent at `when` (C,) [s], that acts at its `time` [s].
+    """
+    for i in range(which.size):
+        for b in range(bank.tau.shape[0] if which[i] else 0):
+            _place(bank, b, i, model, poses[i])
+            acting = when.size
+            while acting > 0 and when[acting - 1] > time - bank.tau[b, i]:
+                acting -= 1
+            if acting > 0:
+                bank.next[b, i] = acting
+                for s in range(SLOTS):
+                    bank.u[b, i, s] = u[acting - 1]
+                    bank.until[b, i, s] = when[acting - 1] + model.watchdog + bank.tau[b, i]
 
-    Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (N, 3) are
-    measured; only those with `seen` (N,) True are used. Returns ln of their likelihoods (B, N).
+
+@compiled(**INLINE_FAST)
+def _predict(bank, model, b, i, step, when, u, since, until, more):
+    """Predict one filter of robot i from `since` to `until` [s], through the commands that act."""
+    t = since
+    while t < until:
+        coming, at = bank.next[b, i], math.inf
+        if coming < when.size:
+            at = when[coming] + bank.tau[b, i]
+        acts, end = at <= until, max(t, min(at, until))
+        for s in range(SLOTS):
+            if bank.weight[b, i, s] > -math.inf:
+                z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
+                stops = min(max(bank.until[b, i, s], t), end)
+                for way, time in ((held, stops - t), (math.nan, end - stops)):
+                    if time > 0:
+                        advance(model, i, z, cov, way, bank.scale[b, i], time, more)
+        t = end
+        if acts:
+            _switch(bank, model, b, i, u[coming], step, t)
+            bank.next[b, i] += 1
+
+
+@compiled(**INLINE_FAST)
+def _equal(pose, other):
+    """Return whether two poses (3,) are equal."""
+    return pose[0] == other[0] and pose[1] == other[1] and pose[2] == other[2]
+
+
+@compiled(**ENTRY_FAST)
+def follow(bank, model, step, when, u, time, poses, seen, noisy):
+    """Predict every filter from frame to frame, and update it by the poses of each frame.
+
+    Commands u (C,) [rad], NaN for a stop, were sent at times when (C,) [s]. poses (F, N, 3) are
+    measured at `time` (F,) [s]; those with `seen` (F, N) True are used, from the second frame on.
+    A frame all poses of which are those of the frame before is one that the camera has repeated,
+    and if measurements are `noisy`, so is each equal pose. Returns ln of the likelihoods (B, N).
     """
     found, off, best = np.zeros(bank.unfit.shape), np.zeros(3), np.zeros(3)
     work = np.empty((MOVED, SIZE)), np.zeros(BY.shape), np.empty(3), np.empty(3), np.empty(SIZE)
-    for i in range(model.a.size):
-        for b in range(bank.tau.shape[0]):
-            if bank.score[b, i] == -math.inf:
-                continue
-            t = since
-            while t < until:
-                coming, at = bank.next[b, i], math.inf
-                if coming < when.size:
-                    at = when[coming] + bank.tau[b, i]
-                acts, end = at <= until, max(t, min(at, until))
-                for s in range(SLOTS):
-                    if bank.weight[b, i, s] > -math.inf:
-                        z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
-                        stops = min(max(bank.until[b, i, s], t), end)
-                        for way, time in ((held, stops - t), (math.nan, end - stops)):
-                            if time > 0:
-                                advance(model, i, z, cov, way, bank.scale[b, i], time, work[0])
-                t = end
-                if acts:
-                    _switch(bank, model, b, i, u[coming], step, t)
-                    bank.next[b, i] += 1
-            if seen[i]:
-                found[b, i] = _weigh(bank, b, i, model, poses[i], until - since, off, best, work)
-                bank.score[b, i] += found[b, i]
-            _stick(bank, b, i, until - since, until)
-        most, memory = -math.inf, math.exp(-(until - since) / ASSUMED.forget_s)
-        for b in range(bank.tau.shape[0]):
-            most = max(most, bank.score[b, i])
-        for b in range(bank.tau.shape[0]):
-            bank.score[b, i] = (bank.score[b, i] - most) * memory
+    for f in range(1, time.size):
+        since, until, frozen = time[f - 1], time[f], model.a.size > 1
+        for i in range(model.a.size):
+            frozen &= _equal(poses[f, i], poses[f - 1, i])
+        for i in range(model.a.size):
+            repeated = frozen or (noisy and _equal(poses[f, i], poses[f - 1, i]))
+            used, most = seen[f, i] and not repeated, -math.inf
+            for b in range(bank.tau.shape[0]):
+                if bank.score[b, i] == -math.inf:
+                    continue
+                _predict(bank, model, b, i, step, when, u, since, until, work[0])
+                if used:
+                    pose, gap = poses[f, i], until - since
+                    ln = _weigh(bank, b, i, model, pose, gap, off, best, work)
+                    found[b, i] += ln
+                    bank.score[b, i] += ln
+                _stick(bank, b, i, until - since, until)
+                most = max(most, bank.score[b, i])
+            for b in range(bank.tau.shape[0]):
+                forget = math.exp(-(until - since) / ASSUMED.forget_s)
+                bank.score[b, i] = (bank.score[b, i] - most) * forget
     return found

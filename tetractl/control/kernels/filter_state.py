@@ -17,6 +17,9 @@ X, Y, HEADING, SINE, COSINE, LN_A, LN_V, BIAS, MARKER, FLOW_X, FLOW_Y, LN_W = ra
 MOVED, SIZE = LN_A, LN_W + 1  # number of state variables that move, and of all with a covariance
 SWING, PACE = range(SIZE, SIZE + 2)  # turning rate / a and speed / v of lagging wheels
 STATE = PACE + 1  # number of state variables
+FOUND, DRIFT, MISFIT = 16, slice(11, 13), slice(13, 16)
+"""The numbers found of a robot: its pose, a, speed, turn bias, heading bias, the deviations of all
+but the turn bias, the direction followed, flow and the misfit of the model."""
 FOLLOWS = STUCK = 3
 """Number of latest commands that a robot may follow; then comes the slot of the hypothesis that a
 robot stands although it was sent a direction."""
@@ -41,6 +44,9 @@ class Assumed(NamedTuple):
     forget_s: float = 10.0  # time constant with which scores of dead times decay
     block: int = 8  # number of frames of a block of innovations
     most_square: float = 25.0  # largest square of a block's sum
+    least_blocks: int = 10  # number of blocks for which those that are missing count as empty
+    # standard normal quantile of 0.999: a limit of chi-square is by Wilson and Hilferty
+    sure: float = 3.09
 
 
 class BankGrid(NamedTuple):
@@ -56,6 +62,16 @@ class BankGrid(NamedTuple):
 
 
 ASSUMED, GRID = Assumed(), BankGrid()
+
+
+class Shared(NamedTuple):
+    """What a bank of B filters of N robots tells of their dead times, at T times of a grid."""
+
+    near: Floats  # (T, B, N) how likely a time is for the others, given a filter's dead time
+    prior: Floats  # (T,) ln of the prior of each time
+    room: Floats  # (T, N) scratch
+    score: Floats  # (B, N) ln of each filter's probability, up to a constant
+    dead_times: Floats  # (2, N) each robot's dead time and its standard deviation [s]
 
 
 class FilterModel(NamedTuple):

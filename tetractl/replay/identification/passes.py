@@ -148,22 +148,23 @@ def run(
     for track in tracks:
         bank.weight[...], bank.weight[..., 0] = -np.inf, 0.0
         bank.u[...], bank.next[:] = track.u[0], 1  # the first direction also acts before its time
-        poses, used, placed = track.poses[:, rows], track.used[:, rows], track.placed[:, rows]
+        of_all = track.poses, track.used, track.placed
+        poses, used, placed = (np.ascontiguousarray(one[:, rows]) for one in of_all)
         missed = np.zeros((len(track.u), len(rows)))
+        frames, seen = np.full((2, *poses.shape[1:]), np.nan), np.zeros((2, len(rows)), np.bool_)
         last = -np.inf
-        for now, pose, seen, fresh in zip(track.time.tolist(), poses, used, placed, strict=True):
-            since = max(last, now - 2 * UNSEEN_S)
-            likelihood += kernel.follow(
-                bank, model, apart_s, since, now, track.when, track.u, pose, seen
-            )
-            bank.scale[...], last = 1.0, now
-            for i in np.flatnonzero(fresh):
-                for b in range(len(tau)):
-                    kernel.place(bank, b, i, model, pose[i])
+        for now, pose, use, fresh in zip(track.time.tolist(), poses, used, placed, strict=True):
+            time = np.array([max(last, now - 2 * UNSEEN_S), now])
+            frames[1], seen[1], last = pose, use, now
+            given = track.when, track.u, time, frames, seen, False
+            likelihood += kernel.follow(bank, model, apart_s, *given)
+            bank.scale[...] = 1.0
+            if fresh.any():
+                kernel.place(bank, model, np.empty(0), track.u, now, pose, fresh)
             if watched:
                 weight, latest = bank.weight[middle], bank.next[middle] - 1
                 z = bank.state[middle, each, weight.argmax(axis=1)]
-                residuals.append(np.where(seen[:, None], _residual(pose, z), np.nan))
+                residuals.append(np.where(use[:, None], _residual(pose, z), np.nan))
                 others = np.exp(weight) * (bank.u[middle] != track.u[latest][:, None])
                 missed[latest, each] = others[:, :FOLLOWS].sum(axis=1)
         lost += missed.sum(axis=0)

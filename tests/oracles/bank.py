@@ -1,0 +1,59 @@
+"""What a bank of filters says as a whole, in whole arrays: `control.kernels.bank`, to be read."""
+
+import math
+
+import numpy as np
+
+from tetractl.control.filter import FilterBank
+from tetractl.control.kernels.filter_state import ASSUMED, BIAS, GRID, LN_A, LN_V, MARKER
+from tetractl.core.plan import Estimate
+from tetractl.core.poses import Floats
+
+
+def share(filters: FilterBank) -> tuple[Floats, Floats, Floats]:
+    """Return the ln of each filter's probability (B, N), up to a constant, by its own frames and by
+    what those of the other robots tell of the common dead time; and each robot's dead time and its
+    standard deviation (N,) [s].
+    """
+    bank, prior, steps, finest = filters._bank, filters.prior, filters._steps, GRID.finest_s
+    times = np.arange(0, float(bank.tau.max()) + finest, finest / 2)
+    gaps, width = times[:, None, None] - bank.tau, np.maximum(steps, finest) / 2
+    near = (1 - GRID.own) * np.exp(-((gaps / width) ** 2) / 2) / width
+    near += GRID.own * np.exp(-((gaps / GRID.own_s) ** 2) / 2) / GRID.own_s
+    ln = np.log((near * np.exp(bank.score)).sum(axis=1) + 1e-300)  # of each robot's frames
+    every = ln.sum(axis=1) - ((times - prior.dead_time) / prior.dead_time_std) ** 2 / 2
+    others = every[:, None] - ln
+    told = (near * np.exp(others - others.max(axis=0))[:, None]).sum(axis=0)
+    score = bank.score + np.log(told + 1e-300)
+    weight = np.exp(score - score.max(axis=0))
+    weight /= weight.sum(axis=0)
+    mean = (weight * bank.tau).sum(axis=0)
+    spread = (weight * (bank.tau - mean) ** 2).sum(axis=0)
+    return score, mean, np.sqrt(spread + (steps / 4) ** 2)
+
+
+def estimate(filters: FilterBank) -> Estimate:
+    """Return the parameters of the robots by their likeliest hypotheses, and their standard
+    deviations, which grow by what the test of the innovations finds."""
+    (score, tau, tau_std), bank, prior = share(filters), filters._bank, filters.prior
+    best = np.argmax(score, axis=0), np.arange(score.shape[1])
+    each = (*best, np.argmax(bank.weight[best], axis=1))
+    z, cov = bank.state[each], bank.cov[each]
+    squares = bank.white[best][:, 1, :3]
+    blocks = np.maximum(bank.white[best][:, 1, 3], ASSUMED.least_blocks)[:, None]
+    more = np.sqrt(np.maximum(1, squares / blocks)).max(axis=1)
+    std = np.sqrt(np.maximum(np.diagonal(cov, axis1=1, axis2=2), 0.0)) * more[:, None]
+    a, speed = prior.a * np.exp(z[:, LN_A]), prior.speed * np.exp(z[:, LN_V])
+    of_bias = cov[:, [BIAS, MARKER]][:, :, [BIAS, MARKER]].sum(axis=(1, 2))
+    part = 2 / (9 * blocks)
+    return Estimate(
+        a=a,
+        a_std=a * std[:, LN_A],
+        speed=speed,
+        speed_std=speed * std[:, LN_V],
+        heading_bias=z[:, BIAS] + z[:, MARKER],
+        heading_bias_std=np.sqrt(np.maximum(of_bias, 0.0)) * more,
+        dead_time=float(tau.mean()),
+        dead_time_std=math.sqrt(np.mean((tau_std * more) ** 2) + np.var(tau)),
+        misfit=squares / (blocks * (1 - part + ASSUMED.sure * np.sqrt(part)) ** 3),
+    )

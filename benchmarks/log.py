@@ -48,6 +48,7 @@ from tetractl.core.protocols import LabSupervision, Observer  # noqa: E402
 from tetractl.core.trial import EPOCH_NS  # noqa: E402
 from tetractl.experiment.load import LoadedSpec, load_spec, parse_spec, start_of  # noqa: E402
 from tetractl.log.format.channels import FRAMES  # noqa: E402
+from tetractl.log.format.codec import unpacked  # noqa: E402
 from tetractl.log.format.tetractl_pb2 import CameraFrames  # noqa: E402
 from tetractl.log.read.reader import read_trial  # noqa: E402
 from tetractl.log.write import sink  # noqa: E402
@@ -438,7 +439,8 @@ def missing_frames(path: Path) -> int:
     numbers: set[int] = set()
     with path.open("rb") as file:
         for _, _, message in make_reader(file).iter_messages(topics=[FRAMES]):
-            numbers.update(CameraFrames.FromString(message.data).frame)
+            times = unpacked(CameraFrames.FromString(message.data).times, 3, "<i8")
+            numbers.update(times[:, 0].tolist())
     return max(numbers) + 1 - len(numbers)
 
 

@@ -16,6 +16,7 @@ from support.paths import ROOT
 from support.random_trials import trial, write
 
 from tetractl.log.format.channels import FRAMES, HOST, LOG, RESOLVED_SPEC, RESULT, RUN, STEP, Entry
+from tetractl.log.format.codec import decode_frames, encode_frames
 from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep, Fact
 from tetractl.log.read.raw_log import RawLog
 from tetractl.log.read.salvage import scan
@@ -71,9 +72,10 @@ def with_spec(contents, path, change):
 
 def far_pose(contents, path):
     entry = next(entry for entry in contents.entries if entry.topic == FRAMES)
-    frame = CameraFrames.FromString(entry.data)
-    frame.x[7] = 1e8
-    return rewrite(contents, path, {entry: entry._replace(data=frame.SerializeToString())})
+    frames = decode_frames(CameraFrames.FromString(entry.data), len(contents.run.robots))
+    frames.poses[2, 0, 0] = 1e8
+    data = encode_frames(frames).SerializeToString()
+    return rewrite(contents, path, {entry: entry._replace(data=data)})
 
 
 EVIL = "\x1b]0;owned\x07\x9b2J\u202e=cmd\r\n"

@@ -58,7 +58,7 @@ def values(log: TrialLog) -> dict[str, object]:
                 "generator": str(step.plan.generator),
                 "evaluations": [s.evaluations for s in step.plan.searches],
                 "histories": [s.history.tolist() for s in step.plan.searches],
-                "path_end": step.plan.path[-1].tolist(),
+                "path_end": step.plan.path[-1, :, :2].tolist(),
                 "solve_ns": step.solve_ns,
             }
             for step in log.steps

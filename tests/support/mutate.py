@@ -8,6 +8,7 @@ from functools import reduce
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import zstandard
 from google.protobuf.message import Message
 from mcap.opcode import Opcode
@@ -47,11 +48,17 @@ def changed(message: Message, place: Place) -> Message:
     copy = type(message)()
     copy.CopyFrom(message)
     holder, last = holder_of(copy, place)
-    if isinstance(last, int):
-        holder[last] = other(holder[last])
-    else:
-        setattr(holder, last, other(getattr(holder, last)))
+    for least in (other, _single):  # of a number of single precision, the first changes nothing
+        if copy == message:
+            if isinstance(last, int):
+                holder[last] = least(holder[last])
+            else:
+                setattr(holder, last, least(getattr(holder, last)))
     return copy
+
+
+def _single(value: float) -> float:
+    return float(np.nextafter(np.float32(value), np.float32(np.inf)))
 
 
 def other(value: Any) -> Any:

@@ -9,12 +9,13 @@ import numpy as np
 
 from tetractl.core.commands import Command, PlantInfo, Sample, Stop, Verdict
 from tetractl.core.plan import Estimate, Outcome, Plan, Search, StopReason
-from tetractl.core.poses import Observation, Poses
+from tetractl.core.poses import Floats, Observation, Poses
 from tetractl.core.protocols import Observer
 from tetractl.core.trial import EPOCH_NS, Result, Start, Step
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, start_of
 from tetractl.log import provenance
+from tetractl.log.format.codec import drawn
 from tetractl.log.write.writer import LogWriter
 
 SPEC_TEXT = "# as somebody wrote it\nname: made-up   # with a comment, and an ü\n"
@@ -99,7 +100,7 @@ def trial(
             seen = Observation(
                 k * frames + i, sampled, sampled + 5_400_000, _poses(rng, robots), valid
             )
-            samples.append(Sample(seen, _poses(rng, robots) if simulated else None))
+            samples.append(Sample(seen, _single(_poses(rng, robots)) if simulated else None))
         step = _step(rng, k, samples[-1].observation, first, iterations, length)
         rounds.append((samples, replace(step, solve_ns=step.solve_ns + host_ns)))
     final = _poses(rng, robots)
@@ -143,6 +144,16 @@ def _poses(rng: np.random.Generator, robots: int) -> Poses:
     return Poses.of(rng.normal(1000, 300, (robots, 3)))
 
 
+def _single(poses: Poses) -> Poses:
+    """True poses as precise as a log keeps them."""
+    return Poses.of(poses.array().astype(np.float32).astype(np.float64))
+
+
+def _as_logged(path: Floats) -> Floats:
+    """A path as precise as a log keeps it, which has no headings."""
+    return np.concatenate([drawn(path[..., :2]), np.full_like(path[..., 2:], np.nan)], axis=-1)
+
+
 def _clearances(rng: np.random.Generator, robots: int) -> tuple[float, ...]:
     return (float("inf"), *rng.normal(10, 30, robots - 1).tolist())
 
@@ -166,7 +177,7 @@ def _step(
     chosen = int(rng.integers(len(searches)))
     plan = Plan(
         signals=searches[chosen].signals,
-        path=rng.normal(1000, 300, (lengths[chosen] + 1, robots, 3)),
+        path=_as_logged(rng.normal(1000, 300, (lengths[chosen] + 1, robots, 3))),
         cost=searches[chosen].cost,
         target_cost=float(rng.uniform(0, 2000)),
         obstacle_cost=float(rng.integers(3)),

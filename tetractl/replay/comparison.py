@@ -5,7 +5,7 @@ plans or messages, up to the first value that differs.
 import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from tetractl.core.errors import printable
 from tetractl.log.format import channels
 from tetractl.log.format.channels import CHANNELS, TEXT, Entry
+from tetractl.log.format.codec import DRAWN_PRECISION, decode_frames
 from tetractl.log.format.scene import decode_note
-from tetractl.log.format.tetractl_pb2 import ControllerStep
+from tetractl.log.format.tetractl_pb2 import CameraFrames, ControllerStep
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
 
@@ -229,7 +230,12 @@ class Comparison:
             step, name = ours.k, ""
         if not exact:
             self._pardon(made.topic, ours, logged)
-        found = first_difference(ours, logged, self._tolerance, name)
+        tolerance, robots = self._tolerance, len(self._raw.run.robots)
+        if isinstance(ours, CameraFrames) and isinstance(logged, CameraFrames):
+            ours, logged = (decode_frames(one, robots)._asdict() for one in (ours, logged))
+        elif made.topic == channels.TRANSFORMS and not exact:
+            tolerance = replace(tolerance, relative=2 * DRAWN_PRECISION)
+        found = first_difference(ours, logged, tolerance, name)
         if found is None:
             return Difference(step, name or made.topic, "has other bytes") if exact else None
         return Difference(step, *found)

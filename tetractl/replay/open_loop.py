@@ -24,6 +24,7 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.controller import Host
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.load import LoadedSpec, parse_spec, resolved_yaml
+from tetractl.log.format.codec import drawn
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.replay.identification.tracks import require_field, stopped_ns
 from tetractl.replay.recompute import first_steps, plan_again
@@ -214,7 +215,7 @@ def what_if(log: TrialLog, other: Experiment) -> WhatIf:
             ended = f"at step {step.k} the other controller would have ended the trial: {outcome}"
             break
         u, sent = float(decision.signals[0]), float(step.plan.signals[0])
-        ends = [plan.path[-1, :, :2] for plan in (step.plan, decision)]
+        ends = [drawn(plan.path[-1, :, :2]) for plan in (step.plan, decision)]
         found.append(
             StepPrediction(
                 k=step.k,

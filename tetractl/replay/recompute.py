@@ -22,6 +22,7 @@ from tetractl.core.poses import Floats, Observation
 from tetractl.core.protocols import Controller
 from tetractl.core.trial import Result, Step
 from tetractl.experiment.controller import Host, OptimizerSection
+from tetractl.log.format.codec import DRAWN_PRECISION, drawn
 from tetractl.log.read import limits
 from tetractl.log.read.trial_log import TrialLog, frame_gaps
 from tetractl.replay.comparison import (
@@ -168,7 +169,10 @@ def recompute(
         return Difference(None, "seed", f"seed {log.start.seed} has no trial {log.start.trial}")
     setup, rerun = log.start.setup, Rerun(search_again, cpu)
     controller = rerun.controller(log, key)
-    tolerance = SAME_BITS if search_again else _tolerance(setup.starts.xy, setup.targets)
+    tolerance = of_path = SAME_BITS
+    if not search_again:
+        tolerance = _tolerance(setup.starts.xy, setup.targets)
+        of_path = replace(tolerance, relative=2 * DRAWN_PRECISION)
     last: Step | None = None
     for step in first_steps(log):
         rerun.begin(step.plan.searches)
@@ -190,9 +194,12 @@ def recompute(
         if decision.generator != step.plan.generator:
             text = f"logged {step.plan.generator}, but seed and trial give {decision.generator}"
             return Difference(step.k, "generator", text)
-        if step.plan.estimate is None and log.damage:  # lost
-            decision = replace(decision, estimate=None)
-        found = next(iter(rerun.wrong), first_difference(decision, step.plan, tolerance))
+        path, decision = drawn(decision.path[..., :2]), replace(decision, path=step.plan.path)
+        found = (
+            next(iter(rerun.wrong), None)
+            or first_difference(decision, step.plan, tolerance)
+            or first_difference(path, step.plan.path[..., :2], of_path, "path")
+        )
         if found:
             return Difference(step.k, *found)
         last = step

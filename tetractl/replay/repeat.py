@@ -20,7 +20,7 @@ from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format import channels
-from tetractl.log.format.codec import Frames
+from tetractl.log.format.codec import Frames, frame_count
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
@@ -170,9 +170,9 @@ def give_again(
     frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
     begin = 0
     for message in raw.messages(channels.FRAMES):
-        if message.frame:
-            encoder.on_frames(frames.part(slice(begin, begin + len(message.frame))))
-        begin += len(message.frame)
+        if count := frame_count(message):
+            encoder.on_frames(frames.part(slice(begin, begin + count)))
+        begin += count
     rows, steps = {int(number): i for i, number in enumerate(log.frames)}, iter(log.steps)
     step = next(steps, None)
     for command in log.commands:

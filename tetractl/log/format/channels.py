@@ -18,7 +18,6 @@ from tetractl.log.format.tetractl_pb2 import (
     CellCrops,
     ControllerStep,
     Digests,
-    Estimate,
     Host,
     HostEnd,
     Recovered,
@@ -28,7 +27,7 @@ from tetractl.log.format.tetractl_pb2 import (
     WheelCommand,
 )
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 TEXT = 2000
 """Largest number of characters of an operator message, after which a reader cuts it; control
@@ -45,7 +44,6 @@ SCENE = "/scene/static"
 SCENE_PLAN = "/scene/plan"
 LOG = "/log"
 HOST_TIMING = "/host/timing"
-ESTIMATE = "/controller/estimate"
 CELLS, CROPS = "/camera/cells", "/camera/crops"
 PICTURE, BACKGROUND = "/camera/picture", "/camera/background"
 FILM = (CELLS, CROPS, PICTURE, BACKGROUND)
@@ -65,7 +63,6 @@ CHANNELS: dict[str, type[Message]] = {
     SCENE_PLAN: SceneUpdate,
     LOG: Log,
     HOST_TIMING: StepTiming,
-    ESTIMATE: Estimate,
     CELLS: CellCrops,
     CROPS: RawImage,
     PICTURE: CompressedImage,

@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from google.protobuf.message import Message
+from numpy.typing import NDArray
 
 from tetractl.core.commands import Action, Command, FieldOff, Sample, Steer, Stop, Turn
 from tetractl.core.errors import printable
@@ -13,9 +14,15 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
+OF_ESTIMATE = (
+    *("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"),
+    *("dead_time", "dead_time_std", "misfit"),
+)
 OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
 """The numbers of a plan that are fields of `ControllerStep`."""
 STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
+DIFFERENCES = 4  # how often a packed column is replaced by its differences
+DRAWN_PRECISION = 2.0**-14  # largest relative rounding error of `drawn`
 
 
 class Frames(NamedTuple):
@@ -69,51 +76,74 @@ def _columns(poses: Sequence[Poses], robots: int) -> Floats:
     return np.array(rows, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)
 
 
+def drawn(values: Floats) -> Floats:
+    """Round numbers that are only drawn to 14 significant bits: zeros take no space in a log."""
+    bits = values.astype(np.float32).view(np.int32)
+    return ((bits + (1 << 9)) & -(1 << 10)).view(np.float32).astype(np.float64)
+
+
+def packed(columns: NDArray[Any]) -> bytes:
+    """Pack columns (M, C) of numbers of 4 or 8 bytes as `CameraFrames` defines."""
+    size, (count, width) = columns.itemsize, columns.shape
+    bits = np.zeros((DIFFERENCES + count, width), f"<i{size}")
+    bits[DIFFERENCES:] = np.ascontiguousarray(columns).view(bits.dtype)
+    steps = np.diff(bits, DIFFERENCES, axis=0)
+    zigzag = (steps << 1) ^ (steps >> (8 * size - 1))
+    return np.ascontiguousarray(zigzag.T).view(np.uint8).reshape(-1, size).T.tobytes()
+
+
+def unpacked(data: bytes, width: int, kind: str) -> NDArray[Any]:
+    """Return the columns (M, `width`) of numbers of type `kind` in packed bytes; ValueError for
+    another number of bytes."""
+    size = np.dtype(kind).itemsize
+    planes = np.frombuffer(data, np.uint8).reshape(size, width, -1).transpose(2, 1, 0)
+    zigzag = np.ascontiguousarray(planes).view(f"<u{size}")[..., 0]
+    found = (zigzag >> 1) ^ -(zigzag & 1)
+    for _ in range(DIFFERENCES):
+        found = np.cumsum(found, axis=0, dtype=found.dtype)
+    return found.view(kind)
+
+
 def encode_frames(frames: Frames) -> pb.CameraFrames:
-    """Encode camera frames."""
-    x, y, heading = frames.poses.reshape(-1, 3).T.tolist()
-    message = pb.CameraFrames(
-        frame=frames.numbers.tolist(),
-        sampled_ns=frames.sampled_ns.tolist(),
-        received_ns=frames.received_ns.tolist(),
-        x=x,
-        y=y,
-        heading=heading,
+    """Encode camera frames; true poses have single precision unless they are the measured ones."""
+    count, truth = len(frames.numbers), frames.truth
+    exact = truth is not None and truth.tobytes() == frames.poses.tobytes()
+    single = None if exact or truth is None else truth.reshape(count, -1).astype(np.float32)
+    return pb.CameraFrames(
+        times=packed(np.column_stack([frames.numbers, frames.sampled_ns, frames.received_ns])),
+        poses=packed(frames.poses.reshape(count, -1)),
         valid=frames.valid.ravel().tolist(),
+        truth=None if single is None else packed(single),
+        exact=exact,
     )
-    if frames.truth is not None:
-        columns = frames.truth.reshape(-1, 3).T.tolist()
-        message.true_x[:], message.true_y[:], message.true_heading[:] = columns
-    return message
+
+
+def frame_count(message: pb.CameraFrames) -> int:
+    """Return the number of camera frames in a message."""
+    return len(message.times) // 24  # three numbers of 8 bytes
 
 
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
-    m = message
-    measured, true = (m.x, m.y, m.heading), (m.true_x, m.true_y, m.true_heading)
-    count = len(m.frame)
-    sizes = {len(column) for column in (*measured, m.valid)}
-    times = {len(m.sampled_ns), len(m.received_ns)}
-    known = {len(column) for column in true}
-    if times != {count} or sizes != {count * robots} or known not in ({0}, sizes):
+    times, poses = unpacked(message.times, 3, "<i8"), unpacked(message.poses, 3 * robots, "<f8")
+    truth = poses if message.exact else unpacked(message.truth, 3 * robots, "<f4")
+    count, columns = len(times), times.T
+    if len(poses) != count or len(message.valid) != count * robots or len(truth) not in (0, count):
         raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
-    poses, truth = (
-        np.array(part, dtype=np.float64).T.reshape(-1, robots, 3) for part in (measured, true)
-    )
     return Frames(
-        np.array(m.frame, dtype=np.int64),
-        np.array(m.sampled_ns, dtype=np.int64),
-        np.array(m.received_ns, dtype=np.int64),
-        poses,
-        np.array(m.valid, dtype=np.bool_).reshape(count, robots),
-        truth if len(truth) == count else None,
+        columns[0],
+        columns[1],
+        columns[2],
+        poses.reshape(count, robots, 3),
+        np.array(message.valid, dtype=np.bool_).reshape(count, robots),
+        truth.astype(np.float64).reshape(count, robots, 3) if len(truth) == count else None,
     )
 
 
 def named(record: object, *names: str) -> dict[str, Any]:
     """Return the named fields of a record as arguments of a message; None leaves a field unset."""
     found = ((name, getattr(record, name)) for name in names)
-    return {k: value.tolist() if isinstance(value, np.ndarray) else value for k, value in found}
+    return {k: v.ravel().tolist() if isinstance(v, np.ndarray) else v for k, v in found}
 
 
 def stated(message: Message, *names: str) -> dict[str, Any]:
@@ -170,7 +200,7 @@ def decode_command(message: pb.WheelCommand) -> Command:
 def encode_step(step: Step) -> pb.ControllerStep:
     """Encode one control step; its solve time is in a separate message."""
     plan = step.plan
-    x, y, heading = plan.path.reshape(-1, 3).T.tolist()
+    x, y = drawn(plan.path[..., :2]).reshape(-1, 2).T.tolist()
     return pb.ControllerStep(
         k=step.k,
         observation=encode_observation(step.observation),
@@ -178,31 +208,29 @@ def encode_step(step: Step) -> pb.ControllerStep:
         searches=[_encode_search(search) for search in plan.searches],
         path_x=x,
         path_y=y,
-        path_heading=heading,
+        estimate=pb.Estimate(**named(plan.estimate, *OF_ESTIMATE)) if plan.estimate else None,
         **named(plan, "signals", "state", *OF_PLAN),
     )
 
 
-def decode_step(
-    message: pb.ControllerStep,
-    timing: pb.StepTiming | None,
-    estimate: pb.Estimate | None,
-    robots: int,
-) -> Step:
-    """Decode one control step; without its timing, solve_ns is 0.
+def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots: int) -> Step:
+    """Decode one control step; without its timing, solve_ns is 0. The headings of its path, which
+    are not logged, are NaN.
 
     Raises ValueError for arrays of unequal lengths and for another number of robots than `robots`.
     """
     observation = decode_observation(message.observation, robots)
     if not 0 <= message.chosen < len(message.searches) or not message.signals:
         raise ValueError(f"step {message.k} chooses a search that does not exist")
-    flat = [_floats(column) for column in (message.path_x, message.path_y, message.path_heading)]
+    x, y = _floats(message.path_x), _floats(message.path_y)
     command = decode_command(message.command)
     plan = Plan(
         signals=_floats(message.signals),
-        path=np.stack(flat, axis=-1).reshape(-1, robots, 3),
+        path=np.stack([x, y, np.full_like(x, np.nan)], axis=-1).reshape(-1, robots, 3),
         searches=tuple(_decode_search(search) for search in message.searches),
-        estimate=_decode_estimate(estimate, robots) if estimate else None,
+        estimate=_decode_estimate(message.estimate, robots)
+        if message.HasField("estimate")
+        else None,
         instead=None if isinstance(command.action, Steer) else command.action,
         state=State(message.state),
         **stated(message, *OF_PLAN),
@@ -222,20 +250,10 @@ def encode_timing(step: Step) -> pb.StepTiming:
     return pb.StepTiming(**named(step, "k", "solve_ns", "deadline_missed"))
 
 
-def encode_estimate(k: int, estimate: Estimate) -> pb.Estimate:
-    """Encode the estimate of control step `k`."""
-    each = (
-        named(estimate, name, f"{name}_std") for name in ("a", "speed", "heading_bias", "dead_time")
-    )
-    misfit = [] if estimate.misfit is None else estimate.misfit.ravel()
-    return pb.Estimate(k=k, misfit=misfit, **{key: v for two in each for key, v in two.items()})
-
-
 def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
     found: dict[str, Any] = {
         field.name: value if isinstance(value, float) else _floats(value)
         for field, value in message.ListFields()
-        if field.name != "k"
     }
     misfit = found.pop("misfit", np.empty(0))
     arrays = (found.get(name, np.empty(0)) for name in ("a", "a_std", "speed", "speed_std"))

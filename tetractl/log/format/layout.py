@@ -27,7 +27,7 @@ def layout(setup: Setup) -> str:
     """Return the layout for an experiment: the arena from above, and plots of four quantities."""
     robots = range(min(len(setup.names), 20))  # largest number of robots with curves
     curves = list(zip(robots, setup.names, robot_colors(setup.names, setup.colors), strict=False))
-    step, timing, estimate = channels.STEP, channels.HOST_TIMING, channels.ESTIMATE
+    step, timing = channels.STEP, channels.HOST_TIMING
     parts = json.loads((_FILES / "layout.json").read_text())
 
     def plot(title: str, *curves: tuple[str, str, str]) -> dict[str, Any]:
@@ -58,7 +58,7 @@ def layout(setup: Setup) -> str:
         ),
         "Plot!estimate": plot(
             "estimated a [rad/s]",
-            *((f"{estimate}.a[{i}]", name, color) for i, name, color in curves),
+            *((f"{step}.estimate.a[{i}]", name, color) for i, name, color in curves),
         ),
     }
     plots = [name for name in panels if name.startswith("Plot")]

@@ -32,7 +32,7 @@ from tetractl.core.commands import Note
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.core.shape import Shape
-from tetractl.log.format.codec import Frames
+from tetractl.log.format.codec import Frames, drawn
 
 WORLD = "world"
 GREY = Color(r=0.45, g=0.45, b=0.45, a=1.0)
@@ -68,10 +68,14 @@ def decode_note(message: Log, start_ns: int) -> Note:
 
 
 class Scene:
-    """Composes the messages that draw one experiment, from lengths in the experiment's unit."""
+    """Composes the messages that draw one experiment, from lengths in the experiment's unit.
 
-    def __init__(self, setup: Setup) -> None:
-        self._setup = setup
+    Numbers of transforms and plans are rounded as by `drawn`, unless `exact`: a lab's transforms
+    are also a second copy of its camera frames.
+    """
+
+    def __init__(self, setup: Setup, exact: bool = False) -> None:
+        self._setup, self._exact = setup, exact
         self._metres = setup.metres
         self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
         radius, arena = setup.wheel_radius, setup.arena
@@ -101,7 +105,8 @@ class Scene:
         for i, frame_ids in enumerate(self._frame_ids):
             x, y, heading = frames.poses[known[:, i], i].T
             rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
-            at, poses = np.flatnonzero(known[:, i]), _filled(_pose, np.transpose(rows))
+            poses = _filled(_pose, self._rounded(np.transpose(rows)))
+            at = np.flatnonzero(known[:, i])
             parts = (times[k] + frame_ids + pose for k, pose in zip(at, poses, strict=True))
             made += [_nested(number, part) for part in parts]
         return b"".join(made)
@@ -113,11 +118,14 @@ class Scene:
         time, made = _time(unix_ns), list[bytes]()
         known = np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])
         for i, (entity, before, after) in enumerate(self._plans):
-            points = path[known[:, i], i, :2] * self._metres
+            points = self._rounded(path[known[:, i], i, :2] * self._metres)
             line = b"".join((before, *_filled(_point, points), after))
             drawn = time + entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
             made.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, drawn))
         return b"".join(made)
+
+    def _rounded(self, values: Floats) -> Floats:
+        return values if self._exact else drawn(values)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""

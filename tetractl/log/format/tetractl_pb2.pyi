@@ -6,28 +6,18 @@ from typing import ClassVar as _ClassVar, Iterable as _Iterable, Mapping as _Map
 DESCRIPTOR: _descriptor.FileDescriptor
 
 class CameraFrames(_message.Message):
-    __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid", "true_x", "true_y", "true_heading")
-    FRAME_FIELD_NUMBER: _ClassVar[int]
-    SAMPLED_NS_FIELD_NUMBER: _ClassVar[int]
-    RECEIVED_NS_FIELD_NUMBER: _ClassVar[int]
-    X_FIELD_NUMBER: _ClassVar[int]
-    Y_FIELD_NUMBER: _ClassVar[int]
-    HEADING_FIELD_NUMBER: _ClassVar[int]
+    __slots__ = ("times", "poses", "valid", "truth", "exact")
+    TIMES_FIELD_NUMBER: _ClassVar[int]
+    POSES_FIELD_NUMBER: _ClassVar[int]
     VALID_FIELD_NUMBER: _ClassVar[int]
-    TRUE_X_FIELD_NUMBER: _ClassVar[int]
-    TRUE_Y_FIELD_NUMBER: _ClassVar[int]
-    TRUE_HEADING_FIELD_NUMBER: _ClassVar[int]
-    frame: _containers.RepeatedScalarFieldContainer[int]
-    sampled_ns: _containers.RepeatedScalarFieldContainer[int]
-    received_ns: _containers.RepeatedScalarFieldContainer[int]
-    x: _containers.RepeatedScalarFieldContainer[float]
-    y: _containers.RepeatedScalarFieldContainer[float]
-    heading: _containers.RepeatedScalarFieldContainer[float]
+    TRUTH_FIELD_NUMBER: _ClassVar[int]
+    EXACT_FIELD_NUMBER: _ClassVar[int]
+    times: bytes
+    poses: bytes
     valid: _containers.RepeatedScalarFieldContainer[bool]
-    true_x: _containers.RepeatedScalarFieldContainer[float]
-    true_y: _containers.RepeatedScalarFieldContainer[float]
-    true_heading: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, frame: _Optional[_Iterable[int]] = ..., sampled_ns: _Optional[_Iterable[int]] = ..., received_ns: _Optional[_Iterable[int]] = ..., x: _Optional[_Iterable[float]] = ..., y: _Optional[_Iterable[float]] = ..., heading: _Optional[_Iterable[float]] = ..., valid: _Optional[_Iterable[bool]] = ..., true_x: _Optional[_Iterable[float]] = ..., true_y: _Optional[_Iterable[float]] = ..., true_heading: _Optional[_Iterable[float]] = ...) -> None: ...
+    truth: bytes
+    exact: bool
+    def __init__(self, times: _Optional[bytes] = ..., poses: _Optional[bytes] = ..., valid: _Optional[_Iterable[bool]] = ..., truth: _Optional[bytes] = ..., exact: bool = ...) -> None: ...
 
 class MocapSample(_message.Message):
     __slots__ = ("frame", "sampled_ns", "received_ns", "x", "y", "heading", "valid")
@@ -81,8 +71,30 @@ class Search(_message.Message):
     stopped: str
     def __init__(self, length: _Optional[int] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., history: _Optional[_Iterable[float]] = ..., evaluations: _Optional[int] = ..., stopped: _Optional[str] = ...) -> None: ...
 
+class Estimate(_message.Message):
+    __slots__ = ("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit")
+    A_FIELD_NUMBER: _ClassVar[int]
+    A_STD_FIELD_NUMBER: _ClassVar[int]
+    SPEED_FIELD_NUMBER: _ClassVar[int]
+    SPEED_STD_FIELD_NUMBER: _ClassVar[int]
+    HEADING_BIAS_FIELD_NUMBER: _ClassVar[int]
+    HEADING_BIAS_STD_FIELD_NUMBER: _ClassVar[int]
+    DEAD_TIME_FIELD_NUMBER: _ClassVar[int]
+    DEAD_TIME_STD_FIELD_NUMBER: _ClassVar[int]
+    MISFIT_FIELD_NUMBER: _ClassVar[int]
+    a: _containers.RepeatedScalarFieldContainer[float]
+    a_std: _containers.RepeatedScalarFieldContainer[float]
+    speed: _containers.RepeatedScalarFieldContainer[float]
+    speed_std: _containers.RepeatedScalarFieldContainer[float]
+    heading_bias: _containers.RepeatedScalarFieldContainer[float]
+    heading_bias_std: _containers.RepeatedScalarFieldContainer[float]
+    dead_time: float
+    dead_time_std: float
+    misfit: _containers.RepeatedScalarFieldContainer[float]
+    def __init__(self, a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ...) -> None: ...
+
 class ControllerStep(_message.Message):
-    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "path_heading", "leg", "delay_ns", "state")
+    __slots__ = ("k", "observation", "command", "signals", "cost", "target_cost", "obstacle_cost", "searches", "chosen", "generator", "path_x", "path_y", "leg", "delay_ns", "state", "estimate")
     K_FIELD_NUMBER: _ClassVar[int]
     OBSERVATION_FIELD_NUMBER: _ClassVar[int]
     COMMAND_FIELD_NUMBER: _ClassVar[int]
@@ -95,10 +107,10 @@ class ControllerStep(_message.Message):
     GENERATOR_FIELD_NUMBER: _ClassVar[int]
     PATH_X_FIELD_NUMBER: _ClassVar[int]
     PATH_Y_FIELD_NUMBER: _ClassVar[int]
-    PATH_HEADING_FIELD_NUMBER: _ClassVar[int]
     LEG_FIELD_NUMBER: _ClassVar[int]
     DELAY_NS_FIELD_NUMBER: _ClassVar[int]
     STATE_FIELD_NUMBER: _ClassVar[int]
+    ESTIMATE_FIELD_NUMBER: _ClassVar[int]
     k: int
     observation: MocapSample
     command: WheelCommand
@@ -111,11 +123,11 @@ class ControllerStep(_message.Message):
     generator: int
     path_x: _containers.RepeatedScalarFieldContainer[float]
     path_y: _containers.RepeatedScalarFieldContainer[float]
-    path_heading: _containers.RepeatedScalarFieldContainer[float]
     leg: int
     delay_ns: int
     state: str
-    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., path_heading: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ...) -> None: ...
+    estimate: Estimate
+    def __init__(self, k: _Optional[int] = ..., observation: _Optional[_Union[MocapSample, _Mapping]] = ..., command: _Optional[_Union[WheelCommand, _Mapping]] = ..., signals: _Optional[_Iterable[float]] = ..., cost: _Optional[float] = ..., target_cost: _Optional[float] = ..., obstacle_cost: _Optional[float] = ..., searches: _Optional[_Iterable[_Union[Search, _Mapping]]] = ..., chosen: _Optional[int] = ..., generator: _Optional[int] = ..., path_x: _Optional[_Iterable[float]] = ..., path_y: _Optional[_Iterable[float]] = ..., leg: _Optional[int] = ..., delay_ns: _Optional[int] = ..., state: _Optional[str] = ..., estimate: _Optional[_Union[Estimate, _Mapping]] = ...) -> None: ...
 
 class CellCrops(_message.Message):
     __slots__ = ("frame", "side", "low", "high", "least_px2", "most_px2", "robot", "merged", "sure", "column", "row", "x", "y", "axis", "long", "wide", "strength", "crc")
@@ -166,30 +178,6 @@ class StepTiming(_message.Message):
     solve_ns: int
     deadline_missed: bool
     def __init__(self, k: _Optional[int] = ..., solve_ns: _Optional[int] = ..., deadline_missed: bool = ...) -> None: ...
-
-class Estimate(_message.Message):
-    __slots__ = ("k", "a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std", "dead_time", "dead_time_std", "misfit")
-    K_FIELD_NUMBER: _ClassVar[int]
-    A_FIELD_NUMBER: _ClassVar[int]
-    A_STD_FIELD_NUMBER: _ClassVar[int]
-    SPEED_FIELD_NUMBER: _ClassVar[int]
-    SPEED_STD_FIELD_NUMBER: _ClassVar[int]
-    HEADING_BIAS_FIELD_NUMBER: _ClassVar[int]
-    HEADING_BIAS_STD_FIELD_NUMBER: _ClassVar[int]
-    DEAD_TIME_FIELD_NUMBER: _ClassVar[int]
-    DEAD_TIME_STD_FIELD_NUMBER: _ClassVar[int]
-    MISFIT_FIELD_NUMBER: _ClassVar[int]
-    k: int
-    a: _containers.RepeatedScalarFieldContainer[float]
-    a_std: _containers.RepeatedScalarFieldContainer[float]
-    speed: _containers.RepeatedScalarFieldContainer[float]
-    speed_std: _containers.RepeatedScalarFieldContainer[float]
-    heading_bias: _containers.RepeatedScalarFieldContainer[float]
-    heading_bias_std: _containers.RepeatedScalarFieldContainer[float]
-    dead_time: float
-    dead_time_std: float
-    misfit: _containers.RepeatedScalarFieldContainer[float]
-    def __init__(self, k: _Optional[int] = ..., a: _Optional[_Iterable[float]] = ..., a_std: _Optional[_Iterable[float]] = ..., speed: _Optional[_Iterable[float]] = ..., speed_std: _Optional[_Iterable[float]] = ..., heading_bias: _Optional[_Iterable[float]] = ..., heading_bias_std: _Optional[_Iterable[float]] = ..., dead_time: _Optional[float] = ..., dead_time_std: _Optional[float] = ..., misfit: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Fact(_message.Message):
     __slots__ = ("key", "value")

@@ -31,7 +31,8 @@ from tetractl.model.path_check import check_path
 
 
 def read_trial(path: Path) -> TrialLog:
-    """Read a whole trial; values have the same bits as when they were written.
+    """Read a whole trial; values have the same bits as when they were written, except true poses,
+    of single precision, and predicted paths, of 14 significant bits and without headings.
 
     Of a damaged or unfinished log, including a .part file, the intact records are read, and
     `damage` states what is missing. Raises LogError if the file is not a log of tetractl, has a
@@ -236,7 +237,7 @@ def _frames(contents: RawLog, robots: int) -> Frames:
     """Decode the camera frames of N robots; true poses are NaN if a damaged log lost them."""
     parts = [Frames.of((), robots)]
     for message in contents.messages(channels.FRAMES):
-        cost = limits.NUMBER_COST * (7 * robots + 3) * len(message.frame)
+        cost = limits.NUMBER_COST * (7 * robots + 3) * codec.frame_count(message)
         contents.budget.spend(cost, "very many camera frames")
         parts.append(codec.decode_frames(message, robots))
     found = Frames.joined(parts)
@@ -253,17 +254,15 @@ def _commands(contents: RawLog, robots: int) -> Iterator[Command]:
 
 
 def _steps(contents: RawLog, robots: int) -> Iterator[Step]:
-    """Decode the control steps of N robots, with their solve times and estimates."""
+    """Decode the control steps of N robots, with their solve times."""
     timings = {message.k: message for message in contents.messages(channels.HOST_TIMING)}
-    estimates = {message.k: message for message in contents.messages(channels.ESTIMATE)}
     for message in contents.messages(channels.STEP):
         searches = message.searches
         numbers = sum(len(search.signals) + len(search.history) for search in searches)
         numbers += len(message.signals) + 3 * len(message.path_x)
         cost = limits.STEP_COST + limits.SEARCH_COST * len(searches) + limits.NUMBER_COST * numbers
         contents.budget.spend(cost, "very many searches")
-        k = message.k
-        step = codec.decode_step(message, timings.get(k), estimates.get(k), robots)
+        step = codec.decode_step(message, timings.get(message.k), robots)
         validate.check_step(step)
         yield step
 

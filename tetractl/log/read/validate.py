@@ -76,7 +76,7 @@ def check_step(step: Step) -> None:
     check_counts("a solve time", [step.solve_ns])
     if len(plan.path) != len(plan.signals) + 1:
         raise ValueError(f"a path has {len(plan.path)} poses for {len(plan.signals)} signals")
-    _within("a predicted pose", plan.path, VALUE_MAX)
+    _within("a predicted position", plan.path[..., :2], VALUE_MAX)
     for search in plan.searches:
         if not search.length == len(search.signals) > 0:
             raise ValueError(

@@ -26,9 +26,10 @@ chunks. If a simulation is slower than real time, `sink.CHUNK_S` also ends chunk
 LAB_CHUNK_NS = SECOND // 4  # trial time of a chunk in the lab, which a crash may lose [ns]
 MESSAGE_POSES_MAX = 20_000
 """Largest number of poses in a message, which bounds its size."""
-SHOWN_HZ = 30
-"""Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms.
-"""
+SHOWN_HZ = 15
+"""Rate of a simulation's transforms for viewers [Hz]; viewers interpolate between transforms."""
+PLAN_SHOWN_NS = SECOND * 3 // 20
+"""Least time between two plans for viewers [ns]."""
 
 
 class RecordSink(Protocol):
@@ -67,10 +68,11 @@ class Encoder:
         """Add what identifies the trial, specs, static scene and the message on the start."""
         setup, plant = start.setup, start.plant
         self._start, self._start_ns = start, start.start_unix_ns
-        self._names, self._scene = setup.names, Scene(setup)
+        self._names, self._scene = setup.names, Scene(setup, exact=not plant.simulated)
         # which robots were tracked in the last frame
         self._tracked = np.ones(len(self._names), dtype=np.bool_)
         self._every, self._most = 1, 1  # frames per transform shown, and per message
+        self._plan_ns = 0  # time of the next plan shown
         if plant.simulated:
             self._every = max(1, round(plant.camera_rate_hz / SHOWN_HZ))
             self._most = max(1, MESSAGE_POSES_MAX // len(self._names))
@@ -150,14 +152,13 @@ class Encoder:
     def on_step(self, step: Step) -> None:
         """Add a control step: decision, command, planned path, solve time and estimate."""
         sampled_ns, sent_ns = step.observation.sampled_ns, step.command.sent_ns
-        plan = self._scene.plan(step.plan.path, self._start_ns + sent_ns)
         self._add(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
         self._add_command(step.command)
-        self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
+        if sent_ns >= self._plan_ns:
+            self._plan_ns = sent_ns + PLAN_SHOWN_NS
+            plan = self._scene.plan(codec.drawn(step.plan.path), self._start_ns + sent_ns)
+            self._add_bytes(channels.SCENE_PLAN, plan, sent_ns, sampled_ns)
         self._add(channels.HOST_TIMING, codec.encode_timing(step), sent_ns)
-        if step.plan.estimate is not None:
-            estimate = codec.encode_estimate(step.k, step.plan.estimate)
-            self._add(channels.ESTIMATE, estimate, sent_ns, sampled_ns)
         for name, delivered in zip(self._names, step.command.delivered, strict=True):
             if not delivered:
                 self._say(sent_ns, "warning", f"{name} did not get the command of step {step.k}")

@@ -85,12 +85,12 @@ class Sink:
             self._mcap.add_metadata("tetractl", {"format": str(FORMAT_VERSION)})
         except OSError as error:
             self._fail(error)
+        schemas = {
+            message: self._mcap.register_schema(*protobuf_schema(message))
+            for message in dict.fromkeys(CHANNELS.values())
+        }
         self._channels = {
-            topic: self._mcap.register_channel(
-                topic,
-                MessageEncoding.Protobuf,
-                self._mcap.register_schema(*protobuf_schema(message)),
-            )
+            topic: self._mcap.register_channel(topic, MessageEncoding.Protobuf, schemas[message])
             for topic, message in CHANNELS.items()
         }
 

@@ -33,15 +33,21 @@ def test_every_path_leads_to_a_channel_and_every_panel_is_arranged():
     (script,) = found["userNodes"].values()
     computed = re.search(r'output = "(.*)"', script["sourceCode"])[1]
     fields = {
-        f"{topic}.{field.name}"
+        f"{topic}.{name}"
         for topic, message in channels.CHANNELS.items()
         for field in message.DESCRIPTOR.fields
+        for name in (field.name, *_inside(field))
     }
     for path in paths:
         assert path.startswith(f"{computed}.") or path.partition("[")[0] in fields
     assert set(panels["3D!arena"]["topics"]) <= set(channels.CHANNELS)
     arranged = re.findall(r"(?:3D|Plot)!\w+", json.dumps(found["layout"]))
     assert sorted(arranged) == sorted(panels)
+
+
+def _inside(field):
+    inner = field.message_type.fields if field.message_type else ()
+    return [f"{field.name}.{one.name}" for one in inner]
 
 
 def test_a_log_holds_its_layout(tmp_path):

@@ -40,6 +40,6 @@ def test_every_number_is_as_it_was(name):
 
 def test_its_decisions_still_follow_from_it():
     """By their costs on any processor; if this fails, the controller no longer does what it did."""
-    found = verify(FOLDER / "format-3-sim.mcap")
+    found = verify(FOLDER / "format-4-sim.mcap")
     assert found.problems == ()
     assert found.checked == found.steps > 0

@@ -6,6 +6,7 @@ import re
 import struct
 from pathlib import Path
 
+import numpy as np
 import pytest
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -15,6 +16,7 @@ from support.random_trials import trial, write
 
 from tetractl.core.errors import LogError, TetractlError
 from tetractl.log.format.channels import COMMANDS, FRAMES, HOST_END, HOST_TIMING, RESULT, RUN, STEP
+from tetractl.log.format.codec import packed
 from tetractl.log.format.tetractl_pb2 import (
     CameraFrames,
     ControllerStep,
@@ -111,11 +113,14 @@ def test_a_tail_of_zeros_is_an_end(log, tmp_path):
 NAN, INF = float("nan"), float("inf")
 
 
-def spoilt_frames(**changes):
-    """A frame of one robot that could be ours, but for the changes."""
-    whole = {"x": [1.0], "y": [1.0], "heading": [1.0], "valid": [True]}
-    times = {"frame": [0], "sampled_ns": [0], "received_ns": [0]}
-    return CameraFrames(**{**whole, **times, **changes})
+def spoilt_frames(times=((0, 0, 0),), poses=((1.0, 1.0, 1.0),), truth=(), valid=(True,)):
+    """Frames of one robot that could be ours, but for the changes."""
+    return CameraFrames(
+        times=packed(np.array(times, np.int64)),
+        poses=packed(np.array(poses, np.float64).reshape(-1, 3)),
+        truth=packed(np.array(truth, np.float32).reshape(-1, 3)),
+        valid=valid,
+    )
 
 
 def spoilt_step(**changes):
@@ -123,7 +128,7 @@ def spoilt_step(**changes):
     seen = MocapSample(x=[1.0], y=[1.0], heading=[1.0], valid=[True])
     one = Search(length=1, signals=[0.5], cost=1.0, history=[1.0], evaluations=1)
     command = WheelCommand(direction=0.5, delivered=[True])
-    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2, "path_heading": [1.0] * 2}
+    path = {"path_x": [1.0] * 2, "path_y": [1.0] * 2}
     whole = {"observation": seen, "searches": [one], "command": command, "signals": [0.5], **path}
     whole["state"] = "driving"
     return ControllerStep(**{**whole, **changes})
@@ -200,17 +205,20 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
 @pytest.mark.parametrize(
     ("topic", "message"),
     [
-        (FRAMES, spoilt_frames(x=[1.0] * 3, y=[1.0] * 3, heading=[1.0] * 3, valid=[True] * 3)),
-        (FRAMES, spoilt_frames(y=[])),
-        (FRAMES, spoilt_frames(sampled_ns=[1, 2])),
-        (FRAMES, spoilt_frames(true_x=[1.0] * 2, true_y=[1.0] * 2, true_heading=[1.0] * 2)),
+        (FRAMES, spoilt_frames(poses=[[1.0] * 3] * 3, valid=[True] * 3)),
+        (FRAMES, spoilt_frames(poses=())),
+        (FRAMES, spoilt_frames(times=[(0, 1, 1), (1, 2, 2)])),
+        (FRAMES, spoilt_frames(truth=[[1.0] * 3] * 2)),
+        (FRAMES, spoilt_frames(valid=())),
+        (FRAMES, CameraFrames(times=b"abc")),
+        (FRAMES, CameraFrames(truth=b"abc")),
         (STEP, ControllerStep(chosen=5)),
         (STEP, ControllerStep(chosen=-1, signals=[1.0])),
-        (FRAMES, spoilt_frames(x=[NAN])),
-        (FRAMES, spoilt_frames(x=[INF], valid=[False])),
-        (FRAMES, spoilt_frames(heading=[1e300])),
-        (FRAMES, spoilt_frames(sampled_ns=[2**62])),
-        (FRAMES, spoilt_frames(true_x=[INF], true_y=[1.0], true_heading=[1.0])),
+        (FRAMES, spoilt_frames(poses=[(NAN, 1.0, 1.0)])),
+        (FRAMES, spoilt_frames(poses=[(INF, 1.0, 1.0)], valid=[False])),
+        (FRAMES, spoilt_frames(poses=[(1.0, 1.0, 1e300)])),
+        (FRAMES, spoilt_frames(times=[(0, 2**62, 0)])),
+        (FRAMES, spoilt_frames(truth=[(INF, 1.0, 1.0)])),
         (COMMANDS, WheelCommand(direction=NAN, delivered=[True])),
         (COMMANDS, WheelCommand(direction=1.0, delivered=[True], sent_ns=-(2**63))),
         (COMMANDS, WheelCommand(direction=1.0)),
@@ -220,7 +228,7 @@ def test_a_record_of_the_run_that_is_no_message_is_one_line(tmp_path, contents, 
         (STEP, spoilt_step(cost=INF)),
         (STEP, spoilt_step(signals=[NAN])),
         (STEP, spoilt_step(path_x=[1.0, NAN])),
-        (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3, path_heading=[1.0] * 3)),
+        (STEP, spoilt_step(path_x=[1.0] * 3, path_y=[1.0] * 3)),
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], cost=1.0)])),
         (STEP, spoilt_step(searches=[Search(length=2, signals=[0.5], history=[1.0])])),
         (STEP, spoilt_step(searches=[Search(length=1, signals=[0.5], history=[-INF])])),

@@ -6,6 +6,8 @@ from typing import Protocol
 
 SECOND = 1_000_000_000  # ns
 MILLISECOND = 1_000_000  # ns
+NEVER = 2**62
+"""A time after the end of every trial [ns]."""
 
 
 def seconds(ns: int) -> float:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Times = NDArray[np.int64]  # [ns]
 Grey = NDArray[np.uint8]  # a picture (height, width)
 
 

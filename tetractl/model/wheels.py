@@ -1,24 +1,22 @@
 """Two-wheeled robots that move like cells by the paper's equations (21)-(25).
 
 `Drivetrains` are wheels and their counts, `WheelHost` computes what a host sends, `WheeledRobots`
-are the robots' true motion; the simulation, the emulated robots and the lab's actuator use them.
+are the robots' true motion; the emulated robots and the lab's actuator use them. The simulation
+runs their loops, `model.motion.rolling`, compiled.
 
 A wheel runs at gain * (|count| - dead zone), and stands within the dead zone. One count turns
 an m3pi at about 0.19 rad/s, too much to neglect: the rounding error is carried to the next command
 (error diffusion), so that the mean of the speeds sent is the requested speed.
 """
 
-import math
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.core.clock import SECOND
-from tetractl.core.poses import Bools, Floats, Poses
-from tetractl.model.motion.arc import chain
-from tetractl.model.motion.exact import step as exact
+from tetractl.core.clock import NEVER
+from tetractl.core.poses import Bools, Floats, Poses, Times
+from tetractl.model.motion.rolling import LAG, ROWS, STILL, count, note, roll, wish
 
 COUNT_MAX = 127
 Counts = tuple[int, int]
@@ -79,59 +77,27 @@ class Drivetrains:
         """
         if not np.isfinite(speeds).all():
             raise ValueError(f"wheel speeds must be finite, not {speeds.tolist()}")
-        span = self.limit - self.dead_zone
-        scale = 1.0 / np.maximum(1.0, (np.abs(speeds / self.gain) / span).max(axis=0))
-        total = speeds * scale / self.gain + owed  # of a wheel of speed 0: rounds to 0
-        steps = np.rint(np.maximum(np.minimum(total, span), -span))
-        owed = np.maximum(np.minimum(total - steps, 0.5), -0.5) * speeds.any(axis=0)
-        own = (steps + np.sign(steps) * self.dead_zone).astype(np.int64)
-        return self._swapped(own), owed
+        owed = owed.copy()
+        steps = count(speeds, owed, self.gain, self.dead_zone, self.limit)
+        return self._swapped((steps + np.sign(steps) * self.dead_zone).astype(np.int64)), owed
 
     def _swapped(self, pairs: CountArray) -> CountArray:
         return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
 
 
-class LaggingTurns:
-    """Predicts the headings of N robots whose wheels follow commands with a first-order lag T.
+def nothing_sent(count: int) -> tuple[Times, Floats]:
+    """Return `sent_ns` and `sent` of `wish` for `count` robots that stand."""
+    sent_ns = np.full(8, NEVER)
+    sent_ns[0] = 0
+    return sent_ns, np.zeros((9, count))
 
-    A robot has heading theta and turning rate w at time s. If the turning rates c sent to it act
-    until time t, and the rate 0 after t, the robot comes to rest at the heading
 
-        theta + T w(s) + integral of c from s to t.
-
-    If equations (24)-(25) are computed at this heading, robots turn by (3), as without lag.
-    """
-
-    def __init__(self, lag_s: float, count: int) -> None:
-        self._lag_s = lag_s
-        # times from which turning rates act [ns], and the rates (N,) [rad/s], oldest first
-        self._sent: deque[tuple[int, Floats]] = deque([(0, np.zeros(count))])
-        self._turning = np.zeros(count)  # true rates when the oldest command begins to act
-
-    def sent(self, acts_ns: int, turning: Floats) -> None:
-        """Add turning rates (N,) [rad/s], which act from `acts_ns` [ns] on."""
-        self._sent.append((acts_ns, turning))
-
-    def ahead(self, heading: Floats, since: int, until: int) -> Floats:
-        """Return the headings (N,) [rad] in which robots come to rest if they stop at `until` [ns].
-
-        `heading` (N,) are their headings at `since` [ns]; `since` must not decrease between calls.
-        """
-        while len(self._sent) > 1 and self._sent[1][0] <= since:
-            self._turning = self._turning_at(self._sent[1][0])
-            self._sent.popleft()
-        found = heading + self._lag_s * self._turning_at(since)
-        ends = [begin for begin, _ in self._sent][1:]
-        for (begin, turning), end in zip(self._sent, [*ends, until], strict=True):
-            found = found + turning * (max(end - max(begin, since), 0) / SECOND)
-        return found
-
-    def _turning_at(self, when: int) -> Floats:
-        """Return the true turning rates at a time [ns] at which the oldest command acts."""
-        begin, wanted = self._sent[0]
-        return wanted + (self._turning - wanted) * math.exp(
-            min(begin - when, 0) / SECOND / self._lag_s
-        )
+def with_room(sent_ns: Times, sent: Floats) -> tuple[Times, Floats]:
+    """Return `sent_ns` (..., Q) and `sent` (..., Q + 1, N) with room for another command."""
+    if (sent_ns[..., -2] == NEVER).all():
+        return sent_ns, sent
+    unused_ns, unused = np.full_like(sent_ns, NEVER), np.zeros_like(sent[..., 1:, :])
+    return np.concatenate([sent_ns, unused_ns], -1), np.concatenate([sent, unused], -2)
 
 
 class WheelHost:
@@ -139,53 +105,41 @@ class WheelHost:
 
     `a` [rad/s], `speed` [length unit/s] and `radius` [length unit], the distance from a wheel to
     the centre, are (N,). The wheels are known to follow commands with the time constant `lag_s`
-    [s], 0 to neglect it. `drivetrains` are the wheels as calibrated, None if speeds themselves are
-    sent.
+    [s], 0 to neglect it. `drivetrains` are the wheels as calibrated.
     """
 
     def __init__(
-        self,
-        a: Floats,
-        speed: Floats,
-        radius: Floats,
-        lag_s: float,
-        drivetrains: Drivetrains | None = None,
+        self, a: Floats, speed: Floats, radius: Floats, lag_s: float, drivetrains: Drivetrains
     ) -> None:
-        self.drivetrains, self._radius = drivetrains, radius
-        self._a, self._speed = a, speed
-        self._turns = LaggingTurns(lag_s, a.size) if lag_s > 0 else None
+        self.drivetrains, self._lag_s = drivetrains, lag_s
+        self._known = np.array([a, speed, radius])
+        self._sent = nothing_sent(a.size)
         self._owed = np.zeros((2, a.size))
 
     def wished(
-        self, heading: Floats, u: Floats, since_ns: int, acts_ns: int, ahead: bool = True
+        self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
-        """Return the wheel speeds (2, N) by equations (24)-(25) for the direction `u` [rad], and
-        for the headings predicted from the measured ones (N,), exposed at `since_ns`, to `acts_ns`,
-        when the command acts [ns]. If not `ahead`, the speeds turn the robots on the spot.
-
-        Headings are predicted by equation (3) or, if the wheels lag, as the headings in which the
-        robots would come to rest after the commands already sent.
-        """
-        if self._turns is not None:
-            heading = self._turns.ahead(heading, since_ns, acts_ns)
-        elif acts_ns > since_ns:
-            nowhere, ahead_s = np.zeros_like(heading), (acts_ns - since_ns) / SECOND
-            _, _, heading = exact(nowhere, nowhere, heading, u, self._a, self._speed, ahead_s)
-        return np.array(wheel_speeds(heading, u, self._a, self._speed * ahead, self._radius))
+        """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`."""
+        towards = np.full(heading.shape, u)
+        return wish(
+            heading, towards, drives, since_ns, acts_ns, self._known, self._lag_s, *self._sent
+        )
 
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
-        assert self.drivetrains is not None, "counts need calibrated wheels"
         counts, self._owed = self.drivetrains.counts(wished, self._owed)
         return counts
 
     def sent(self, acts_ns: int, speeds: Floats) -> tuple[Floats, Floats]:
         """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
         speeds and the turning rates [rad/s] of the robots, (N,) each."""
-        speed, turning = body_velocity(speeds[0], speeds[1], self._radius)
-        if self._turns is not None:
-            self._turns.sent(acts_ns, turning)
-        return speed, turning
+        if self._lag_s > 0:
+            self._sent = with_room(*self._sent)
+            note(acts_ns, speeds, self._known, *self._sent)
+        return body_velocity(speeds[0], speeds[1], self._known[2])
+
+
+NOTHING = np.zeros((1, 0, 0))
 
 
 class WheeledRobots:
@@ -193,50 +147,51 @@ class WheeledRobots:
     first-order lag.
 
     `radius` [length unit] is the true distance from a wheel to the centre, and `lag_s` [s] the
-    wheels' time constant, for all robots or for each (N,), 0 for none. Stopped robots stand once
-    all wheels are slower than `still` [length unit/s]. `wheels` (2, N) are the present speeds.
+    wheels' time constant, for all robots or for each (N,), 0 for none. A stopped robot stands once
+    its wheels are slower than `still` [length unit/s]. `pose` (3, N) are x, y, heading and `wheels`
+    (2, N) the present speeds; all are parts of `bodies` (1, ROWS, N), see `rolling.roll`.
     """
 
-    chain = staticmethod(chain)
+    roll = staticmethod(roll)
 
     def __init__(self, poses: Poses, radius: Floats, lag_s: float | Floats, still: float) -> None:
+        self.bodies = np.zeros((1, ROWS, radius.size))
+        body, self._radius = self.bodies[0], radius
+        self.pose, self.wheels, self.targets, self._rates, _ = np.split(body, (3, 5, 7, 9))
+        body[LAG], body[STILL] = lag_s, still
         self.poses = poses
-        self.targets = np.zeros((2, radius.size))
-        self.wheels = np.zeros((2, radius.size))
-        self._radius, self._lag, self._still = radius, lag_s + 0 * radius, still
-        self._lags = bool(np.any(lag_s))
         self.scale(np.ones(radius.size), np.ones(radius.size))
+
+    @property
+    def poses(self) -> Poses:
+        """The present poses."""
+        return Poses(*self.pose.copy())
+
+    @poses.setter
+    def poses(self, poses: Poses) -> None:
+        self.pose[:] = poses.x, poses.y, poses.heading
 
     def scale(self, turning: Floats, speed: Floats) -> None:
         """From now on, multiply turning rates and speeds by factors (N,), as by slip."""
-        self._rates = np.array([turning / (2 * self._radius), speed / 2])
+        self._rates[:] = turning / (2 * self._radius), speed / 2
 
     def wheels_in(self, seconds: float) -> Floats:
         """Return the wheel speeds (2, N) after a time [s] from now."""
-        behind = self.wheels - self.targets
-        return self.targets + (behind * np.exp(-seconds / self._lag) if self._lags else 0.0)
+        lags = self.bodies[0, LAG]
+        kept = np.exp(np.divide(-seconds, lags, out=np.full(lags.size, -np.inf), where=lags > 0))
+        return self.targets + (self.wheels - self.targets) * kept
 
     def drive(
-        self, seconds: Floats, swerves: Floats | None = None
-    ) -> tuple[Floats, Floats, Floats]:
-        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
-
-        The headings turn by `swerves` (M, N) [rad] in addition, each at its time. Wheel speeds,
-        distances and headings are exact. A position is the sum of the chords between the times,
-        each that of an arc: exact for settled wheels, otherwise the error falls with the square of
-        the time between two.
-        """
-        p, target, share = self.poses, self.targets, np.ones((seconds.size, self._radius.size))
-        if self._lags:  # completed fraction of the change
-            share = -np.expm1(seconds[:, None] / -self._lag)
-        behind = self.wheels - target
-        self.wheels = target + behind * (1 - share[-1])
-        if not target.any() and np.abs(self.wheels).max() < self._still:
-            self.wheels = target
-        wheels = np.concatenate([target, self._lag * behind])
-        swerves = np.zeros_like(share) if swerves is None else swerves
-        x, y, heading = self.chain(
-            np.array([p.x, p.y, p.heading]), wheels, seconds, share, self._rates, swerves
-        )
-        self.poses = Poses(x[-1], y[-1], heading[-1])
-        return x, y, heading
+        self,
+        since_ns: int,
+        times: Times,
+        ticks: Bools | None = None,
+        walk: float = 0.0,
+        drawn: Floats = NOTHING,
+    ) -> Floats:
+        """Advance from `since_ns` [ns] to the last of the `times` (M,) [ns]; return x, y, heading
+        (M, 3, N) at these. For the swerves of the headings see `rolling.roll`."""
+        ticks = np.zeros(times.size, np.bool_) if ticks is None else ticks
+        now_ns, path = np.array([since_ns]), np.empty((1, times.size, *self.pose.shape))
+        self.roll(self.bodies, now_ns, times[-1:], times, ticks, walk, drawn, path)
+        return path[0]

@@ -4,14 +4,14 @@ import math
 
 import numpy as np
 
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Steer, Stop
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.helix import steps_until
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, to_the_left, walls_of
-from tetractl.plant.direct import NEVER
 
 
 class CultureSection(Model):
@@ -90,12 +90,12 @@ class CellDrive:
         """Change the true turning rates a and speeds from now on, (N,) each."""
         self.cells.a, self.cells.speed, self._laid_out = a.copy(), speed * self._um, None
 
-    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
-        """Advance the cells; return x, y, heading (M, N) at the times `seconds` (M,) from now.
+    def advance(self, since_ns: int, times: Times, ticks: Bools) -> Floats:
+        """Advance the cells; return x, y, heading (M, 3, N) at the `times` (M,) [ns].
 
         `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
-        cells, um = self.cells, self._um
+        cells, um, seconds = self.cells, self._um, (times - since_ns) / SECOND
         if self._laid_out is None:
             self._laid_out = cells.laid_out(
                 (self._field[0], self._field[1]), self._drift, self._walls
@@ -106,7 +106,7 @@ class CellDrive:
         left = to_the_left(heading, across)
         x, y, self._across = (x + left[0]) / um, (y + left[1]) / um, across[-1]
         self._poses = Poses(x[-1], y[-1], heading[-1])
-        return x, y, heading
+        return np.stack((x, y, heading), axis=1)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the cells that it reaches."""

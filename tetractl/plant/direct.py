@@ -2,13 +2,12 @@
 
 import numpy as np
 
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import FieldOff, Steer, Stop, Turn
-from tetractl.core.poses import Bools, Floats, Poses
+from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.motion import Held, Motion
 
-NEVER = 2**62
-"""A time after the end of every trial [ns]."""
 LEAST_A = 1e-12
 """Turning rate of a robot that is held still [rad/s]; not 0, as the closed form divides by it."""
 
@@ -58,20 +57,18 @@ class DirectDrive:
         self._a, self._speed = np.maximum(a, LEAST_A), speed
         self._held.turning = a * self._sine
 
-    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
-        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
+    def advance(self, since_ns: int, times: Times, ticks: Bools) -> Floats:
+        """Advance the robots; return x, y, heading (M, 3, N) at the `times` (M,) [ns].
 
         `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
         p, held = self.poses, self._held
-        t = seconds[:, None] * self.moving
+        t = ((times - since_ns) / SECOND)[:, None] * self.moving
         if self._free.any():  # a robot without field does not turn: its u is its heading
             held.direction = np.where(self._free, p.heading, held.direction)
-        x, y, heading = self._motion.hold(
-            p.x, p.y, p.heading, held, self._a, self._ahead * self._speed, t
-        )
-        self.poses = Poses(x[-1], y[-1], heading[-1])
-        return x, y, heading
+        path = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._ahead * self._speed, t)
+        self.poses = Poses(*(each[-1] for each in path))
+        return np.stack(path, axis=1)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.

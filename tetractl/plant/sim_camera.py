@@ -1,31 +1,54 @@
 """The camera of a simulation: exposure times, measurements and arrival times."""
 
+from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Sample
-from tetractl.core.poses import Bools, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses, Times
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import Disturbance, overriding
 
+BLOCK_NS = 4 * SECOND  # times are laid out for so long in advance
 
-class Beat:
-    """The times k / `rate_hz` [ns] for k = 0, 1, 2, ...; `next_ns` is the next of them."""
 
-    def __init__(self, rate_hz: float) -> None:
-        self.rate_hz, self._count, self.next_ns = rate_hz, 0, 0
+class Beats:
+    """The times of the camera's frames and of the samples of the true path: k / rate [ns] for
+    k = 0, 1, 2, ..., in order. `next_ns` is the next time, `next_frame_ns` the next of a frame."""
 
-    def due(self, until: int) -> list[int]:
-        """Pass the times up to `until`, and return them."""
-        times = list[int]()
-        while self.next_ns <= until:
-            times.append(self.next_ns)
-            self._count += 1
-            self.next_ns = round(self._count * SECOND / self.rate_hz)
-        return times
+    def __init__(self, camera_hz: float, truth_hz: float) -> None:
+        self._rates_hz, self._laid_ns = (camera_hz, truth_hz), -1
+        self.next_ns = self.next_frame_ns = 0
+
+    def due(self, until: int, ends: bool = False) -> tuple[Times, Bools]:
+        """Pass the times (M,) up to `until`; return them, and which are a frame's and which a
+        sample's (2, M). If it `ends` a part of the path, `until` is always the last of them."""
+        if until + SECOND >= self._laid_ns:
+            self._lay_out(until + BLOCK_NS)
+        begin, end = self._passed, bisect_right(self._each, until, self._passed)
+        self._passed, self.next_ns, self.next_frame_ns = end, self._each[end], self._frame[end]
+        if not ends or (end > begin and self._each[end - 1] == until):
+            return self._times[begin:end], self._kinds[:, begin:end]
+        times, kinds = self._times[begin : end + 1].copy(), self._kinds[:, begin : end + 1].copy()
+        times[-1], kinds[:, -1] = until, False
+        return times, kinds
+
+    def _lay_out(self, until: int) -> None:
+        """Lay out the times from the next one to `until` [ns] and at least a second more."""
+        since, self._laid_ns, self._passed = self.next_ns, until, 0
+        both = list[Times]()
+        for rate in self._rates_hz:
+            first, last = (int(when * rate / SECOND) for when in (since, until + SECOND))
+            times = np.rint(np.arange(first - 1, last + 3) * SECOND / rate).astype(np.int64)
+            both.append(times[(times >= since) & (times <= until + SECOND)])
+        times = np.sort(np.concatenate(both))
+        self._times = times = times[np.diff(times, prepend=-1) > 0]
+        later = [np.append(each, NEVER)[np.searchsorted(each, times)] for each in both]
+        self._kinds = np.array([each == times for each in later])
+        self._each, self._frame = times.tolist(), later[0].tolist()
 
 
 class MeasurementNoise(Model):
@@ -38,17 +61,17 @@ class MeasurementNoise(Model):
 
 
 class SimCamera:
-    """Exposes frames at a steady rate [Hz]; `disturbances` change, delay and lose them."""
+    """Makes frames of the true poses; `disturbances` change, delay and lose them."""
 
     def __init__(
         self,
         robots: int,
-        rate_hz: float,
         noise: MeasurementNoise,
         rng: np.random.Generator,
         disturbances: Sequence[Disturbance],
     ) -> None:
-        self.beat, self._noise, self._rng = Beat(rate_hz), noise, rng
+        self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
+        self._noisy, self._rng = bool(self._noise.any()), rng
         self._measured = overriding(disturbances, "measured")
         self._received = overriding(disturbances, "received")
         self._tracked = np.ones(robots, dtype=np.bool_)
@@ -65,19 +88,20 @@ class SimCamera:
         """The time when the next frame reaches the host [ns], None if no frame is in transit."""
         return self._under_way[0].observation.received_ns if self._under_way else None
 
-    def expose(self, when: int, truth: Poses) -> None:
-        """Expose the next frame at `when` [ns] with the robots at the poses `truth`."""
-        number = self._exposed
+    def expose(self, times: Times, truth: Floats) -> None:
+        """Expose the next frames at `times` (F,) [ns] with the robots at x, y, heading `truth`
+        (F, 3, N)."""
+        seen = truth
+        if self._noisy:
+            seen = truth + self._noise * self._rng.standard_normal(truth.shape)
+        for when, true, measured in zip(times.tolist(), truth, seen, strict=True):
+            poses = Poses(*true)
+            self._send(when, poses, Poses(*measured) if self._noisy else poses)
+
+    def _send(self, when: int, truth: Poses, measured: Poses) -> None:
+        """Send the host a frame of the true poses `truth`, exposed at `when` [ns]."""
+        number, valid = self._exposed, self._tracked
         self._exposed += 1
-        measured = truth
-        if self._noise.position > 0 or self._noise.heading > 0:
-            x, y, heading = self._rng.standard_normal((3, truth.x.size))
-            measured = Poses(
-                truth.x + self._noise.position * x,
-                truth.y + self._noise.position * y,
-                truth.heading + self._noise.heading * heading,
-            )
-        valid = self._tracked
         if self._measured:
             measured, valid = self._disturb(measured, when)
         received: int | None = when

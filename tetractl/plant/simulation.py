@@ -37,7 +37,7 @@ from tetractl.model.swimmers import A_LOG_SD, SPEED_LOG_SD
 from tetractl.model.wheels import wheel_speeds
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.plant.direct import DirectDrive, aim
-from tetractl.plant.sim_camera import MeasurementNoise, SimCamera
+from tetractl.plant.sim_camera import Beats, MeasurementNoise, SimCamera
 from tetractl.plant.standing import StandingCheck
 from tetractl.plant.true_motion import Drive, TrueMotion
 from tetractl.plant.wheel_drive import WheelDrive, WheelDriveSection
@@ -206,20 +206,20 @@ class SimPlant:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
             starts = disturbance.placed(starts)
         self._news: list[Command | Note] = []
-        self._camera = SimCamera(
-            count, section.camera_rate, section.measurement_noise, measuring, disturbances
-        )
+        self._camera = SimCamera(count, section.measurement_noise, measuring, disturbances)
         self._drive = self._driven(starts, seed)
+        made = section.drive is not None or section.cells is not None  # walks of its own
+        walk = 0.0 if made else section.heading_noise / np.sqrt(section.camera_rate)
         self._motion = TrueMotion(
             setup,
             self.a,
             self.speed,
             self._drive,
             self._camera,
+            Beats(section.camera_rate, section.truth_rate),
             disturbances,
-            section.heading_noise if section.drive is None and section.cells is None else 0.0,
+            float(walk),
             swerving,
-            section.truth_rate,
             lambda now: self._news.append(self._transmit(now, None)),
         )
         self._standing = StandingCheck(setup, section.dead_time)
@@ -349,7 +349,9 @@ class SimPlant:
         patience = self.clock.now() + NO_FRAME_S * SECOND
         while self._camera.newest is None or self._camera.newest.sampled_ns < since:
             arriving = self._camera.arriving_ns
-            self.clock.sleep_until(self._camera.beat.next_ns if arriving is None else arriving)
+            self.clock.sleep_until(
+                self._motion.beats.next_frame_ns if arriving is None else arriving
+            )
             if self.clock.now() > patience:
                 raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
             self._motion.advance(self.clock.now())

@@ -8,15 +8,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import Stop
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, Disturbance, overriding
 from tetractl.model.path_check import PathCheck
 from tetractl.plant.cell_drive import CellDrive
-from tetractl.plant.direct import NEVER, DirectDrive
-from tetractl.plant.sim_camera import Beat, SimCamera
+from tetractl.plant.direct import DirectDrive
+from tetractl.plant.sim_camera import Beats, SimCamera
 from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
@@ -27,8 +27,8 @@ class TrueMotion:
     """Moves N robots in continuous time, exposes the camera's frames and checks the true path.
 
     `a` and `speed` (N,) are the trial's values, before disturbances vary them. `heading_walk`
-    [rad/sqrt(s)] is the random walk of the headings of robots without wheels, drawn from `walking`
-    at each frame; the path is sampled at `truth_rate` [Hz]. `repeat(now)` is called at each time
+    [rad] is the random walk of the headings of robots without wheels, drawn from `walking`
+    at each frame; `beats` are the times of frames and samples. `repeat(now)` is called at each time
     [ns] at which the drive repeats a transmission.
     """
 
@@ -39,10 +39,10 @@ class TrueMotion:
         speed: Floats,
         drive: Drive,
         camera: SimCamera,
+        beats: Beats,
         disturbances: Sequence[Disturbance],
         heading_walk: float,
         walking: np.random.Generator,
-        truth_rate: float,
         repeat: Callable[[int], None],
     ) -> None:
         self.drive, self.path_check = drive, PathCheck.of(setup)
@@ -53,19 +53,20 @@ class TrueMotion:
         self._varying = overriding(disturbances, "varied")
         # per disturbance in `_varying`: which robots it holds, (N,)
         self._held = [np.zeros(len(setup.names), dtype=np.bool_) for _ in self._varying]
-        self._walk, self._walking = heading_walk / np.sqrt(camera.beat.rate_hz), walking
+        self._walk, self._walking = heading_walk, walking
         self._disturbs = bool(self._moving or self._varying)
         self._by_frame = self._disturbs or heading_walk > 0
-        self._beat = Beat(truth_rate)  # of the samples of the true path
+        self.beats = beats
         self._under_way: deque[DelayedCommand] = deque()  # commands in transit, ordered by `due_ns`
         # times at which the last command sent acts on each robot [ns]
         self._acting_ns = [0] * len(setup.names)
         self._watchdog_s = setup.watchdog_s
-        self._stopping_ns = np.full(len(setup.names), NEVER)  # times of the watchdogs [ns]
+        self._stopping_ns = [NEVER] * len(setup.names)  # times of the watchdogs [ns]
         self._stops_ns = NEVER  # the first of them
         self._time = 0
+        self._reached = -1  # the last time to which `advance` was called [ns]
         self._disturbed_ns = -1  # time up to which the disturbances have acted
-        self._path: list[tuple[Floats, Floats]] = []  # x, y of samples not yet checked
+        self._path: list[Floats] = []  # x, y, heading (M, 3, N) of samples not yet checked
 
     @property
     def settled_ns(self) -> int:
@@ -83,15 +84,19 @@ class TrueMotion:
         ]
         self._acting_ns = due
         for when in sorted(set(due)):
-            reached = command.reached & (np.array(due) == when)
-            part = replace(command, due_ns=when, reached=reached)
+            part = command
+            if any(each != command.due_ns for each in due):
+                reached = command.reached & (np.array(due) == when)
+                part = replace(command, due_ns=when, reached=reached)
             insort(self._under_way, part, key=lambda one: one.due_ns)
         return command
 
     def advance(self, until: int) -> None:
         """Advance the robots to `until` [ns], in intervals with constant held commands."""
+        if until == self._reached and not (self._under_way and self._under_way[0].due_ns <= until):
+            return
         while True:
-            frame, stopping = self._camera.beat.next_ns, self._stops_ns
+            frame, stopping = self.beats.next_frame_ns, self._stops_ns
             end = min(until, self.drive.repeats_ns, stopping, frame if self._by_frame else until)
             command = None
             if self._under_way and self._under_way[0].due_ns <= end:
@@ -110,6 +115,7 @@ class TrueMotion:
             elif repeats:
                 self._repeat(reached)
             elif reached == until:
+                self._reached = until
                 return
 
     def _apply(self, command: DelayedCommand) -> None:
@@ -118,12 +124,13 @@ class TrueMotion:
         if self._watchdog_s < math.inf:
             silent_ns = command.due_ns + round(self._watchdog_s * SECOND)
             until = NEVER if isinstance(command.action, Stop) else silent_ns
-            self._stopping_ns = np.where(command.reached, until, self._stopping_ns)
-            self._stops_ns = int(self._stopping_ns.min())
+            reached = zip(command.reached.tolist(), self._stopping_ns, strict=True)
+            self._stopping_ns = [until if got else before for got, before in reached]
+            self._stops_ns = min(self._stopping_ns)
 
     def _silent(self, now: int) -> DelayedCommand:
         """Return a stop command for the robots whose watchdog expires now [ns]."""
-        silent = self._stopping_ns == now
+        silent = np.array(self._stopping_ns) == now
         return DelayedCommand(now, now, Stop(), silent, wheels=np.zeros((2, silent.size)))
 
     def _swerve(self) -> None:
@@ -165,27 +172,25 @@ class TrueMotion:
         """
         still = end == self._time and not (event and self._by_frame)
         open_end = self.drive.sampled and not event
-        if (still or open_end) and min(self._camera.beat.next_ns, self._beat.next_ns) > end:
+        if (still or open_end) and self.beats.next_ns > end:
             return
-        frames, ticks = self._camera.beat.due(end), self._beat.due(end)
-        times = sorted({*frames, *ticks} if open_end else {*frames, *ticks, end})
-        sampled = set(ticks)
-        seconds = (np.array(times) - self._time) / SECOND
-        x, y, heading = self.drive.advance(seconds, np.array([when in sampled for when in times]))
-        self._time = times[-1]
+        times, (frames, ticks) = self.beats.due(end, ends=not open_end)
+        path = self.drive.advance(self._time, times, ticks)
+        self._time = int(times[-1])
         if disturbed:
             self._disturb(end)
-            p, x, y, heading = self.drive.poses, x.copy(), y.copy(), heading.copy()
-            x[-1], y[-1], heading[-1] = p.x, p.y, p.heading
-        self._path.append((x, y))
+            p = self.drive.poses
+            path[-1] = p.x, p.y, p.heading
+        self._path.append(path)
         if len(self._path) > UNCHECKED:
             self.check()
-        for due, i in zip(frames, np.searchsorted(times, frames), strict=True):
-            self._camera.expose(due, Poses(x[i], y[i], heading[i]))
+        exposed = frames.nonzero()[0]
+        if exposed.size:
+            self._camera.expose(times[exposed], path[exposed])
 
     def check(self) -> None:
         """Check the true path since the last call."""
         if self._path:
-            x, y = (np.vstack(column) for column in zip(*self._path, strict=True))
-            self.path_check.add(x, y)
+            path = np.concatenate(self._path)
+            self.path_check.add(path[:, 0], path[:, 1])
             self._path = []

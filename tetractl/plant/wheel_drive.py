@@ -9,14 +9,17 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from tetractl.core.clock import SECOND
+from tetractl.core.clock import NEVER, SECOND
 from tetractl.core.commands import FieldOff, Steer, Turn
-from tetractl.core.poses import Bools, Floats, Observation, Poses
+from tetractl.core.poses import Bools, Floats, Observation, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.wheels import COUNT_MAX, Drivetrains, WheeledRobots, WheelHost
-from tetractl.plant.direct import NEVER, aim
+from tetractl.model.motion.rolling import MOVING, note
+from tetractl.model.wheels import COUNT_MAX, NOTHING, WheeledRobots, nothing_sent, with_room
+from tetractl.plant.direct import aim
+
+ONE = np.ones(1, dtype=np.bool_)
 
 
 class WheelDriveSection(Model):
@@ -58,28 +61,30 @@ class SimHost:
     """The host of N simulated robots: computes wheel speeds sent, and the resulting true speeds.
 
     `repeats_ns` is the time of the next transmission [ns]. The generator `erring` draws true gains
-    and dead zones, once per trial.
+    and dead zones, once per trial. `known`, `lag_s`, `sent_ns`, `sent` and `trains` are arguments
+    of `kernels.wheels.answer`, for one trial.
     """
 
     def __init__(
         self, section: WheelDriveSection, setup: Setup, erring: np.random.Generator
     ) -> None:
+        from tetractl.control.kernels.wheels import answer
+
         assert setup.wheel_radius is not None, "the wheels need a radius"
-        both = 2, setup.a.size
+        both, self._answer, self._section = (2, setup.a.size), answer, section
         self.repeats_ns = NEVER
-        self._section = section
-        self._gains = 1 + section.gain_error * erring.uniform(-1, 1, both)
-        more = section.dead_zone_error
+        gains = 1 + section.gain_error * erring.uniform(-1, 1, both)
+        more, limit = section.dead_zone_error, 0.0 if section.count is None else COUNT_MAX
         zones = section.dead_zone + erring.integers(-more, more + 1, both)
-        known = self._true = None
-        if section.count is not None:
-            limit, straight = np.full(both[1], COUNT_MAX), np.zeros(both[1], np.bool_)
-            gain, zone = np.full(both, section.count), np.full(both, section.dead_zone)
-            known = Drivetrains(gain, zone, limit, straight)
-            self._true = Drivetrains(gain * self._gains, np.maximum(zones, 0), limit, straight)
-        radius = np.full(both[1], setup.wheel_radius)
-        lag_s = 0.0 if section.lead is None else setup.lag_s
-        self._wheels = WheelHost(setup.a, setup.speed, radius, lag_s, known)
+        gain, ones = section.count or 1.0, np.ones(both)
+        truly = gain * gains, np.maximum(zones, 0)
+        self.trains = np.array(
+            [[0 * ones, gain * ones, section.dead_zone * ones, *truly, limit * ones]]
+        )
+        self.known = np.array([setup.a, setup.speed, np.full(both[1], setup.wheel_radius)])
+        self.lag_s = 0.0 if section.lead is None else setup.lag_s
+        sent_ns, sent = nothing_sent(both[1])
+        self.sent_ns, self.sent = sent_ns[None], sent[None]
         self._last: tuple[Floats, Floats] | None = None
 
     def direct(self) -> None:
@@ -89,7 +94,9 @@ class SimHost:
     def halt(self, now: int) -> None:
         """Hold no direction from now on, because a stop is sent `now` [ns]."""
         self.repeats_ns = NEVER
-        self._wheels.sent(self._acts_ns(now), np.zeros_like(self._gains))
+        self.sent_ns, self.sent = with_room(self.sent_ns, self.sent)
+        still = np.zeros_like(self.known[:2])
+        note(self.acts_ns(now), still, self.known, self.sent_ns[0], self.sent[0])
 
     def speeds(
         self, now: int, seen: Observation, held: Steer | Turn | FieldOff
@@ -97,27 +104,43 @@ class SimHost:
         """Return the wheel speeds to send `now` [ns], and the resulting true wheel speeds.
 
         Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received; while
-        the field is off, both wheels have equal speeds. Also schedules the next transmission, as
-        the lab's inner loop does.
+        the field is off, both wheels have equal speeds. Also schedules the next transmission.
         """
-        rate = self._section.rate
-        if rate is not None:
-            period = round(SECOND / rate)
-            before = 0 if self.repeats_ns == NEVER else self.repeats_ns
-            self.repeats_ns = max(before + period, now + period // 2)
+        self.repeats_ns = self.next_ns(now)
         if self._last is None or self._section.recompute:
-            heading, acts_ns = seen.poses.heading, self._acts_ns(now)
-            since_ns = acts_ns if self._section.lead is None else seen.sampled_ns
-            drives, u = not isinstance(held, Turn), aim(held, heading)
-            wished = self._wheels.wished(heading, u, since_ns, acts_ns, drives)
-            self._wheels.sent(acts_ns, wished)
-            self._last = wished, wished * self._gains
-            if self._true is not None and self._wheels.drivetrains is not None:
-                counts = self._wheels.counts(wished)
-                self._last = self._wheels.drivetrains.speeds(counts), self._true.speeds(counts)
+            heading, acts_ns = seen.poses.heading, self.acts_ns(now)
+            when = [[acts_ns if self._section.lead is None else seen.sampled_ns], [acts_ns]]
+            drives, speeds = (
+                np.array([not isinstance(held, Turn)]),
+                np.empty((1, 2, *self.known[:2].shape)),
+            )
+            self.sent_ns, self.sent = with_room(self.sent_ns, self.sent)
+            self._answer(
+                ONE,
+                np.array([heading]),
+                np.array([aim(held, heading)]),
+                drives,
+                *np.array(when),
+                self.known,
+                self.lag_s,
+                self.sent_ns,
+                self.sent,
+                self.trains,
+                speeds,
+            )
+            self._last = speeds[0, 0], speeds[0, 1]
         return self._last
 
-    def _acts_ns(self, now: int) -> int:
+    def next_ns(self, now: int) -> int:
+        """Return the time of the transmission that follows one `now` [ns], as by the lab's inner
+        loop."""
+        if self._section.rate is None:
+            return NEVER
+        period = round(SECOND / self._section.rate)
+        before = 0 if self.repeats_ns == NEVER else self.repeats_ns
+        return max(before + period, now + period // 2)
+
+    def acts_ns(self, now: int) -> int:
         """Return the time [ns] at which the host assumes that a command sent `now` acts."""
         return now + round((self._section.lead or 0.0) * SECOND)
 
@@ -149,16 +172,15 @@ class WheelDrive(WheeledRobots):
         walking: np.random.Generator,
         erring: np.random.Generator,
     ) -> None:
-        from tetractl.control.kernels.wheels import chain
+        from tetractl.control.kernels.wheels import roll
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
-        self.chain, self.host = chain, SimHost(section, setup, erring)
+        self.roll, self.host = roll, SimHost(section, setup, erring)
         self.rest_s = section.lag * -np.log(REST) + 1 / truth_rate
-        self._walk, self._walking = walk / np.sqrt(truth_rate), walking
-        self._setup = setup
+        self.walk, self.walking, self._setup = walk / np.sqrt(truth_rate), walking, setup
         radii = setup.wheel_radius * (1 + section.radius_error * erring.uniform(-1, 1, a.size))
-        self.commanded = np.zeros(a.size)  # 1 for robots whose last command moves them, else 0
         super().__init__(starts, radii, section.lag, REST * float(setup.speed.max(initial=0.0)))
+        self._moving = self.bodies[0, MOVING, :]
         self.vary(a, speed)
 
     @property
@@ -166,29 +188,36 @@ class WheelDrive(WheeledRobots):
         """The time of the next transmission [ns]."""
         return self.host.repeats_ns
 
+    @property
+    def commanded(self) -> Floats:
+        """1 for robots whose last command moves them, 0 for others, (N,)."""
+        return np.where(self.targets.any(axis=0), 1.0, 0.0)
+
+    @property
+    def moving(self) -> Floats:
+        """1 for robots that move, 0 for robots that stand, (N,)."""
+        return np.copy(self._moving)
+
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
         known, self._able = self._setup, (a > 0) | (speed > 0)
         scaled = np.divide(speed, known.speed, out=np.ones(speed.size), where=known.speed > 0)
         self.scale(a / known.a, scaled)
-        self.moving = self.commanded * self._able  # 1 for robots that move, 0 for others
+        self._moving[:] = self.commanded * self._able
 
-    def advance(self, seconds: Floats, ticks: Bools) -> tuple[Floats, Floats, Floats]:
-        """Advance the robots; return x, y, heading (M, N) at the times `seconds` (M,) from now.
+    def advance(self, since_ns: int, times: Times, ticks: Bools) -> Floats:
+        """Advance the robots; return x, y, heading (M, 3, N) at the `times` (M,) [ns].
 
         The heading's random walk is applied at the times at which the true path is sampled, where
         `ticks` (M,) is True.
         """
-        swerves = None
-        if self._walk > 0:
-            swerves = np.zeros((seconds.size, self._radius.size))
-            drawn = self._walking.standard_normal((np.count_nonzero(ticks), self._radius.size))
-            swerves[ticks] = self._walk * drawn * self.moving
-        return self.drive(seconds, swerves)
+        drawn = NOTHING
+        if self.walk > 0:
+            drawn = self.walking.standard_normal((1, np.count_nonzero(ticks), len(self._able)))
+        return self.drive(since_ns, times, ticks, self.walk, drawn)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the wheels of the robots that received it."""
         assert command.wheels is not None, "the command must have wheel speeds"
-        self.targets = np.where(command.reached, command.wheels, self.targets)
-        self.commanded = self.targets.any(axis=0).astype(np.float64)
-        self.moving = self.commanded * self._able
+        np.copyto(self.targets, command.wheels, where=command.reached)
+        self._moving[:] = self.targets.any(axis=0) & self._able

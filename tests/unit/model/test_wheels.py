@@ -4,9 +4,22 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles import wheels as oracle
 
+from tetractl.control.kernels import wheels as kernels
 from tetractl.core.clock import SECOND
-from tetractl.model.wheels import LaggingTurns, body_velocity, wheel_speeds
+from tetractl.core.poses import Poses
+from tetractl.model.motion.exact import step as exact
+from tetractl.model.motion.rolling import note, wish
+from tetractl.model.wheels import (
+    Drivetrains,
+    WheeledRobots,
+    WheelHost,
+    body_velocity,
+    nothing_sent,
+    wheel_speeds,
+    with_room,
+)
 
 
 def test_the_papers_robot_by_hand():
@@ -29,20 +42,128 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
     assert turning[0] == pytest.approx(a * math.sin(u - heading), abs=1e-9)  # (3)
 
 
+def headings_at_rest(lag_s, sent, frames, until):
+    """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
+    at, known = nothing_sent(2), np.ones((3, 2))
+    for when, rates in sent:
+        at = with_room(*at)
+        note(when, np.array([-rates, rates]), known, *at)
+    found = []
+    for since, heading in frames:
+        args = (True, since, until, known, lag_s, *at)
+        sine, cosine = (
+            np.diff(wish(heading, np.full(2, u), *args), axis=0)[0] / 2 for u in (0.0, np.pi / 2)
+        )
+        found.append(np.arctan2(-sine, cosine))
+    return found
+
+
 def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
-    """Turning rates sent at uneven times, followed with a lag, against an integration at 10 kHz."""
+    """Turning rates sent at uneven times, followed with a lag, against an integration at 10 kHz and
+    against the readable version."""
     rng, lag_s, step = np.random.default_rng(4), 0.04, 1e-4
     sent = {0.05: rng.normal(size=2), 0.08: rng.normal(size=2), 0.15: rng.normal(size=2)}
-    turns = LaggingTurns(lag_s, 2)
-    for when, rates in sent.items():
-        turns.sent(round(when * SECOND), rates)
     heading, turning, wanted, headings = np.zeros(2), np.zeros(2), np.zeros(2), []
     for k in range(6000):
         wanted = sent.get(round(k * step, 4), wanted if k < 2000 else np.zeros(2))
         headings.append(heading)
         heading = heading + step * turning
         turning = turning + step / lag_s * (wanted - turning)
-    for since in (0.02, 0.07, 0.12, 0.16):
-        seen = headings[round(since / step)]
-        found = turns.ahead(seen, round(since * SECOND), round(0.2 * SECOND))
-        assert found == pytest.approx(headings[-1], abs=2e-3)
+    moments, times = (0.02, 0.07, 0.12, 0.16), [round(each * SECOND) for each in sent]
+    commands = list(zip(times, sent.values(), strict=True))
+    frames = [(round(when * SECOND), headings[round(when / step)]) for when in moments]
+    found = headings_at_rest(lag_s, commands, frames, SECOND // 5)
+    readable = oracle.LaggingTurns(lag_s, [(0, np.zeros(2)), *commands])
+    for (since, seen), each in zip(frames, found, strict=True):
+        assert each == pytest.approx(headings[-1], abs=2e-3)
+        assert each == pytest.approx(readable.ahead(seen, since, SECOND // 5), abs=1e-12)
+
+
+def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
+    known, heading = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]]), np.array([0.3, -2.0])
+    found = wish(heading, np.full(2, 1.2), True, 0, SECOND // 50, known, 0.0, *nothing_sent(2))
+    _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
+    assert found == pytest.approx(np.array(wheel_speeds(ahead, 1.2, *known)), abs=1e-9)
+
+
+def robots(rng, count):
+    """A host's robots with uneven wheels, as calibrated and as they are, and poses."""
+    gain, zone = rng.uniform(5, 9, (2, count)), rng.integers(0, 8, (2, count))
+    limit, swap = rng.integers(60, 128, count), np.zeros(count, np.bool_)
+    return Drivetrains(gain, zone, limit, swap), rng.uniform(-3, 3, (3, count))
+
+
+@pytest.mark.parametrize("lag_s", [0.0, 0.04])
+def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
+    """Two trials side by side in the compiled loop, the lab's host for each, and the readable
+    rounding to counts."""
+    rng, count, trials = np.random.default_rng(5), 3, 2
+    known = np.array([rng.uniform(2, 6, count), rng.uniform(100, 300, count), np.full(count, 40.0)])
+    trains, _ = robots(rng, count)
+    hosts = [WheelHost(*known, lag_s, trains) for _ in range(trials)]
+    owed = np.zeros((trials, 2, count))
+    rows = np.array(
+        [
+            0 * trains.gain,
+            trains.gain,
+            trains.dead_zone,
+            2 * trains.gain,
+            trains.dead_zone + 1,
+            trains.limit + 0 * trains.gain,
+        ]
+    )
+    rows, at = (
+        np.array([rows] * trials),
+        [np.array([each] * trials) for each in nothing_sent(count)],
+    )
+    for k in range(40):
+        now, since = (k + 1) * SECOND // 40, k * SECOND // 40 + 3_000_000
+        heading, u = rng.uniform(-3, 3, (trials, count)), rng.uniform(-3, 3, (trials, 1))
+        at, speeds = with_room(*at), np.empty((trials, 2, 2, count))
+        kernels.answer(
+            np.ones(trials, np.bool_),
+            heading,
+            u + 0 * heading,
+            np.array([True, False]),
+            np.full(trials, since),
+            np.full(trials, now),
+            known,
+            lag_s,
+            *at,
+            rows,
+            speeds,
+        )
+        for b, host in enumerate(hosts):
+            wished = host.wished(heading[b], u[b, 0], since, now, b == 0)
+            host.sent(now, wished)
+            sent = host.counts(wished)
+            readable, owed[b] = oracle.counts(trains, wished, owed[b])
+            assert sent.tolist() == readable.tolist()
+            assert speeds[b, 0].tolist() == trains.speeds(sent).tolist()
+            wrong = Drivetrains(2 * trains.gain, trains.dead_zone + 1, trains.limit, trains.swap)
+            assert speeds[b, 1].tolist() == wrong.speeds(sent).tolist()
+
+
+def test_the_path_is_that_of_the_readable_version_in_any_division_into_calls():
+    rng, lag_s, radius = np.random.default_rng(6), 0.04, np.full(3, 40.0)
+    pose, wheels, targets = (
+        rng.normal(size=(3, 3)),
+        rng.normal(size=(2, 3)),
+        rng.normal(size=(2, 3)),
+    )
+    wheels, targets = 100 * wheels, 100 * targets
+    times = np.arange(1, 201) * SECOND // 960
+    expected, end = oracle.path(pose, wheels, targets, radius, lag_s, times / SECOND)
+    paths = []
+    for parts in (1, 7):
+        for roll in (WheeledRobots.roll, kernels.roll):
+            fleet = WheeledRobots(Poses(*pose), radius, lag_s, 1e-9)
+            fleet.roll, fleet.wheels[:], fleet.targets[:], since = roll, wheels, targets, 0
+            found = []
+            for part in np.array_split(times, parts):
+                found.append(fleet.drive(since, part))
+                since = part[-1]
+            paths.append(np.concatenate(found))
+            assert paths[-1].transpose(1, 0, 2) == pytest.approx(expected, abs=1e-9)
+            assert fleet.wheels == pytest.approx(end, abs=1e-9)
+    assert all(path.tobytes() == paths[0].tobytes() for path in paths)

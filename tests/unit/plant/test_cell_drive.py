@@ -39,6 +39,13 @@ def drive(walk=0.0, seed=1, **section):
     return CellDrive(made, known, known.a, known.speed, known.starts, walk, random)
 
 
+def swum(cells, seconds, since=0.0):
+    """Positions and headings, (M, N) each, of cells at times [s]."""
+    times = np.rint(np.atleast_1d(seconds) * 1e9).astype(np.int64)
+    path = cells.advance(round(since * 1e9), times, np.ones(times.size, np.bool_))
+    return path.transpose(1, 0, 2)
+
+
 def command(direction, reached=(True, True), off=False):
     action = FieldOff() if off else Stop() if direction is None else Steer(direction)
     return DelayedCommand(0, 0, action, np.array(reached))
@@ -47,7 +54,7 @@ def command(direction, reached=(True, True), off=False):
 def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():
     cells = drive()
     assert np.allclose(cells.poses.xy, setup().starts.xy)
-    x, y, _ = cells.advance(np.array([0.5, 1.0]), np.ones(2))
+    x, y, _ = swum(cells, [0.5, 1.0])
     assert np.allclose(np.stack([x, y], -1), setup().starts.xy)
     assert cells.moving.tolist() == [0, 0]
 
@@ -55,7 +62,7 @@ def test_bodies_begin_at_their_starts_and_wait_for_the_first_command():
 def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     cells = drive()
     cells.apply(command(math.pi / 2))
-    x, y, heading = cells.advance(np.linspace(0.01, 0.4, 40), np.ones(40))
+    x, y, heading = swum(cells, np.linspace(0.01, 0.4, 40))
     for i, a in enumerate((5.0, 3.0)):
         left = 2 * math.atan(math.exp(-a * 0.4))
         assert math.pi / 2 - heading[-1, i] == pytest.approx(left, abs=2e-3)
@@ -68,10 +75,10 @@ def test_it_makes_no_difference_how_often_they_are_read():
     once, twice = drive(walk=0.3), drive(walk=0.3)
     for cells in (once, twice):
         cells.apply(command(1.0))
-    times = np.arange(1, 101) * 0.005
-    once.advance(times, np.ones(100))
-    twice.advance(times[:37], np.ones(37))
-    twice.advance(times[37:] - times[36], np.ones(63))
+    times = np.arange(1, 101) / 240
+    swum(once, times)
+    swum(twice, times[:37])
+    swum(twice, times[37:], times[36])
     assert np.allclose(once.poses.array(), twice.poses.array(), atol=1e-12)
 
 
@@ -98,12 +105,12 @@ def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
     assert cells.moving.tolist() == [1, 0]
     cells.apply(command(None, off=True))
     before = cells.cells.heading.copy()
-    cells.advance(np.array([0.3]), np.ones(1))
+    swum(cells, 0.3)
     assert cells.moving.tolist() == [1, 1]
     assert np.allclose(cells.cells.heading, before)  # no field turns them
     cells.apply(command(None))
     at = cells.poses.array()
-    cells.advance(np.array([0.3]), np.ones(1))
+    swum(cells, 0.3)
     assert np.allclose(cells.poses.array(), at)
 
 

@@ -18,7 +18,7 @@ from tetractl.experiment.plant import Wheels
 from tetractl.lab.actuators.m3pi.broadcast import BroadcastCommand, encode_command
 from tetractl.lab.cobs import Flag
 from tetractl.model.motion.exact import step as exact
-from tetractl.model.wheels import body_velocity
+from tetractl.model.wheels import Drivetrains, body_velocity
 
 COUNT = 1000 / 127
 ROBOTS = experiment().robots
@@ -43,11 +43,12 @@ def test_simulated_and_emulated_robots_drive_the_same_path():
     simulated.clock.sleep_until(3 * SECOND)
     samples += simulated.samples()
     robots = [EmulatedRobot(robot.name, i) for i, robot in enumerate(ROBOTS)]
-    true = simulated._drive.host._true
+    _, known_gain, known_zone, gain, zone, limit = simulated._drive.host.trains[0]
+    true = Drivetrains(gain, zone, limit[0], np.zeros(3, np.bool_))
     fleet = EmulatedRobots(robots, true, np.full(3, 40.0), np.full(3, 0.04))
     for robot, given in zip(robots, ROBOTS, strict=True):
         robot.place(*given.start, given.heading)
-    known = replace(true, gain=np.full((2, 3), COUNT), dead_zone=np.full((2, 3), 6))
+    known = replace(true, gain=known_gain, dead_zone=known_zone)
     sent = iter(commands)
     command, differences = next(sent), []
     for number, sample in enumerate(samples):

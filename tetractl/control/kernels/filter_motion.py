@@ -32,7 +32,7 @@ def advance(model, i, z, cov, u, scale, seconds, more):
     for products.
 
     Lagging wheels follow the turning rate that the host sends, computed for the heading in which
-    the robot would come to rest (`tetractl.model.wheels.LaggingTurns`).
+    the robot would come to rest (`tetractl.model.motion.rolling.wish`).
     """
     left, lag, drives = seconds, model.lag, not math.isnan(u)
     goal = 1.0 if drives else 0.0

@@ -29,17 +29,29 @@ INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "al
 """For functions of scalars, inlined at each call."""
 
 
-@cache
-def inlined(function: FunctionType) -> Callable[..., Any]:
-    """Return a plain function of scalars, compiled together with the plain functions it calls.
+def with_parts(function: Callable[..., Any], part: Callable[..., Any]) -> FunctionType:
+    """Return a plain function that calls what `part` makes of the plain functions it calls.
 
-    Motions are plain Python without compiler decorators, so that checking a spec does not import
+    Models are plain Python without compiler decorators, so that checking a spec does not import
     the compiler.
     """
+    assert isinstance(function, FunctionType)
     code, scope = function.__code__, function.__globals__
     called = {name: scope.get(name) for name in code.co_names}
-    compiled = {name: inlined(f) for name, f in called.items() if isinstance(f, FunctionType)}
-    return njit(**INLINE)(FunctionType(code, {**scope, **compiled}, function.__name__))
+    parts = {name: part(f) for name, f in called.items() if isinstance(f, FunctionType)}
+    return FunctionType(code, {**scope, **parts}, function.__name__)
+
+
+@cache
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a plain function of scalars, compiled together with the plain functions it calls."""
+    return njit(**INLINE)(with_parts(function, inlined))
+
+
+@cache
+def exact(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a part of a kernel that computes the bits of a plain function."""
+    return njit(**INLINE_EXACT)(with_parts(function, exact))
 
 
 @cache

@@ -1,7 +1,55 @@
-"""The true path of simulated robots on wheels: `tetractl.model.motion.arc.chain`, compiled."""
+"""Robots on wheels in B simulations: what is sent to them, and where they go.
+
+The bits are those of the plain loops, `tetractl.model.motion.rolling`, for one trial or many.
+"""
+
+import numpy as np
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import ENTRY
-from tetractl.model.motion import arc
+from tetractl.control.kernels.options import ENTRY, exact, with_parts
+from tetractl.core.poses import Bools, Floats, Times
+from tetractl.model.motion import rolling
 
-chain = compiled(**ENTRY)(arc.chain)
+roll = compiled(**ENTRY)(with_parts(rolling.roll, exact))
+_wish, _note, _count = exact(rolling.wish), exact(rolling.note), exact(rolling.count)
+
+
+@compiled(**ENTRY)
+def answer(
+    sends: Bools,
+    heading: Floats,
+    u: Floats,
+    drives: Bools,
+    since_ns: Times,
+    acts_ns: Times,
+    known: Floats,
+    lag_s: float,
+    sent_ns: Times,
+    sent: Floats,
+    trains: Floats,
+    speeds: Floats,
+) -> None:
+    """Write into `speeds` (B, 2, 2, N) the wheel speeds sent, as the host knows them, and the true
+    ones, for the trials that send, (B,).
+
+    The arguments are those of `rolling.wish`, an axis more, but `known` and `lag_s` are the same in
+    all trials. `trains` (B, 6, 2, N) are each wheel's rounding error owed [counts], gain and dead
+    zone as known, gain and dead zone in truth, and largest count, 0 if speeds are not rounded.
+    """
+    for b in range(len(sends)):
+        if not sends[b]:
+            continue
+        wished = _wish(
+            heading[b], u[b], drives[b], since_ns[b], acts_ns[b], known, lag_s, sent_ns[b], sent[b]
+        )
+        if lag_s > 0:
+            _note(acts_ns[b], wished, known, sent_ns[b], sent[b])
+        train = trains[b]
+        owed, gain, zone = train[0], train[1], train[2]
+        true_gain, true_zone, limit = train[3], train[4], train[5, 0]
+        speeds[b, 0], speeds[b, 1] = wished, wished * true_gain
+        if limit[0] > 0:
+            steps = _count(wished, owed, gain, zone, limit)
+            counts = np.abs(steps) + np.where(steps == 0, 0, zone)
+            speeds[b, 0] = gain * steps
+            speeds[b, 1] = true_gain * (np.sign(steps) * np.maximum(counts - true_zone, 0))

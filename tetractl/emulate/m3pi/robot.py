@@ -158,7 +158,7 @@ class EmulatedRobots:
     @property
     def wheels(self) -> Floats:
         """The present speeds of the wheels (2, N) [mm/s]."""
-        return self._settled().wheels
+        return self._settled().wheels.copy()
 
     @property
     def standing(self) -> list[bool]:
@@ -178,16 +178,15 @@ class EmulatedRobots:
             if held != self._held:
                 wheeled, self._held = self._settled(), held
                 counts, stuck = (np.array(each).T for each in zip(*held, strict=True))
-                wheeled.targets = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
-                wheeled.wheels = np.where(stuck, 0.0, wheeled.wheels)
+                wheeled.targets[:] = np.where(stuck, 0.0, self._drivetrains.speeds(counts))
+                wheeled.wheels[stuck] = 0.0
             self._now_ns = min(self._now_ns + MILLISECOND, until_ns)
             self._passed_ns.append(self._now_ns)
 
     def place(self, row: int, x: float, y: float, heading: float) -> None:
         """Put a robot, at rest, at a pose [mm, rad]."""
         wheeled = self._settled()
-        now = wheeled.poses
-        now.x[row], now.y[row], now.heading[row] = x, y, heading
+        wheeled.pose[:, row] = x, y, heading
         wheeled.wheels[:, row] = 0.0
         self._stood = -1, []
 
@@ -196,11 +195,11 @@ class EmulatedRobots:
         wheeled = self._wheeled
         if not self._passed_ns:
             return wheeled
-        seconds = (np.array(self._passed_ns) - self._settled_ns) / SECOND
-        self._settled_ns, self._passed_ns = self._now_ns, []
+        seconds = (self._now_ns - self._settled_ns) / SECOND
         if wheeled.targets.any() or wheeled.wheels.any():
-            wheeled.drive(seconds)
+            wheeled.drive(self._settled_ns, np.array(self._passed_ns))
+        self._settled_ns, self._passed_ns = self._now_ns, []
         loads = np.minimum(np.abs(wheeled.wheels).sum(axis=0) / FULL_LOAD_MM_S, 1.0).tolist()
         for robot, load in zip(self.robots, loads, strict=True):
-            robot.battery.draw(load, float(seconds[-1]))
+            robot.battery.draw(load, seconds)
         return wheeled

@@ -4,7 +4,6 @@ The heading advances as in (6), by w = t a sin(u - heading); the chord of the ar
 t v sin(w/2) / (w/2) and direction heading + w/2.
 """
 
-import math
 from typing import Any, NamedTuple, Self
 
 import numpy as np
@@ -31,36 +30,6 @@ def hold(
     half = 0.5 * held.turning * t
     chord, course = v * t * np.sinc(half / np.pi), heading + half
     return x + chord * np.cos(course), y + chord * np.sin(course), heading + 2 * half
-
-
-def chain(
-    start: Floats, wheels: Floats, t: Floats, share: Floats, rates: Floats, swerves: Floats
-) -> Floats:
-    """Return x, y, heading (3, M, N) of robots on wheels at the times t (M,) [s] after `start`
-    (3, N), moving along the chords of arcs; plain loops, to be compiled.
-
-    The left and right wheel roll wheels[:2] * t + wheels[2:] * share, with `share` (M, N). `rates`
-    (2, N) turn their difference into the angle and their sum into the way; the headings turn by
-    `swerves` (M, N) [rad] in addition.
-    """
-    path = np.empty((3, *share.shape))
-    for i in range(start.shape[1]):
-        turned = gone = walked = x = y = 0.0
-        for k in range(len(t)):
-            left = wheels[0, i] * t[k] + wheels[2, i] * share[k, i]
-            right = wheels[1, i] * t[k] + wheels[3, i] * share[k, i]
-            turn, total = rates[0, i] * (right - left), rates[1, i] * (right + left)  # (21)-(23)
-            half, way = turn / 2 - turned / 2, total - gone
-            turned, gone, heading = turn, total, start[2, i] + turn
-            square, middle = half * half, heading - half + walked
-            walked += swerves[k, i]
-            sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))  # to 1e-9 below 0.3
-            chord = way * (sinc if abs(half) <= 0.3 else math.sin(half) / half)
-            x += chord * math.cos(middle)
-            y += chord * math.sin(middle)
-            path[0, k, i], path[1, k, i] = start[0, i] + x, start[1, i] + y
-            path[2, k, i] = heading + walked
-    return path
 
 
 class ArcLanes(NamedTuple):

@@ -1,0 +1,156 @@
+"""Two-wheeled robots, see `model.wheels`: what a host sends them, and where they go.
+
+Plain loops over arrays: `tetractl.control.kernels.wheels` compiles them for the simulation.
+"""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.poses import Bools, Floats, Times
+
+
+def count(speeds: Floats, owed: Floats, gain: Floats, dead_zone: Any, limit: Any) -> Floats:
+    """Return the counts beyond the dead zones (2, N) for speeds, see `Drivetrains.counts`."""
+    steps = np.empty(speeds.shape)
+    for i in range(speeds.shape[1]):
+        scale = 1.0
+        for side in range(2):
+            span = limit[i] - dead_zone[side, i]
+            scale = max(scale, abs(speeds[side, i] / gain[side, i]) / span)
+        drives = speeds[0, i] != 0 or speeds[1, i] != 0
+        for side in range(2):
+            span = limit[i] - dead_zone[side, i]
+            total = speeds[side, i] * (1.0 / scale) / gain[side, i] + owed[side, i]
+            steps[side, i] = round(max(min(total, span), -span))
+            owed[side, i] = max(min(total - steps[side, i], 0.5), -0.5) * drives
+    return steps
+
+
+def wish(
+    heading: Floats,
+    u: Floats,
+    drives: bool,
+    since_ns: int,
+    acts_ns: int,
+    known: Floats,
+    lag_s: float,
+    sent_ns: Times,
+    sent: Floats,
+) -> Floats:
+    """Return the wheel speeds (2, N) by (24)-(25) for the directions `u` (N,) [rad], and for the
+    headings predicted from the measured ones (N,), exposed at `since_ns`, to `acts_ns`, when the
+    command acts [ns]; `since_ns` must not decrease between calls. If not `drives`, the speeds turn
+    the robots on the spot. `known` (3, N) are a [rad/s], speed and radius.
+
+    Without a lag, headings are predicted by (3). If the wheels follow commands with a first-order
+    lag T = `lag_s` [s], a robot has heading theta and turning rate w at time s. If the turning
+    rates c sent to it act until time t, and the rate 0 after t, the robot comes to rest at
+
+        theta + T w(s) + integral of c from s to t.
+
+    If equations (24)-(25) are computed at this heading, robots turn by (3), as without lag.
+    From the times `sent_ns` (Q,) [ns] the rates `sent[1:]` (Q, N) [rad/s] act, oldest first, NEVER
+    for entries not in use, such as the last; `sent[0]` are the true rates at the first time.
+    """
+    wished, kept = np.empty((2, len(heading))), 0.0
+    if lag_s > 0:
+        while sent_ns[1] <= since_ns:  # forget the oldest
+            kept = math.exp((sent_ns[0] - sent_ns[1]) / SECOND / lag_s)
+            for i in range(len(heading)):
+                sent[0, i] = sent[1, i] + (sent[0, i] - sent[1, i]) * kept
+            sent_ns[:-1], sent[1:-1] = sent_ns[1:].copy(), sent[2:].copy()
+        kept = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
+    for i in range(len(heading)):
+        a, speed, radius = known[0, i], known[1, i] * drives, known[2, i]
+        at = heading[i]
+        if lag_s > 0:
+            k, at = 0, at + lag_s * (sent[1, i] + (sent[0, i] - sent[1, i]) * kept)
+            while sent_ns[k] < acts_ns:
+                begin, end = max(sent_ns[k], since_ns), min(sent_ns[k + 1], acts_ns)
+                at += sent[k + 1, i] * (max(end - begin, 0) / SECOND)
+                k += 1
+        elif acts_ns > since_ns:
+            turned, half = -a * ((acts_ns - since_ns) / SECOND), (u[i] - at) / 2
+            c, s = math.cos(half), math.sin(half)
+            at += 2 * math.atan2(-math.expm1(turned) * s * c, c * c + s * s * math.exp(turned))
+        difference = a * radius * math.sin(u[i] - at)
+        wished[0, i], wished[1, i] = speed - difference, speed + difference
+    return wished
+
+
+def note(acts_ns: int, speeds: Floats, known: Floats, sent_ns: Times, sent: Floats) -> None:
+    """Add wheel speeds (2, N), which act from `acts_ns` [ns] on, to those sent; see `wish`."""
+    k = 0
+    while sent_ns[k] != NEVER:
+        k += 1
+    sent_ns[k] = acts_ns
+    for i in range(speeds.shape[1]):
+        sent[k + 1, i] = (speeds[1, i] - speeds[0, i]) / (2 * known[2, i])
+
+
+LAG, STILL, MOVING, ROWS = 9, 10, 11, 12
+"""Rows of the array (B, ROWS, N) of B trials of N robots on wheels: 0-2 x, y, heading; 3-4 the
+present speeds of the left and right wheel; 5-6 the speeds that they follow; 7-8 the factors by
+which their difference turns a robot and their sum moves it; LAG the wheels' time constant [s];
+STILL the speed below which the wheels of a stopped robot stand; MOVING 1 for a robot whose heading
+swerves, else 0."""
+
+
+def roll(
+    bodies: Floats,
+    now_ns: Times,
+    until_ns: Times,
+    times: Times,
+    ticks: Bools,
+    walk: float,
+    drawn: Floats,
+    path: Floats,
+) -> None:
+    """Advance the robots of each of B trials, `bodies` (B, ROWS, N), from `now_ns` to `until_ns`
+    (B,) [ns]; write x, y, heading at those of the `times` (M,) [ns] in between into `path`
+    (B, M, 3, N).
+
+    At each time for which `ticks` (M,) is True, a heading swerves by `walk` [rad] times its next
+    number in `drawn` (B, number of ticks, N). A path does not depend on how it is divided into
+    calls.
+    """
+    for b in range(len(bodies)):
+        body, since, tick = bodies[b], now_ns[b], 0
+        for k in range(len(times)):
+            if since <= times[k] <= until_ns[b]:
+                _step(body, (times[k] - now_ns[b]) / SECOND)
+                now_ns[b] = times[k]
+                if walk > 0 and ticks[k] and times[k] > since:
+                    for i in range(body.shape[1]):
+                        body[2, i] += walk * drawn[b, tick, i] * body[MOVING, i]
+                path[b, k] = body[:3]
+            tick += ticks[k]
+        if now_ns[b] < until_ns[b]:
+            _step(body, (until_ns[b] - now_ns[b]) / SECOND)
+            now_ns[b] = until_ns[b]
+
+
+def _step(body: Floats, seconds: float) -> None:
+    """Advance robots (ROWS, N) along the chords of arcs, by (21)-(23). Wheel speeds, distances and
+    headings are exact. Chords are exact for settled wheels, otherwise their error falls with the
+    square of the time."""
+    share = 1.0  # completed fraction of the change of the wheels' speeds
+    for i in range(body.shape[1]):
+        lag, one, two, heading = body[LAG, i], body[5, i], body[6, i], body[2, i]
+        if i == 0 or lag != body[LAG, i - 1]:
+            share = 1.0 if lag == 0 else -math.expm1(seconds / -lag)
+        left, right = body[3, i] - one, body[4, i] - two
+        body[3, i], body[4, i] = one + left * (1 - share), two + right * (1 - share)
+        if one == two == 0 and max(abs(body[3, i]), abs(body[4, i])) < body[STILL, i]:
+            body[3, i] = body[4, i] = 0.0
+        left, right = one * seconds + lag * left * share, two * seconds + lag * right * share
+        turn, way = body[7, i] * (right - left), body[8, i] * (right + left)
+        half, square = turn / 2, turn * turn / 4
+        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))  # to 1e-9 below 0.3
+        chord = way * (sinc if abs(half) <= 0.3 else math.sin(half) / half)
+        body[0, i] += chord * math.cos(heading + half)
+        body[1, i] += chord * math.sin(heading + half)
+        body[2, i] = heading + turn

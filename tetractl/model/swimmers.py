@@ -13,7 +13,7 @@ import numpy as np
 
 from tetractl.core.poses import Bools, Floats
 from tetractl.core.setup import Bounds, Setup
-from tetractl.model.motion import helix
+from tetractl.model.motion import swimming
 
 BODY_UM = 52.3, 7.8  # length, mean and standard deviation over n = 1504
 WIDTH_UM = 26.3, 4.5
@@ -85,7 +85,7 @@ class Swimmers:
             x=np.zeros(count),
             y=np.zeros(count),
             heading=random.uniform(-math.pi, math.pi, count),
-            depth=random.normal(0, helix.SINK_UM, count),
+            depth=random.normal(0, swimming.SINK_UM, count),
             phase=random.uniform(0, 2 * math.pi, count),
             length=normal(*BODY_UM),
             width=normal(*WIDTH_UM),
@@ -120,7 +120,7 @@ class Swimmers:
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> Floats:
-        """Return the constants (13, N) with which `helix.swim` advances the cells.
+        """Return the constants (13, N) with which `swimming.swim` advances the cells.
 
         `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
         rate is proportional to its length. `drift` [um/s] is the medium's flow, `walls` [um] are
@@ -142,11 +142,11 @@ class Swimmers:
         walls: Bounds | None = None,
     ) -> None:
         """Advance every cell by a time [s]; arguments as of `laid_out`."""
-        shape = helix.steps_until([seconds]), 2, len(self)
+        shape = swimming.steps_until([seconds]), 2, len(self)
         # plain floats: for a few cells ten times faster than arrays
         noise, cells = random.standard_normal(shape).tolist(), self.laid_out(field, drift, walls)
         state = [each.tolist() for each in (self.x, self.y, self.heading, self.phase, self.depth)]
-        helix.swim(state, cells.tolist(), [seconds], noise)
+        swimming.swim(state, cells.tolist(), [seconds], noise)
         self.x, self.y, self.heading, self.phase, self.depth = np.array(state)
 
     def rest(self, cell: int, resting: bool = True) -> None:

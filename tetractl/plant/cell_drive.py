@@ -10,7 +10,7 @@ from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.motion.helix import steps_until
+from tetractl.model.motion.swimming import steps_until
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, to_the_left, walls_of
 
 
@@ -51,7 +51,7 @@ class CellDrive:
         walk: float,
         random: np.random.Generator,
     ) -> None:
-        from tetractl.control.kernels.helix import swim
+        from tetractl.control.kernels.swimming import swim
 
         count, self._um, self._random = len(setup.names), setup.metres * 1e6, random
         self._swim, self.cells = swim, Swimmers.drawn(random, count)

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from tetractl.control.kernels import helix as kernel
+from tetractl.control.kernels import swimming as kernel
 from tetractl.core.commands import FieldOff, Steer, Stop
 from tetractl.core.poses import Poses
 from tetractl.core.setup import Bounds
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.experiment.load import parse_spec
-from tetractl.model.motion import helix
+from tetractl.model.motion import swimming
 from tetractl.model.swimmers import Swimmers
 from tetractl.plant.cell_drive import CellDrive, CultureSection
 from tetractl.run.interrupt import Interrupt
@@ -91,8 +91,8 @@ def test_compiled_they_swim_as_the_readable_ones_do():
     times, walls = np.array([0.001, 0.0137, 0.2]), Bounds(0.0, 0.0, 1000.0, 1000.0)
     own = cells.laid_out((0.6, np.linspace(-1, 1, 12)), (3.0, -2.0), walls)
     state = np.array([cells.x, cells.y, cells.heading, cells.phase, cells.depth])
-    readable, noise = state.copy(), random.standard_normal((helix.steps_until(times), 2, 12))
-    expected = helix.swim(readable, own, times, noise)
+    readable, noise = state.copy(), random.standard_normal((swimming.steps_until(times), 2, 12))
+    expected = swimming.swim(readable, own, times, noise)
     assert np.array_equal(kernel.swim(state, own, times, noise), expected)
     assert np.array_equal(state, readable)
     slid = (expected[0] % 1000 == 0) | (expected[1] % 1000 == 0)

@@ -1,5 +1,6 @@
 """Runs, displays and stops the trials of `run`, `rerun` and other commands that drive a plant."""
 
+import gc
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -116,6 +117,7 @@ def _stoppable(loaded: "LoadedSpec", options: RunOptions) -> "Iterator[Interrupt
     lab = loaded.experiment.plant.real_time
     loaded.experiment.plant.require_devices()  # before compiling, which may take a minute
     warm_up(loaded.experiment, partial(ui.announce_compiling, options.quiet))
+    gc.freeze()  # exempts the compiler's objects from garbage collection
     interrupt = Interrupt(first_signal_callback(STOPPING))
     leave_on_signals(Exit.INTERRUPTED)  # for signals that arrive after the block
     with hung_up_unread(lab, options.unattended), interrupt.watch(robots=lab):

@@ -166,7 +166,6 @@ def _loaded(spec: bytes, code: str) -> LoadedSpec:
         )
     with suppress(TetractlError):  # the trial raises the same error
         warm_up(loaded.experiment, lambda text: None)
-    gc.collect()
     gc.freeze()  # exempts loaded objects from garbage collection, which would delay control steps
     return loaded
 

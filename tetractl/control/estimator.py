@@ -49,8 +49,8 @@ class StateEstimator:
 
     @property
     def left(self) -> Bools:
-        """True for each robot that is not lost, (N,)."""
-        return ~self.losses.lost
+        """True for each robot that is not lost, (N,); another array whenever that changes."""
+        return self.losses.left
 
     @property
     def known(self) -> Estimate | None:
@@ -69,8 +69,9 @@ class StateEstimator:
         if last_command is not None:
             self.sent(last_command)
         self._newest_ns = observation.sampled_ns
-        others = {i for frame in (*earlier, observation) for i in self.losses.see(frame)}
-        if self.losses.lost.all():
+        left = self.left
+        others = [i for frame in (*earlier, observation) for i in self.losses.see(frame)]
+        if self.left is not left and not self.left.any():
             raise ControlError("every robot is lost")
         self.filter.seen(observation, earlier)
         self.filter.restart(others)

@@ -223,7 +223,7 @@ class FilterBank:
 
     def restart(self, robots: Iterable[int]) -> None:
         """Reset the filters of replaced robots to the new robots' poses in the last frame."""
-        if replaced := sorted(set(robots)):
+        if replaced := sorted({*robots}):
             assert self._last is not None, "a robot can be replaced only after a frame"
             fresh, (count, all_robots) = self._first_bank(), self._bank.tau.shape
             rows = np.arange(max(count, len(fresh.tau)))[:, None].repeat(all_robots, axis=1)

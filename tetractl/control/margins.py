@@ -21,13 +21,12 @@ whether robots would stay clear if that happened at any one signal of a plan.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
 from tetractl.control.kernels import clearance
 from tetractl.control.mpc_section import Collision
-from tetractl.core.plan import Estimate, Problem
+from tetractl.core.plan import Estimate, Problem, Region
 from tetractl.core.poses import Floats, Poses
 from tetractl.core.setup import Bounds
 from tetractl.core.shape import Shape
@@ -35,7 +34,6 @@ from tetractl.model.obstacles import Obstacles
 
 LOST = 0.75  # deviation by a lost command, as a fraction of a period's path
 SIGMAS = 2.0
-ROOM = 0.98  # fraction of the available distance that a margin takes
 SAMPLE_S = 0.15  # time step of paths under a held direction [s]
 
 
@@ -48,7 +46,7 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
         blind = dead_time_s + period_s
         doubt = speed * known.a_std / known.a + known.speed_std
         found = found + SIGMAS * (speed * (known.dead_time_std or 0.0) + doubt * blind)
-    return float(found.max())
+    return max(found.tolist())
 
 
 class Margins:
@@ -62,8 +60,9 @@ class Margins:
         self._unheard: tuple[Problem, Obstacles] | None = None
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
-        x, y = self._target_xy = targets[:, 0].copy(), targets[:, 1].copy()
-        self._least_margins = self._room(x, y, radius)
+        x, y = targets[:, 0].copy(), targets[:, 1].copy()
+        self._nearest = near = self._gaps(x, y).min(axis=1)
+        self._least = np.where(near > radius, radius, clearance.ROOM * np.maximum(near, 0.0))
         self._apart = clearance.least_apart(x, y)
 
     def around(
@@ -73,34 +72,24 @@ class Margins:
         period_s: float,
         dead_time_s: float,
         known: Estimate | None,
-    ) -> Problem:
-        """Return the problem with the margins of `collision`. Adaptive margins grow by the distance
-        that robots may leave their course, given the estimate `known`, which is None for a certain
-        motion."""
+    ) -> tuple[Region, float]:
+        """Return the obstacles of a problem, grown by the margins of `collision`, and its
+        separation. Adaptive margins grow by the distance that robots may leave their course, given
+        the estimate `known`, which is None for a certain motion."""
         if not collision.adaptive:
-            return problem
+            return problem.obstacles, problem.separation
         off = off_course(problem.speed, period_s, dead_time_s, known)
         apart = collision.separation + 2 * off if collision.separation else 0.0
-        return replace(
-            problem,
-            obstacles=self.obstacles(problem.poses, collision.margin + collision.radius + off),
-            separation=self.separation(problem.poses, apart),
-        )
+        grown = self.obstacles(problem.poses, collision.margin + collision.radius + off)
+        return grown, self.separation(problem.poses, apart)
 
     def obstacles(self, poses: Poses, margin: float) -> Obstacles:
         """Return the obstacles grown by the margin, or less so that they contain no target, and no
         robot unless its body touches them."""
-        x, y = np.concatenate([[poses.x, poses.y], self._target_xy], axis=1)
-        return self._bare.grown(
-            np.maximum(self._room(x, y, margin), np.minimum(margin, self._least_margins))
-        )
-
-    def _room(self, x: Floats, y: Floats, margin: float) -> Floats:
-        """Return for each obstacle the margin, or less so that none grown by it contains a point
-        (x, y).
-        """
-        nearest = self._gaps(x, y).min(axis=1)
-        return np.where(nearest > margin, margin, ROOM * np.maximum(nearest, 0.0))
+        bare, at = self._bare, (poses.x, poses.y, self._nearest, self._least)
+        grown = Obstacles(np.empty_like(bare.rows), np.empty_like(bare.walls), bare.boxes)
+        clearance.grow(bare.rows, bare.walls, bare.boxes, *at, margin, grown.rows, grown.walls)
+        return grown
 
     def _gaps(self, x: Floats, y: Floats) -> Floats:
         """Return the distance of each point (P,) to each obstacle, (O, P), negative inside."""
@@ -160,4 +149,4 @@ class Margins:
         if len(self._targets) < 2 or wanted <= 0:
             return 0.0
         least = min(clearance.least_apart(poses.x, poses.y), self._apart)
-        return min(wanted, max(ROOM * least, min(2 * self._radius, least)))
+        return min(wanted, max(clearance.ROOM * least, min(2 * self._radius, least)))

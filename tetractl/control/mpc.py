@@ -18,7 +18,7 @@ plan under way, and only the first signal is exerted.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -98,13 +98,14 @@ class Mpc:
             section.problem(setup), section.period, section.known(setup), square, setup.loss
         )
         self.stands = section.collision.stop_before_collision
-        self.k, self.began = 0, 0
+        self.k, self.began, self._legs = 0, 0, setup.legs
         self.last: Plan | None
         self._begin(Leg(0, 0, 0, False, Outcome.ARRIVED))
 
     def _begin(self, leg: Leg) -> None:
         """Begin a leg, for the robots that are not lost. The next plan is searched afresh."""
         self.leg, self.last, self.left = leg, None, self.estimator.left
+        self._targets = self._legs[min(leg.index, len(self._legs) - 1), self.left]
         walls = self.setup.arena if self.section.collision.walls else None
         radius = self.section.collision.radius
         self.margins = Margins(self.setup.obstacles, walls, self._targets, radius)
@@ -117,13 +118,13 @@ class Mpc:
     ) -> Plan | Outcome | End:
         """Decide what the robots do in one step, or end the trial."""
         known = self.estimator.seen(observation, last_command, earlier)
-        if (self.estimator.left != self.left).any():
+        if self.estimator.left is not self.left:
             self._begin(replace(self.leg, moving=self._moving))
         while True:
             self._phase, self._warm = self._left_of_plan()
             first_period = (self.section.signal_periods - self._phase) * self.section.period
-            problem = replace(known, targets=self._targets, first_period=first_period)
-            problem = self._with_margins(problem, self.estimator.known)
+            now = {"targets": self._targets, "first_period": first_period}
+            problem = self._with_margins(known, self.estimator.known, **now)
             decision = self._decide(problem, observation)
             if isinstance(decision, Plan):
                 self.began = self.k if self._warm is None else self.began
@@ -138,7 +139,7 @@ class Mpc:
     @property
     def _last_leg(self) -> bool:
         """Whether the trial ends with this leg: the hold, or without one the leg to the targets."""
-        return self.leg.index == len(self.setup.legs) - (self.setup.hold is None)
+        return self.leg.index == len(self._legs) - (self.setup.hold is None)
 
     @property
     def _state(self) -> State:
@@ -159,11 +160,6 @@ class Mpc:
         return phase, self.last.signals[phase == 0 :]
 
     @property
-    def _targets(self) -> Floats:
-        """The way-points or targets of the leg, for the robots that are not lost."""
-        return self.setup.legs[min(self.leg.index, len(self.setup.legs) - 1), self.left]
-
-    @property
     def _signals_left(self) -> int:
         """Largest number of signals of a plan that ends before `steps_max`."""
         steps = self.section.steps_max + 1 - self.k + self._phase
@@ -172,7 +168,7 @@ class Mpc:
     def _decide(self, problem: Problem, observation: Observation) -> Plan | Outcome | End:
         """Return the candidate of least value, or how the leg ends."""
         gaps = problem.poses.distances(problem.targets)
-        holds = self.leg.index == len(self.setup.legs)
+        holds = self.leg.index == len(self._legs)
         if holds:
             assert self.setup.hold is not None
             if observation.sampled_ns - self.leg.began_ns >= self.setup.hold.seconds * SECOND:
@@ -360,10 +356,12 @@ class Mpc:
         seen = compiled_foresee(problem, found.signals)
         return replace(make_plan([found], 0, key, seen), state=State.HOLDING)
 
-    def _with_margins(self, problem: Problem, known: Estimate | None) -> Problem:
-        """Return the problem with its margins, given the estimate `known`, None if certain."""
+    def _with_margins(self, problem: Problem, known: Estimate | None, **now: Any) -> Problem:
+        """Return the problem with its margins, given the estimate `known`, None if certain, and
+        with its fields `now`."""
         times = self.section.period, self.estimator.dead_time_s
-        return self.margins.around(problem, self.section.collision, *times, known)
+        grown, apart = self.margins.around(problem, self.section.collision, *times, known)
+        return replace(problem, obstacles=grown, separation=apart, **now)
 
     def _cornered(self, problem: Problem) -> bool:
         """Return whether a robot stands within the margin of anything."""

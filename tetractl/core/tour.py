@@ -32,7 +32,8 @@ class LossRule:
 
 
 class Losses:
-    """Which of N robots are `lost` (N,), and how often each has been lost, `times` (N,).
+    """Which of N robots are `lost` (N,) or `left` (N,), new arrays whenever that changes, and how
+    often each has been lost, `times` (N,).
 
     The controller, the log's reader and `verify` all pass every camera frame to `see`, in order,
     and so get the same result. Without a rule no robot is ever lost.
@@ -40,23 +41,33 @@ class Losses:
 
     def __init__(self, rule: LossRule | None, count: int) -> None:
         self._rule = rule
-        self._after_ns = round(rule.after_s * SECOND) if rule else 0
         self.lost: Bools = np.zeros(count, dtype=np.bool_)
+        self.left: Bools = ~self.lost
         self.times: Integers = np.zeros(count, dtype=np.int64)
         self._seen_ns: Integers | None = None
+        self._waiting = list[Observation]()  # frames that are not yet counted
+        self._due_ns = 0  # the earliest time at which a robot can be lost or back
 
     def see(self, frame: Observation) -> list[int]:
         """Update the losses by the next frame; return the indices of robots replaced in it."""
         if self._rule is None:
             return []
-        if self._seen_ns is None:
-            self._seen_ns = np.full(len(self.lost), frame.sampled_ns)
-        gone = ~self.lost & (frame.sampled_ns - self._seen_ns >= self._after_ns)
-        self._seen_ns[frame.valid] = frame.sampled_ns
-        self.times += gone
-        self.lost |= gone
-        back = self.lost & frame.valid if self._rule.replaced else np.zeros_like(self.lost)
-        self.lost &= ~back
+        self._waiting.append(frame)
+        if frame.sampled_ns < self._due_ns:
+            return []
+        after_ns, back = round(self._rule.after_s * SECOND), np.zeros_like(self.lost)
+        seen_ns = np.full(len(back), frame.sampled_ns) if self._seen_ns is None else self._seen_ns
+        for one in self._waiting:
+            gone = self.left & (one.sampled_ns - seen_ns >= after_ns)
+            seen_ns[one.valid] = one.sampled_ns
+            lost = self.lost | gone
+            back = lost & one.valid & self._rule.replaced
+            if gone.any() or back.any():
+                self.times, self.lost = self.times + gone, lost & ~back
+                self.left = ~self.lost
+        self._seen_ns = seen_ns
+        self._due_ns = int(seen_ns.min()) + after_ns if self.left.all() else 0
+        self._waiting.clear()
         return np.flatnonzero(back).tolist()
 
 

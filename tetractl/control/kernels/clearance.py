@@ -17,6 +17,8 @@ from tetractl.control.kernels.obstacles import (
 )
 from tetractl.control.kernels.options import ENTRY, INLINE_EXACT
 
+ROOM = 0.98  # fraction of the available distance that a margin takes
+
 
 @compiled(**INLINE_EXACT)
 def _gap(rows, walls, o, x, y):
@@ -75,6 +77,28 @@ def gaps(rows, walls, x, y, found):
     for o in range(found.shape[0]):
         for n in range(x.size):
             found[o, n] = _gap(rows, walls, o, x[n], y[n])
+
+
+@compiled(**ENTRY)
+def grow(rows, walls, boxes, x, y, nearest, least, margin, grown_rows, grown_walls):
+    """Fill grown_rows and grown_walls with obstacles that have grown by the margin, or less so that
+    they contain no point x, y (N,) and none that is at the distance `nearest` (O,), but by `least`
+    (O,) in any case; boxes (M, 4) are those of the polygons of rows."""
+    for o in range(nearest.size):
+        gap = nearest[o]
+        for n in range(x.size):
+            gap = min(gap, _gap(rows, walls, o, x[n], y[n]))
+        more = max(margin if gap > margin else ROOM * max(gap, 0.0), min(margin, least[o]))
+        if o < rows.shape[0]:
+            for k in range(rows.shape[1]):
+                grown_rows[o, k] = rows[o, k]
+            grown_rows[o, RADIUS] += more
+            for k in range(4):
+                side = -grown_rows[o, RADIUS] if k < 2 else grown_rows[o, RADIUS]
+                grown_rows[o, LEFT + k] = boxes[o, k] + side
+        else:
+            w = o - rows.shape[0]
+            grown_walls[w] = walls[w] + (more if w < 2 else -more)
 
 
 @compiled(**ENTRY)

@@ -52,12 +52,15 @@ def compiled_branches(
 
 def compiled_foresee(problem: Problem, signals: Floats) -> Foreseen:
     """Return the prediction for a sequence (L,), as `cost.foresee` but compiled."""
-    from tetractl.control.kernels.levenberg import lay_out_polish
+    from tetractl.control.kernels.motion import flat
     from tetractl.control.kernels.prediction import foresee
 
-    path = np.empty((signals.size + 1, problem.a.size, 3))
-    work = lay_out_polish(problem, signals.size)
-    target, obstacle = foresee(work, np.ascontiguousarray(signals), path)
+    of, path = flat(problem), np.empty((signals.size + 1, problem.a.size, 3))
+    path[0] = of.start
+    motion = problem.a, problem.speed, of.drift, problem.first_period, problem.period, of.rest
+    around = problem.obstacles.rows, problem.obstacles.walls, problem.swept
+    asked = path, np.ascontiguousarray(problem.targets), *around, float(problem.separation)
+    target, obstacle = foresee(np.ascontiguousarray(signals), *motion, *asked)
     if not math.isfinite(target):
         require_finite(np.array([target]))
     return Foreseen(path, target, obstacle)

@@ -21,10 +21,13 @@ whether robots would stay clear if that happened at any one signal of a plan.
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from tetractl.control.kernels import clearance
+from tetractl.control.kernels.motion import flat
+from tetractl.control.kernels.prediction import unheard
 from tetractl.control.mpc_section import Collision
 from tetractl.core.plan import Estimate, Problem, Region
 from tetractl.core.poses import Floats, Poses
@@ -41,12 +44,14 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
     """Return the greatest deviation of any robot from its plan in a control period [length
     unit].
     """
-    found = LOST * speed * period_s
-    if known is not None:
-        blind = dead_time_s + period_s
-        doubt = speed * known.a_std / known.a + known.speed_std
-        found = found + SIGMAS * (speed * (known.dead_time_std or 0.0) + doubt * blind)
-    return max(found.tolist())
+    if known is None:
+        return LOST * max(speed.tolist()) * period_s
+    each = (one.tolist() for one in (speed, known.speed_std, known.a, known.a_std))
+    tau_std, blind = known.dead_time_std or 0.0, dead_time_s + period_s
+    return max(
+        LOST * v * period_s + SIGMAS * (v * tau_std + (v * a_std / a + v_std) * blind)
+        for v, v_std, a, a_std in zip(*each, strict=True)
+    )
 
 
 class Margins:
@@ -57,7 +62,7 @@ class Margins:
     def __init__(
         self, shapes: Sequence[Shape], walls: Bounds | None, targets: Floats, radius: float = 0.0
     ) -> None:
-        self._unheard: tuple[Problem, Obstacles] | None = None
+        self._asked: tuple[Problem, tuple[Any, ...], tuple[Any, ...]] | None = None
         self._bare, self._bodies = (Obstacles.of(shapes, r, walls) for r in (0.0, radius))
         self._targets, self._radius = targets, radius
         x, y = targets[:, 0].copy(), targets[:, 1].copy()
@@ -120,16 +125,16 @@ class Margins:
 
         Robots keep clear if they stay `margin` away from obstacles, or as far as at the start if
         that is less, and `apart` from each other, or the problem's separation if that is less.
+        Times and distances are the same whenever the same problem is asked about.
         """
-        from tetractl.control.kernels.motion import flat
-        from tetractl.control.kernels.prediction import unheard
-
-        steps = max(1, math.ceil(seconds / SAMPLE_S))
-        if self._unheard is None or self._unheard[0] is not problem:
-            self._unheard = problem, self.obstacles(problem.poses, margin)
-        shapes, least, of = self._unheard[1], min(apart, problem.separation), flat(problem)
-        motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
-        return unheard(signals, *motion, path, shapes.rows, shapes.walls, least)
+        if self._asked is None or self._asked[0] is not problem:
+            of, steps = flat(problem), max(1, math.ceil(seconds / SAMPLE_S))
+            motion = problem.a, problem.speed, of.drift, seconds / steps, steps, of.rest
+            grown = self.obstacles(problem.poses, margin)
+            kept = grown.rows, grown.walls, min(apart, problem.separation)
+            self._asked = problem, motion, kept
+        _, motion, kept = self._asked
+        return unheard(signals, *motion, path, *kept)
 
     def room(self, x: Floats, y: Floats, apart: float) -> Floats:
         """Return the least clearance (...) of robots at x, y (..., N): the least of all distances

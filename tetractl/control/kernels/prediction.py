@@ -7,7 +7,6 @@ import numpy as np
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.clearance import crosses
-from tetractl.control.kernels.levenberg import score
 from tetractl.control.kernels.motion import derivatives
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 
@@ -55,19 +54,25 @@ def drive(start, towards, a, v, drift, motion, seconds, path):
 
 
 @compiled(**ENTRY_FAST)
-def foresee(work, u, path):
-    """Fill path (L + 1, N, 3) with the poses under u (L,), the start first; return f of (8) and P
-    of (9)."""
-    xy = work.room.traced.path
-    for i in range(work.a.size):
-        for k in range(3):
-            path[0, i, k] = work.start[i, k]
+def foresee(u, a, v, drift, first_period, period, motion, path, target, rows, walls, swept, apart):
+    """Fill path (L + 1, N, 3), whose first row is the start, with the poses under u (L,); return f
+    of (8) and P of (9), which counts pairs of robots that are nearer than `apart`."""
+    missed = touched = 0.0
     for j in range(u.size):
-        t = work.first_period if j == 0 else work.period
-        _signal(u[j], work.a, work.v, work.drift, t, work.rest, path[j], path[j + 1])
-        for i in range(work.a.size):
-            xy[0, i, j], xy[1, i, j] = path[j + 1, i, 0], path[j + 1, i, 1]
-    return score(work, u.size)
+        before, after = path[j], path[j + 1]
+        t = first_period if j == 0 else period
+        _signal(u[j], a, v, drift, t, motion, before, after)
+        for i in range(a.size):
+            x, y = after[i, 0], after[i, 1]
+            x0, y0 = (before[i, 0], before[i, 1]) if swept else (x, y)
+            touched += crosses(rows, walls, x0, y0, x, y)
+            for k in range(i if apart > 0 else 0):
+                dx, dy = x - after[k, 0], y - after[k, 1]
+                touched += dx * dx + dy * dy <= apart * apart
+    for i in range(a.size):
+        dx, dy = path[u.size, i, 0] - target[i, 0], path[u.size, i, 1] - target[i, 1]
+        missed += math.sqrt(dx * dx + dy * dy)
+    return missed, touched
 
 
 @compiled(**ENTRY_FAST)

@@ -22,9 +22,6 @@ from tetractl.run.task import Finished, Task, run_task
 
 KILLED = "a trial's process was killed twice, perhaps because memory ran out"
 
-PRELOADED = ["tetractl.run.task", "tetractl.control.mpc", "tetractl.control.kernels.bank"]
-"""Modules that are imported once, by the process from which the workers are forked."""
-
 Ended = tuple[Task, Finished | Exception]
 """A task, and its result or error."""
 
@@ -102,7 +99,7 @@ class Processes:
         self.workers, self._interrupt = workers, interrupt
         # not a fork of this process, which would copy locks held by other threads
         self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(PRELOADED)
+        self._context.set_forkserver_preload(["tetractl.run.preloaded"])
         self._ending: Event | None = None
         self._again = 0.0  # earliest time of the next SIGTERM [s]
 

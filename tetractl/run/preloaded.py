@@ -1,0 +1,28 @@
+"""Imported by the process from which workers are forked: loads once what every trial needs.
+
+Compiled kernels are loaded from the cache by each worker, since this process knows no spec.
+"""
+
+import gc
+from importlib import import_module
+from typing import Any
+
+from numba.core.registry import cpu_target
+
+NEEDED = (
+    "tetractl.run.task",
+    "tetractl.control.mpc",
+    "tetractl.control.kernels.bank",
+    "tetractl.control.kernels.multistart",
+    "tetractl.control.kernels.prediction",
+    "tetractl.plant.simulation",
+)
+
+gc.disable()  # searching what is imported takes a tenth of a second
+for name in NEEDED:
+    import_module(name)
+compiler: Any = cpu_target
+compiler.target_context.refresh()  # otherwise each worker does it with its first kernel
+compiler.typing_context.refresh()
+gc.freeze()  # no worker searches these objects, or copies them by doing so
+gc.enable()

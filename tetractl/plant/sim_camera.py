@@ -70,13 +70,14 @@ class SimCamera:
         rng: np.random.Generator,
         disturbances: Sequence[Disturbance],
     ) -> None:
-        self._noise = np.array([[noise.position], [noise.position], [noise.heading]])
-        self._noisy, self._rng = bool(self._noise.any()), rng
+        self.noise = np.array([[noise.position], [noise.position], [noise.heading]])
+        self._noisy, self.rng = bool(self.noise.any()), rng
         self._measured = overriding(disturbances, "measured")
-        self._received = overriding(disturbances, "received")
+        self._received = [one.received for one in overriding(disturbances, "received")]
         self._tracked = np.ones(robots, dtype=np.bool_)
         self._tracked.setflags(write=False)  # shared by all frames
         self._exposed = 0  # number of frames so far
+        self._arrived_ns = 0  # when the last of them arrives that is not lost [ns]
         self._shown: Poses | None = None  # poses in the last frame
         self._under_way: deque[Sample] = deque()
         self._fresh: list[Sample] = []
@@ -93,7 +94,7 @@ class SimCamera:
         (F, 3, N)."""
         seen = truth
         if self._noisy:
-            seen = truth + self._noise * self._rng.standard_normal(truth.shape)
+            seen = truth + self.noise * self.rng.standard_normal(truth.shape)
         for when, true, measured in zip(times.tolist(), truth, seen, strict=True):
             poses = Poses(*true)
             self._send(when, poses, Poses(*measured) if self._noisy else poses)
@@ -104,20 +105,27 @@ class SimCamera:
         self._exposed += 1
         if self._measured:
             measured, valid = self._disturb(measured, when)
-        received: int | None = when
-        # frame 0 has no latency, because the camera sees the standing robots before the trial
-        for disturbance in self._received if number else ():
-            if received is not None:
-                received = disturbance.received(when, received)
-        if received is None:
-            return
-        self._shown = measured
-        if self._under_way:
-            received = max(received, self._under_way[-1].observation.received_ns)
-        elif self.newest is not None:
-            received = max(received, self.newest.received_ns)
-        seen = Observation(number, when, received, measured, valid)
-        self._under_way.append(Sample(seen, truth))
+        received = self.arrival(when)
+        if received < NEVER:
+            self._shown = measured
+            seen = Observation(number, when, received, measured, valid)
+            self._under_way.append(Sample(seen, truth))
+
+    def arrival(self, when: int) -> int:
+        """Return when the next frame, exposed at `when`, reaches the host [ns]; NEVER if lost.
+
+        Frame 0 has no latency, because the camera sees the standing robots before the trial.
+        """
+        at = when
+        for receive in self._received if when else ():
+            received = receive(when, at)
+            if received is None:
+                return NEVER
+            at = received
+        if at < self._arrived_ns:
+            return self._arrived_ns
+        self._arrived_ns = at
+        return at
 
     def _disturb(self, measured: Poses, when: int) -> tuple[Poses, Bools]:
         """Return the poses as disturbed at a time [ns], and which robots are tracked."""

@@ -191,7 +191,7 @@ class SimPlant:
     ) -> None:
         self.spec, self.setup, self.clock = section, setup, clock
         streams = (np.random.default_rng(child) for child in seed.spawn(4))
-        measuring, swerving, self._losing, erring = streams
+        measuring, swerving, self.losing, erring = streams
         self._swerving = swerving
         count = len(setup.names)
         self.a = setup.a * (1 + section.a_error * erring.uniform(-1, 1, count))
@@ -200,22 +200,24 @@ class SimPlant:
             disturbance.build(setup, np.random.default_rng(*seed.spawn(1)))
             for disturbance in section.disturbances
         ]
-        self._disturbances = disturbances
+        self.disturbances = disturbances
+        self._planning = overriding(disturbances, "planning_s")
         starts = setup.starts
         for disturbance in disturbances:
             self.a, self.speed = disturbance.parameters(self.a, self.speed)
             starts = disturbance.placed(starts)
         self._news: list[Command | Note] = []
-        self._camera = SimCamera(count, section.measurement_noise, measuring, disturbances)
-        self._drive = self._driven(starts, seed)
+        self.camera = SimCamera(count, section.measurement_noise, measuring, disturbances)
+        self.wheels: WheelDrive | None = None
+        self.drive = self._driven(starts, seed)
         made = section.drive is not None or section.cells is not None  # walks of its own
         walk = 0.0 if made else section.heading_noise / np.sqrt(section.camera_rate)
-        self._motion = TrueMotion(
+        self.motion = TrueMotion(
             setup,
             self.a,
             self.speed,
-            self._drive,
-            self._camera,
+            self.drive,
+            self.camera,
             Beats(section.camera_rate, section.truth_rate),
             disturbances,
             float(walk),
@@ -230,16 +232,16 @@ class SimPlant:
     @property
     def poses(self) -> Poses:
         """The present true poses."""
-        return self._drive.poses
+        return self.drive.poses
 
     @property
     def rates(self) -> tuple[Floats, Floats]:
         """The present true turning rates [rad/s] and speeds [length unit/s], (N,) each."""
-        return self._motion.rates
+        return self.motion.rates
 
     def open(self) -> PlantInfo:
         """Expose the first frame."""
-        self._motion.advance(self.clock.now())
+        self.motion.advance(self.clock.now())
         facts = {
             "true_a": json.dumps(self.a.tolist()),
             "true_speed": json.dumps(self.speed.tolist()),
@@ -248,8 +250,8 @@ class SimPlant:
 
     def observe(self) -> Observation:
         """Return the newest camera frame that the host has received."""
-        self._motion.advance(self.clock.now())
-        newest = self._camera.newest
+        self.motion.advance(self.clock.now())
+        newest = self.camera.newest
         assert newest is not None, "there is no frame: call open() first"
         return newest
 
@@ -262,16 +264,16 @@ class SimPlant:
         if isinstance(action, Stop):
             return self._halt(now, seen)
         self._held = action
-        if self._drive.host is not None:
-            self._drive.host.direct()
+        if self.drive.host is not None:
+            self.drive.host.direct()
         command = self._transmit(now, seen)
-        self._motion.advance(now)
+        self.motion.advance(now)
         return command
 
     def samples(self) -> list[Sample]:
         """Return every camera frame received since the last call, oldest first."""
-        self._motion.advance(self.clock.now())
-        found = self._camera.samples()
+        self.motion.advance(self.clock.now())
+        found = self.camera.samples()
         self._news += self._standing.see(found[-1].observation) if found else []
         return found
 
@@ -291,8 +293,8 @@ class SimPlant:
         """Stop every robot."""
         count = self.a.size
         zeros = np.zeros(count)
-        if self._drive.host is not None:
-            self._drive.host.halt(now)
+        if self.drive.host is not None:
+            self.drive.host.halt(now)
         heard = np.zeros(count, dtype=np.bool_)
         for i in range(STOPS_MAX if self._repeats_stops else 1):
             if i >= STOPS and heard.all():
@@ -306,20 +308,20 @@ class SimPlant:
                 headings=seen.poses.heading,
                 wheels=np.zeros((2, count)),
             )
-            heard |= self._motion.dispatch(command).reached
+            heard |= self.motion.transit.send(command, now).reached
         still = None if self.setup.wheel_radius is None else zeros
-        self._motion.advance(now)
+        self.motion.advance(now)
         return Command(Stop(), now, tuple(heard.tolist()), still, still)
 
     def settle(self) -> Verdict:
         """Wait until the robots stand and a frame shows them standing, and check the true path."""
-        stopped = max(self._motion.settled_ns, self.clock.now())
-        stand = stopped + round(self._drive.rest_s * SECOND)
+        stopped = max(self.motion.transit.settled_ns, self.clock.now())
+        stand = stopped + round(self.drive.rest_s * SECOND)
         self.clock.sleep_until(stand + round(2 * SECOND / self.spec.camera_rate))
-        self._motion.advance(self.clock.now())
+        self.motion.advance(self.clock.now())
         self._await_frame(stand)
-        self._motion.check()
-        return replace(self._motion.path_check.verdict(self.poses), stood=self._standing.found)
+        self.motion.check()
+        return replace(self.motion.path_check.verdict(self.poses), stood=self._standing.found)
 
     def close(self) -> None:
         """Do nothing: there is nothing to release."""
@@ -332,7 +334,7 @@ class SimPlant:
             return CellDrive(section.cells, setup, self.a, self.speed, starts, walk, random)
         if section.drive is None:
             return DirectDrive(MOTIONS.load(section.motion), self.a, self.speed, starts)
-        return WheelDrive(
+        self.wheels = WheelDrive(
             section.drive,
             setup,
             self.a,
@@ -343,26 +345,30 @@ class SimPlant:
             self._swerving,
             np.random.default_rng(key),
         )
+        return self.wheels
 
     def _await_frame(self, since: int) -> None:
         """Wait until the host has a frame exposed at `since` or later [ns]."""
         patience = self.clock.now() + NO_FRAME_S * SECOND
-        while self._camera.newest is None or self._camera.newest.sampled_ns < since:
-            arriving = self._camera.arriving_ns
+        while self.camera.newest is None or self.camera.newest.sampled_ns < since:
+            arriving = self.camera.arriving_ns
             self.clock.sleep_until(
-                self._motion.beats.next_frame_ns if arriving is None else arriving
+                self.motion.beats.next_frame_ns if arriving is None else arriving
             )
             if self.clock.now() > patience:
                 raise AbortError(f"no camera frame arrived for {NO_FRAME_S} s")
-            self._motion.advance(self.clock.now())
+            self.motion.advance(self.clock.now())
 
     def _plan(self) -> int:
         """Advance by the planning time, and return the new time [ns]."""
-        seconds = sum(one.planning_s(self.clock.now() / SECOND) for one in self._disturbances)
-        if seconds > 0:
-            self.clock.sleep_until(self.clock.now() + round(seconds * SECOND))
-        self._motion.advance(self.clock.now())
+        self.clock.sleep_until(self.planned_ns(self.clock.now()))
+        self.motion.advance(self.clock.now())
         return self.clock.now()
+
+    def planned_ns(self, now: int) -> int:
+        """Return the time [ns] at which a command planned from `now` on is sent."""
+        seconds = sum(one.planning_s(now / SECOND) for one in self._planning)
+        return now + round(seconds * SECOND)
 
     def _due_ns(self, answered: Observation, now: int) -> int:
         """Return the time [ns] at which a command sent `now` in answer to a frame acts if
@@ -371,8 +377,8 @@ class SimPlant:
 
     def _transmit(self, now: int, seen: Observation | None) -> Command:
         """Send the held action, or the wheel speeds for it in answer to the newest frame."""
-        held, host, setup = self._held, self._drive.host, self.setup
-        seen = seen if host is None else self._camera.newest
+        held, host, setup = self._held, self.drive.host, self.setup
+        seen = seen if host is None else self.camera.newest
         assert seen is not None, "there is no frame: call open() first"
         headings = seen.poses.heading
         left = right = made = None
@@ -382,8 +388,8 @@ class SimPlant:
             towards = aim(held, headings)
             speed = setup.speed * (not isinstance(held, Turn))
             left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
-        heard = self._losing.uniform(size=self.a.size) >= self.spec.lost_commands
+        heard = self.losing.uniform(size=self.a.size) >= self.spec.lost_commands
         due = self._due_ns(seen, now)
         command = DelayedCommand(now, due, held, heard, None, headings, made)
-        reached = tuple(self._motion.dispatch(command).reached.tolist())
+        reached = tuple(self.motion.transit.send(command, now).reached.tolist())
         return Command(held, now, reached, left, right)

@@ -2,7 +2,6 @@
 
 import math
 from bisect import insort
-from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -21,6 +20,50 @@ from tetractl.plant.wheel_drive import WheelDrive
 
 Drive = DirectDrive | WheelDrive | CellDrive
 UNCHECKED = 200  # number of parts of the path after which they are checked together
+
+
+class Transit:
+    """The commands on their way to the N robots of one trial, in the order in which they act."""
+
+    def __init__(self, robots: int, disturbances: Sequence[Disturbance]) -> None:
+        self.disturbances = overriding(disturbances, "sent")
+        self._queue = list[DelayedCommand]()
+        # times at which the last command sent acts on each robot [ns]
+        self._acting_ns = [0] * robots
+
+    @property
+    def settled_ns(self) -> int:
+        """The time when the last command sent so far acts on the last robot [ns]."""
+        return max(self._acting_ns, default=0)
+
+    @property
+    def next_ns(self) -> int:
+        """The time when the next command acts [ns], NEVER for none."""
+        return self._queue[0].due_ns if self._queue else NEVER
+
+    def send(self, command: DelayedCommand, now: int) -> DelayedCommand:
+        """Send a command `now` [ns], and return the command as the robots will receive it."""
+        for disturbance in self.disturbances:
+            command = disturbance.sent(command)
+        robots = len(self._acting_ns)
+        if command.late_ns is None and command.due_ns >= max(self.settled_ns, now):
+            self._acting_ns = [command.due_ns] * robots
+            self._queue.append(command)
+            return command
+        late = [0] * robots if command.late_ns is None else command.late_ns.tolist()
+        self._acting_ns = [
+            max(command.due_ns + each, acting, now)
+            for each, acting in zip(late, self._acting_ns, strict=True)
+        ]
+        for when in sorted(set(self._acting_ns)):
+            reached = command.reached & (np.array(self._acting_ns) == when)
+            part = replace(command, due_ns=when, reached=reached)
+            insort(self._queue, part, key=lambda one: one.due_ns)
+        return command
+
+    def pop(self) -> DelayedCommand:
+        """Remove and return the next command."""
+        return self._queue.pop(0)
 
 
 class TrueMotion:
@@ -57,9 +100,7 @@ class TrueMotion:
         self._disturbs = bool(self._moving or self._varying)
         self._by_frame = self._disturbs or heading_walk > 0
         self.beats = beats
-        self._under_way: deque[DelayedCommand] = deque()  # commands in transit, ordered by `due_ns`
-        # times at which the last command sent acts on each robot [ns]
-        self._acting_ns = [0] * len(setup.names)
+        self.transit = Transit(len(setup.names), disturbances)
         self._watchdog_s = setup.watchdog_s
         self._stopping_ns = [NEVER] * len(setup.names)  # times of the watchdogs [ns]
         self._stops_ns = NEVER  # the first of them
@@ -68,39 +109,16 @@ class TrueMotion:
         self._disturbed_ns = -1  # time up to which the disturbances have acted
         self._path: list[Floats] = []  # x, y, heading (M, 3, N) of samples not yet checked
 
-    @property
-    def settled_ns(self) -> int:
-        """The time when the last command sent so far acts on the last robot [ns]."""
-        return max(self._acting_ns, default=0)
-
-    def dispatch(self, command: DelayedCommand) -> DelayedCommand:
-        """Schedule a command, and return the command as the robots will receive it."""
-        for disturbance in self._disturbances:
-            command = disturbance.sent(command)
-        late = [0] * len(self._acting_ns) if command.late_ns is None else command.late_ns.tolist()
-        due = [
-            max(command.due_ns + each, acting, self._time)
-            for each, acting in zip(late, self._acting_ns, strict=True)
-        ]
-        self._acting_ns = due
-        for when in sorted(set(due)):
-            part = command
-            if any(each != command.due_ns for each in due):
-                reached = command.reached & (np.array(due) == when)
-                part = replace(command, due_ns=when, reached=reached)
-            insort(self._under_way, part, key=lambda one: one.due_ns)
-        return command
-
     def advance(self, until: int) -> None:
         """Advance the robots to `until` [ns], in intervals with constant held commands."""
-        if until == self._reached and not (self._under_way and self._under_way[0].due_ns <= until):
+        if until == self._reached < self.transit.next_ns:
             return
         while True:
             frame, stopping = self.beats.next_frame_ns, self._stops_ns
             end = min(until, self.drive.repeats_ns, stopping, frame if self._by_frame else until)
             command = None
-            if self._under_way and self._under_way[0].due_ns <= end:
-                command = self._under_way.popleft()
+            if self.transit.next_ns <= end:
+                command = self.transit.pop()
             elif end == stopping:
                 command = self._silent(end)
             reached = command.due_ns if command else end

@@ -49,7 +49,7 @@ def know(
     clock, section = VirtualClock(), experiment.controller
     plant = SimPlant(experiment.plant, experiment.setup, clock, np.random.SeedSequence(seed))
     if late_s:
-        plant._motion._disturbances.append(Late(late_s))
+        plant.motion.transit.disturbances.append(Late(late_s))
     plant.open()
     problem = section.problem(experiment.setup)
     estimator = StateEstimator(problem, 1 / rate, section.prior.of(problem, 0.0, experiment.setup))
@@ -138,7 +138,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
     def compare(k, problem, estimator, plant):
         if k > 4:
             held = estimator.filter.ahead(0).held
-            right.append(np.abs(held - plant._drive._held.direction) < 1e-9)
+            right.append(np.abs(held - plant.drive._held.direction) < 1e-9)
 
     know(settings, 40, 2, until=compare)
     assert np.mean(right) > 0.9
@@ -147,7 +147,7 @@ def test_a_lost_command_is_seen_by_how_a_robot_turns():
 def test_the_bias_of_a_marker_and_the_one_of_turning_are_told_from_each_other():
     off = "plant.disturbances=[{type: marker-off, heading: 0.1}]"
     found, plant, estimator = know([*NOISY, off, "plant.dead_time=0.1"], 10)
-    sides = plant._disturbances[0]._off
+    sides = plant.disturbances[0]._off
     assert found.heading_bias == pytest.approx(sides, abs=0.03)
     state = likely(estimator.filter)
     assert state[:, BIAS] == pytest.approx([0.0] * 3, abs=0.03)
@@ -179,7 +179,7 @@ def test_cells_are_followed_through_helix_noise_and_flow(settings):
     state = likely(estimator.filter)
     assert found.a == pytest.approx(plant.a, rel=0.1)
     assert found.speed == pytest.approx(plant.speed, rel=0.02)
-    flow = np.tile(plant._disturbances[0]._velocity, (3, 1))
+    flow = np.tile(plant.disturbances[0]._velocity, (3, 1))
     assert state[:, [FLOW_X, FLOW_Y]] == pytest.approx(flow, abs=8)
     assert state[:, HEADING] == pytest.approx(plant.poses.heading, abs=0.15)
 
@@ -191,7 +191,7 @@ def test_a_robot_that_sticks_does_not_lose_its_speed_and_is_seen_to_stand():
     def compare(k, problem, estimator, plant):
         if k > 4:
             held = estimator.filter.ahead(0).held
-            agree.append(np.isnan(held) == (plant._disturbances[0]._free.well(k / 5) == 0))
+            agree.append(np.isnan(held) == (plant.disturbances[0]._free.well(k / 5) == 0))
 
     found, plant, _ = know([*NOISY, stuck], 20, until=compare)
     assert np.mean(agree) > 0.9

@@ -1,5 +1,6 @@
 """Disturbances of the camera: frames that are late, are lost or show wrong poses."""
 
+import math
 from collections import deque
 from typing import Annotated, Literal
 
@@ -71,7 +72,9 @@ class CameraLatency(Disturbance):
     def received(self, exposed_ns: int, received_ns: int) -> int:
         """Return the time of arrival with the latency added, never before the exposure."""
         section, rng = self._section, self._rng
-        latency = section.mean + section.deviation * min(4.0, max(-4.0, rng.standard_normal()))
+        drawn = rng.standard_normal()
+        within = drawn if abs(drawn) < 4 else math.copysign(4.0, drawn)
+        latency = section.mean + section.deviation * within
         if rng.random() < section.late_share:
             latency += section.late_by * rng.random()
         return received_ns + max(0, round(latency * SECOND))

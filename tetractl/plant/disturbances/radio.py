@@ -50,7 +50,8 @@ class Radio(Disturbance):
         if self._late_ns is not None:
             late_ns = self._late_ns if late_ns is None else late_ns + self._late_ns
         due_ns, reached = command.due_ns + delay_ns, command.reached & heard
-        return replace(command, due_ns=due_ns, reached=reached, late_ns=late_ns)
+        more = command.headings, command.wheels
+        return DelayedCommand(command.sent_ns, due_ns, command.action, reached, late_ns, *more)
 
 
 class SilentRadioSection(SpellsSection):

@@ -3,7 +3,7 @@
 The bits are those of the plain loops, `tetractl.model.motion.rolling`, for one trial or many.
 """
 
-import numpy as np
+import math
 
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.options import ENTRY, exact, with_parts
@@ -44,12 +44,16 @@ def answer(
         )
         if lag_s > 0:
             _note(acts_ns[b], wished, known, sent_ns[b], sent[b])
-        train = trains[b]
-        owed, gain, zone = train[0], train[1], train[2]
-        true_gain, true_zone, limit = train[3], train[4], train[5, 0]
-        speeds[b, 0], speeds[b, 1] = wished, wished * true_gain
-        if limit[0] > 0:
-            steps = _count(wished, owed, gain, zone, limit)
-            counts = np.abs(steps) + np.where(steps == 0, 0, zone)
-            speeds[b, 0] = gain * steps
-            speeds[b, 1] = true_gain * (np.sign(steps) * np.maximum(counts - true_zone, 0))
+        owed, gain, zone, limit = trains[b, 0], trains[b, 1], trains[b, 2], trains[b, 5, 0]
+        steps = _count(wished, owed, gain, zone, limit) if limit[0] > 0 else wished
+        for side in range(2):
+            for i in range(heading.shape[1]):
+                known_speed = moved = steps[side, i]
+                if limit[i] > 0:
+                    known_speed = gain[side, i] * moved
+                    counts = max(abs(moved) + zone[side, i] - trains[b, 4, side, i], 0)
+                    moved = 0.0 if moved == 0 else math.copysign(counts, moved)
+                speeds[b, 0, side, i], speeds[b, 1, side, i] = (
+                    known_speed,
+                    trains[b, 3, side, i] * moved,
+                )

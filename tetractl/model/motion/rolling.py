@@ -61,7 +61,10 @@ def wish(
             kept = math.exp((sent_ns[0] - sent_ns[1]) / SECOND / lag_s)
             for i in range(len(heading)):
                 sent[0, i] = sent[1, i] + (sent[0, i] - sent[1, i]) * kept
-            sent_ns[:-1], sent[1:-1] = sent_ns[1:].copy(), sent[2:].copy()
+                for k in range(1, len(sent_ns)):
+                    sent[k, i] = sent[k + 1, i]
+            for k in range(1, len(sent_ns)):
+                sent_ns[k - 1] = sent_ns[k]
         kept = math.exp(min(sent_ns[0] - since_ns, 0) / SECOND / lag_s)
     for i in range(len(heading)):
         a, speed, radius = known[0, i], known[1, i] * drives, known[2, i]
@@ -126,7 +129,9 @@ def roll(
                 if walk > 0 and ticks[k] and times[k] > since:
                     for i in range(body.shape[1]):
                         body[2, i] += walk * drawn[b, tick, i] * body[MOVING, i]
-                path[b, k] = body[:3]
+                for row in range(3):
+                    for i in range(body.shape[1]):
+                        path[b, k, row, i] = body[row, i]
             tick += ticks[k]
         if now_ns[b] < until_ns[b]:
             _step(body, (until_ns[b] - now_ns[b]) / SECOND)

@@ -23,7 +23,8 @@ from oracles import levenberg
 from tetractl.control.cost import evaluate, predict
 from tetractl.control.evaluate import compiled_costs
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import improve, workspace
+from tetractl.control.kernels.multistart import STEPS, search, workspace
+from tetractl.control.kernels.rollout import lay_out
 from tetractl.core.plan import Limits
 from tetractl.experiment.load import load_spec
 
@@ -34,19 +35,21 @@ reference = evaluate(problem, signals)
 compiled = compiled_costs(problem, 200)(np.ascontiguousarray(signals.T))
 start = np.zeros(24)
 slow = levenberg.polish(problem, start, 1e-3, 0.5, 5)
-work, found = lay_out_polish(problem, 24), workspace(0, 1, 24, 5)
-improve(work, start[None], 0, 1e-3, 0.5, 6, 2**62, 0, found)
-z = int(found.steps[0])
-search = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
-x, y = predict(problem, search.signals)[..., :2].T
+found = workspace(0, 1, 1, 1, 24, 5, 0)
+found.begin(start[None])
+laid = lay_out_polish(problem, 24), lay_out(problem, 1)
+search(*laid, np.uint64(0), np.empty(0), 0, 1e-3, 0.5, 6, 2**62, 0, found)
+z = int(found.at[STEPS])
+best = spec.controller.optimizer.search(problem, 24, None, 1, Limits())
+x, y = predict(problem, best.signals)[..., :2].T
 print(json.dumps({
     "hits": int((reference.obstacle > 0).sum()),
     "worst": float(np.abs(compiled / reference.total - 1).max()),
-    "polish": float(np.abs(found.merits[0, : z + 1] - slow.history).max()),
+    "polish": float(np.abs(found.merits[: z + 1] - slow.history).max()),
     "straight": float(evaluate(problem, start[None]).obstacle[0]),
-    "found": float(evaluate(problem, search.signals[None]).obstacle[0]),
+    "found": float(evaluate(problem, best.signals[None]).obstacle[0]),
     "clear": float(spec.obstacles[0].shape().distance(x, y).min()),
-    "cost": search.cost,
+    "cost": best.cost,
 }))
 """
 SPEC = """

@@ -14,7 +14,7 @@ from tetractl.model.motion.exact import step as exact
 
 OUT_STARTS = np.linspace(-np.pi, np.pi, 48, endpoint=False)  # first directions tried [rad]
 OUT_RATES = np.linspace(-6.0, 6.0, 13)  # rates of change of the direction tried [rad/s]
-TURN_TO = np.linspace(-np.pi, np.pi, 12, endpoint=False)  # directions tried for a turn [rad]
+TURN_TO = np.linspace(-np.pi, np.pi, 24, endpoint=False)  # directions tried for a turn [rad]
 
 
 class WayOut(NamedTuple):

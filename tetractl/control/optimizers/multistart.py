@@ -29,6 +29,9 @@ from tetractl.core.poses import Floats, wrap
 from tetractl.experiment.base import Positive
 from tetractl.experiment.controller import OptimizerSection
 
+ENDED = (None, StopReason.TARGET, StopReason.EVALUATIONS, None)
+"""Why a search ended, by what its kernel returns; None if all rounds are done."""
+
 
 class Hops(NamedTuple):
     """A thorough search: how it hops, and how each hop is polished."""
@@ -110,16 +113,8 @@ class Multistart(OptimizerSection):
         progress = _PolishedProgress(self, problem, length, warm, limits)
         if limits.thorough:
             progress.hop(key)
-            return progress.search()
-        if warm is not None:
-            progress.try_one(warm)
-            progress.polish(warm[None])
-        for number in range(self._rounds(problem, length) if warm is None else 1):
-            if progress.ended:
-                break
-            if progress.history and not progress.affords(self.particles):
-                break
-            progress.polish(progress.select(mix(key, number)))
+        else:
+            progress.run(key, self._rounds(problem, length) if warm is None else 1)
         return progress.search()
 
     def _rounds(self, problem: Problem, length: int) -> int:
@@ -140,96 +135,52 @@ class _PolishedProgress(Progress):
         warm: Floats | None,
         limits: Limits,
     ) -> None:
-        from tetractl.control.kernels import levenberg, multistart
+        from tetractl.control.kernels import levenberg, multistart, rollout
 
         super().__init__(length, limits)
-        self.section, self.problem, self.warm = section, problem, warm
-        self.kernels, self.work = multistart, levenberg.lay_out_polish(problem, length)
-        self.slack = section.slack * float(problem.speed.max()) * problem.period
+        self.section, self.problem, self.warm, self.kernels = section, problem, warm, multistart
+        self.step = float(problem.speed.max()) * problem.period  # of the fastest robot
         growth = section.growth(problem)
         self.patience = round(section.patience * growth)
         steps = round(section.steps * growth)
         if limits.thorough:
             self.patience, steps = HOPS.patience, HOPS.steps
             self.hops = round(HOPS.most * max(1.0, (len(problem.a) / 3) ** 2))
-        self.polished = multistart.workspace(get_ident(), section.polished, length, steps)
+        count, particles = min(section.polished, section.particles), section.particles
+        knots = min(round(section.knots * growth), length)
+        self.laid = levenberg.lay_out_polish(problem, length), rollout.lay_out(problem, particles)
+        self.work = multistart.workspace(
+            get_ident(), count, particles, knots, length, steps, section.rounds
+        )
+        self.work.begin(np.empty((0, length)) if warm is None or limits.thorough else warm[None])
         # iterations between two looks at the deadline
-        step = len(self.work.room.residual) * len(problem.a) * length
-        self.look = max(1, multistart.BETWEEN_LOOKS // step) if limits.timed else 0
+        each = len(self.laid[0].room.residual) * len(problem.a) * length
+        self.look = max(1, multistart.BETWEEN_LOOKS // each) if limits.timed else 0
 
-    def select(self, key: int) -> Floats:
-        """Scatter and evaluate a round, and return its best sequences (K, length), best first."""
-        from tetractl.control.kernels.rollout import lay_out
-
-        section, length, warm = self.section, self.length, self.warm
-        count = min(round(section.knots * section.growth(self.problem)), length)
-        starts, found = np.empty((length, section.particles)), np.empty(section.particles)
-        finite = self.kernels.scatter(
-            lay_out(self.problem, section.particles),
-            np.uint64(key),
-            bearing(self.problem),
-            np.empty(0) if warm is None else warm,
-            np.empty((count, section.particles)),
-            starts,
-            found,
-        )
-        if not finite:
-            require_finite(found)
-        self.add(starts, found)
-        order = np.argsort(found, kind="stable")[: section.polished]
-        return np.ascontiguousarray(starts[:, order].T)
-
-    def try_one(self, signals: Floats) -> None:
-        """Evaluate one sequence (length,) and add its cost to the history."""
-        self.polished.steps[0] = 0
-        self._improve(signals[None], 0, look=-1)
-        require_finite(self.polished.costs[:1])
-        self.evaluations += 1
-        self.keep(signals, float(self.polished.costs[0]))
-
-    def polish(self, starts: Floats) -> None:
-        """Polish sequences (K, length) in turn until one is good enough; keep the best."""
-        done, self.polished.steps[:] = 0, 0
-        while done < len(starts) and self.affords(2):
-            done = self._polish_some(starts, done)
-
-    def _polish_some(self, starts: Floats, done: int) -> int:
-        """Polish sequences (K, length) from number `done` until it is time to look at the deadline;
-        return how many are polished."""
-        found, first = self.polished, done
-        done = self._improve(starts, first, self.look)
-        begun = int(found.evaluations[done]) if done < len(starts) and found.steps[done] else 0
-        if begun and self.limits.expired(self.evaluations + begun):
-            done, self.ended = self._improve(starts, done, look=-1), StopReason.DEADLINE
-        require_finite(found.costs[first:done])
-        for n in range(first, done):
-            before, cost = self.cost, float(found.costs[n])
-            self.evaluations += int(found.evaluations[n])
-            self.keep(found.signals[n], cost)
-            if cost < before:
-                merits = found.merits[n, : found.steps[n]]
-                self.history[-1:] = np.clip(merits, cost, before).tolist()
-                self.history.append(cost)
-        if self.cost <= self.section.tolerance and self.ended is None:
-            self.ended = StopReason.TARGET
-        return done
-
-    def _improve(self, starts: Floats, done: int, look: int) -> int:
-        """Call the kernel `improve`."""
-        most = 2**62 if self.limits.evaluations is None else self.limits.evaluations
-        found = self.polished
-        begun = int(found.evaluations[done]) if found.steps[done] else 0
-        return self.kernels.improve(
-            self.work,
-            starts,
-            done,
-            self.section.tolerance,
-            self.slack,
-            self.patience,
-            most - self.evaluations - begun,
-            look,
-            found,
-        )
+    def run(self, key: int, rounds: int, slack: float = Multistart.slack) -> None:
+        """Polish the starts with which `work` begins, and those of `rounds` that are scattered."""
+        kernels, section, limits, work = self.kernels, self.section, self.limits, self.work
+        warm = np.empty(0) if self.warm is None or limits.thorough else self.warm
+        search = section.tolerance, slack * self.step, self.patience
+        most = 2**62 if limits.evaluations is None else limits.evaluations
+        look = -1 if limits.timed and limits.expired(self.evaluations) else self.look
+        how = kernels.UNDER_WAY
+        while how == kernels.UNDER_WAY:
+            how = kernels.search(
+                *self.laid, np.uint64(key), warm, rounds, *search, most, look, work
+            )
+            require_finite(work.costs[1:])
+            self.history += work.history[: work.at[kernels.KEPT]].tolist()
+            work.at[kernels.KEPT] = 0
+            self.evaluations, begun = int(work.at[kernels.EVALUATIONS]), int(work.at[kernels.BEGUN])
+            if how != kernels.UNDER_WAY:
+                self.ended = ENDED[how]
+            elif look < 0 or limits.expired(self.evaluations + begun):
+                self.ended = StopReason.DEADLINE
+                if look < 0 or not begun:
+                    break
+                look = -1  # ends the polish under way
+        self.best, self.cost = work.best.copy(), float(work.costs[0])
 
     def hop(self, key: int) -> None:
         """Polish randomly changed copies of the best sequences until one is good enough.
@@ -240,21 +191,21 @@ class _PolishedProgress(Progress):
         still in an obstacle.
         """
         pool: list[tuple[float, Floats]] = []
-        found, length = self.polished, self.length
-        middle, step = bearing(self.problem), self.slack / self.section.slack
+        work, length, middle = self.work, self.length, bearing(self.problem)
         for number in range(self.hops):
-            work = self.evaluations * length * len(self.problem.a)
-            if self.ended or work > HOPS.work or (self.history and not self.affords(2)):
+            if self.evaluations * length * len(self.problem.a) > HOPS.work:
                 break
             draws = uniform(mix(key, number), 0, length + 8)
             start = _moved(pool, draws, length, middle)
             if number == 0 and self.warm is not None:
                 start = self.warm
-            self.slack = self.section.slack * step * 30 ** draws[7]
-            self.polish(start[None])
-            hits = found.costs[0] // self.problem.obstacle_weight
-            merit = found.merits[0, found.steps[0]] + HOPS.hit * step * hits
-            pool.append((float(merit), found.signals[0].copy()))
+            work.go_on(start[None])
+            self.run(key, 0, self.section.slack * 30 ** draws[7])
+            if self.ended:
+                break
+            hits = work.costs[1] // self.problem.obstacle_weight
+            merit = work.merits[work.at[self.kernels.STEPS]] + HOPS.hit * self.step * hits
+            pool.append((float(merit), work.signals.copy()))
             pool.sort(key=lambda one: one[0])
             del pool[HOPS.pool :]
 

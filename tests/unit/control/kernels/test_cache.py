@@ -13,7 +13,7 @@ import hashlib, sys
 from pathlib import Path
 from tetractl.core.commands import Steer
 from tetractl.control.evaluate import compiled_foresee
-from tetractl.control.kernels.multistart import improve
+from tetractl.control.kernels.multistart import search
 from tetractl.control.optimizers.multistart import Multistart
 from tetractl.control.optimizers.pso import Pso
 from tetractl.core.plan import Limits
@@ -23,10 +23,10 @@ digest = hashlib.sha256()
 experiment = load_spec(Path(sys.argv[1]) / "three_m3pi.yaml").experiment
 problem = experiment.controller.problem(experiment.setup)
 for optimizer in (Multistart(rounds=2), Pso(iterations=20)):
-    search = optimizer.search(problem, 30, None, 1, Limits())
-    digest.update(search.signals.tobytes() + search.history.tobytes())
-    digest.update(compiled_foresee(problem, search.signals).path.tobytes())
-print(sum(improve.stats.cache_hits.values()), digest.hexdigest())
+    found = optimizer.search(problem, 30, None, 1, Limits())
+    digest.update(found.signals.tobytes() + found.history.tobytes())
+    digest.update(compiled_foresee(problem, found.signals).path.tobytes())
+print(sum(search.stats.cache_hits.values()), digest.hexdigest())
 """
 
 

@@ -10,23 +10,23 @@ from oracles import levenberg
 from support import problems
 
 from tetractl.control.cost import evaluate, predict
+from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import improve, workspace
+from tetractl.control.kernels.rollout import lay_out
 
 MOTIONS = st.sampled_from(["euler", "arc", "exact"])
 TOLERANCE, SLACK, PATIENCE = 1e-3, 0.5, 6
 
 
 def compiled(problem, start, iterations, budget=2**62):
-    work, found = (
-        lay_out_polish(problem, len(start)),
-        workspace.__wrapped__(0, 1, len(start), iterations),
-    )
-    starts, limits = start[None].copy(), (TOLERANCE, SLACK, PATIENCE)
-    done = improve(work, starts, 0, *limits, max(budget, 1) + 1, 0, found)
-    assert done == 1
-    merits = found.merits[0, : found.steps[0] + 1].copy()
-    return levenberg.Polished(found.signals[0], merits[-1], merits, found.evaluations[0] - 1)
+    found = kernel.workspace.__wrapped__(0, 1, 1, 1, len(start), iterations, 0)
+    found.begin(start[None])
+    laid = lay_out_polish(problem, len(start)), lay_out(problem, 1)
+    limits = TOLERANCE, SLACK, PATIENCE, max(budget, 1) + 1, 0
+    kernel.search(*laid, np.uint64(0), np.empty(0), 0, *limits, found)
+    merits = found.merits[: found.at[kernel.STEPS] + 1].copy()
+    evaluations = found.at[kernel.EVALUATIONS] - 1
+    return levenberg.Polished(found.signals, merits[-1], merits, evaluations)
 
 
 def random_start(seed, length):

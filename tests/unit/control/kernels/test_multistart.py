@@ -10,26 +10,44 @@ from oracles import levenberg
 from support import problems
 
 from tetractl.control.cost import evaluate
-from tetractl.control.curves import interpolate
+from tetractl.control.curves import bearing, interpolate
+from tetractl.control.kernels import multistart as kernel
 from tetractl.control.kernels.levenberg import lay_out_polish
-from tetractl.control.kernels.multistart import WARM, improve, scatter, workspace
+from tetractl.control.kernels.multistart import WARM
 from tetractl.control.kernels.rollout import lay_out
-from tetractl.control.rng import uniform
+from tetractl.control.rng import mix, uniform
 from tetractl.core.poses import wrap
 
 TOLERANCE, SLACK, PATIENCE, STEPS, MUCH = 1e-3, 0.5, 6, 8, 2**62
+NONE = np.empty(0)
 
 
-def polished(problem, starts, tolerance=TOLERANCE, budget=MUCH, look=0):
-    """Return how many of the starts were polished, and what became of them."""
+def searched(
+    problem,
+    starts,
+    tolerance=TOLERANCE,
+    budget=MUCH,
+    look=0,
+    *,
+    warm=NONE,
+    rounds=0,
+    best=4,
+    particles=9,
+    knots=3,
+    key=1,
+):
+    """Return how a search ended, and what became of its starts (S, L) and rounds."""
     count, length = starts.shape
-    work, found = lay_out_polish(problem, length), workspace.__wrapped__(0, count, length, STEPS)
-    done, calls = 0, 0
-    while calls == 0 or (look and done < count and calls < 1000):
-        spent = int(found.evaluations[: done + 1].sum())
-        limits = tolerance, SLACK, PATIENCE, budget - spent
-        done, calls = improve(work, starts, done, *limits, look, found), calls + 1
-    return done, found
+    laid = lay_out_polish(problem, length), lay_out(problem, particles)
+    sizes = max(count, best), particles, knots, length, STEPS, rounds
+    found = kernel.workspace.__wrapped__(0, *sizes)
+    found.begin(starts)
+    limits, how = (tolerance, SLACK, PATIENCE, budget, look), kernel.UNDER_WAY
+    while how == kernel.UNDER_WAY:
+        how = kernel.search(*laid, np.uint64(key), warm, rounds, *limits, found)
+        if look < 0:
+            break
+    return how, found
 
 
 def starts_of(seed, count, length):
@@ -38,25 +56,51 @@ def starts_of(seed, count, length):
 
 @pytest.mark.parametrize("model", ["euler", "arc", "exact"])
 @pytest.mark.parametrize("look", [0, 1, 3])
-def test_each_start_is_polished_as_it_is_alone_and_costs_j(model, look):
-    problem, starts = problems.problem(problems.world(4, 3, 2, model)), starts_of(1, 3, 20)
-    done, found = polished(problem, starts, look=look)
-    assert done == 3
-    for n, start in enumerate(starts):
+def test_each_start_is_polished_as_the_readable_algorithm_does_and_costs_j(model, look):
+    problem = problems.problem(problems.world(4, 3, 2, model))
+    for start in starts_of(1, 3, 20):
+        how, found = searched(problem, start[None], look=look)
         alone = levenberg.polish(problem, start, TOLERANCE, SLACK, STEPS, None, PATIENCE)
-        assert found.signals[n] == pytest.approx(wrap(alone.signals), abs=1e-6)
-        assert found.evaluations[n] == alone.evaluations + 1
-        merits = found.merits[n, : found.steps[n] + 1]
+        assert how == kernel.OVER
+        assert found.signals == pytest.approx(wrap(alone.signals), abs=1e-6)
+        assert found.at[kernel.EVALUATIONS] == alone.evaluations + 1
+        merits = found.merits[: found.at[kernel.STEPS] + 1]
         assert merits == pytest.approx(alone.history, rel=1e-6)
-    assert found.costs == pytest.approx(evaluate(problem, found.signals).total, rel=1e-9)
+        cost = evaluate(problem, found.signals[None]).total[0]
+        assert found.costs == pytest.approx([cost, cost], rel=1e-9)
+
+
+@pytest.mark.parametrize("look", [0, 1, 3])
+def test_the_best_of_all_starts_is_kept_and_the_history_ends_with_its_cost(look):
+    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
+    alone = [searched(problem, start[None])[1] for start in starts]
+    costs = [float(one.costs[0]) for one in alone]
+    how, found = searched(problem, starts, look=look)
+    assert how == kernel.OVER
+    assert found.costs[0] == pytest.approx(min(costs), rel=1e-6)
+    assert found.best == pytest.approx(alone[int(np.argmin(costs))].signals, abs=1e-6)
+    history = found.history[: found.at[kernel.KEPT]]
+    assert history[-1] == found.costs[0]
+    assert (np.diff(history[-2:]) <= 0).all()
+    assert found.at[kernel.EVALUATIONS] == sum(one.at[kernel.EVALUATIONS] for one in alone)
 
 
 def test_a_start_is_ended_as_it_is():
     problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 3, 20)
-    done, found = polished(problem, starts, look=-1)
-    assert done == 3
-    assert found.signals == pytest.approx(starts)
-    assert found.costs == pytest.approx(evaluate(problem, starts).total, rel=1e-9)
+    _, found = searched(problem, starts, look=-1)
+    assert found.at[kernel.DONE] == 1
+    assert found.signals == pytest.approx(starts[0])
+    assert found.costs[1] == pytest.approx(evaluate(problem, starts[:1]).total[0], rel=1e-9)
+
+
+def test_the_cost_of_a_warm_start_comes_first_and_ends_no_search():
+    problem, starts = problems.problem(problems.world(4, 3, 2, "exact")), starts_of(1, 1, 20)
+    _, alone = searched(problem, starts)
+    _, found = searched(problem, starts, tolerance=1e9, warm=starts[0])
+    assert found.history[0] == pytest.approx(evaluate(problem, starts).total[0], rel=1e-9)
+    assert found.at[kernel.EVALUATIONS] == 3  # its cost, then one merit and the cost again
+    _, found = searched(problem, starts, warm=starts[0])
+    assert found.at[kernel.EVALUATIONS] == alone.at[kernel.EVALUATIONS] + 1
 
 
 @given(
@@ -64,37 +108,41 @@ def test_a_start_is_ended_as_it_is():
     length=st.integers(1, 30),
     knots=st.integers(1, 12),
     warmed=st.booleans(),
+    best=st.integers(1, 9),
 )
-def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, warmed):
+def test_a_round_is_scattered_as_the_readable_curves_are(seed, length, knots, warmed, best):
     problem, particles = problems.problem(problems.world(seed, 2, 1, "exact")), 9
     knots = min(knots, length)
-    warm = starts_of(seed, 1, length)[0] if warmed else np.empty(0)
-    signals, total = np.empty((length, particles)), np.empty(particles)
-    scratch = np.empty((knots, particles))
-    assert scatter(lay_out(problem, particles), np.uint64(seed), 0.7, warm, scratch, signals, total)
-    draws = 2 * uniform(seed, 0, knots * particles).reshape(knots, particles) - 1
+    warm = starts_of(seed, 1, length)[0] if warmed else NONE
+    none = np.empty((0, length))
+    of = {"rounds": 1, "best": best, "particles": particles, "knots": knots, "key": seed}
+    _, found = searched(problem, none, budget=1, warm=warm, **of)
+    draws = 2 * uniform(mix(seed, 0), 0, knots * particles).reshape(knots, particles) - 1
     curve = interpolate(draws, length)
-    expected = 0.7 + math.pi * curve
+    expected = bearing(problem) + math.pi * curve
     if warmed:
         expected[:, ::2] = warm[:, None] + WARM * curve[:, ::2]
-    assert np.abs(wrap(signals - expected)).max() < 1e-9
-    assert np.abs(signals).max() <= math.pi + 1e-9
-    assert total == pytest.approx(evaluate(problem, signals.T).total, rel=1e-9)
+    assert np.abs(wrap(found.scattered - expected)).max() < 1e-9
+    assert np.abs(found.scattered).max() <= math.pi + 1e-9
+    assert found.found == pytest.approx(evaluate(problem, found.scattered.T).total, rel=1e-9)
+    order = np.argsort(found.found, kind="stable")[:best]
+    assert (found.starts == found.scattered[:, order].T).all()
+    assert found.history[0] == found.found.min()
 
 
 def test_the_first_that_is_good_enough_is_the_last():
     problem, starts = problems.problem(problems.world(4, 3, 0, "exact")), starts_of(2, 4, 20)
-    _, all_of_them = polished(problem, starts)
-    least = int(np.argmin(all_of_them.costs))
-    done, found = polished(problem, starts, float(all_of_them.costs[least]))
-    assert done == least + 1
-    assert found.costs[least] == pytest.approx(all_of_them.costs[least], rel=1e-6)
+    costs = [float(searched(problem, start[None])[1].costs[0]) for start in starts]
+    least = int(np.argmin(costs))
+    how, found = searched(problem, starts, costs[least] * (1 + 1e-9))
+    assert (how, found.at[kernel.DONE]) == (kernel.GOOD, least + 1)
+    assert found.costs[0] == pytest.approx(costs[least], rel=1e-6)
 
 
-@given(st.integers(0, 400))
-def test_a_round_keeps_its_budget(budget):
+@given(st.integers(0, 600))
+def test_a_search_keeps_its_budget(budget):
     problem, starts = problems.problem(problems.world(4, 2, 1, "exact")), starts_of(3, 4, 12)
-    done, found = polished(problem, starts, budget=budget)
-    spent = int(found.evaluations[:done].sum())
+    how, found = searched(problem, starts, budget=budget, rounds=1, particles=40)
+    spent = int(found.at[kernel.EVALUATIONS])
     assert spent <= budget
-    assert done == 4 or budget - spent < 2
+    assert how == kernel.OVER or budget - spent < (40 if found.at[kernel.DONE] == 4 else 2)

@@ -23,8 +23,10 @@ would differ in the last bits from run to run.
 """
 ENTRY_FAST: Any = _ENTRY | {"fastmath": FAST}
 """For kernels, which Python calls."""
-INLINE_EXACT, ENTRY = _PART, _ENTRY
-"""The same for kernels that compute the bits of their readable twins."""
+INLINE_EXACT, ENTRY = _PART | {"fastmath": False}, _ENTRY | {"fastmath": False}
+"""The same for kernels that compute the bits of their readable twins. An option that is not set is
+inherited from the function that happens to be compiled first with a call of this one.
+"""
 INLINE = {"nogil": True, "fastmath": FAST, "error_model": "numpy", "inline": "always"}
 """For functions of scalars, inlined at each call."""
 

@@ -1,11 +1,12 @@
 """The compiled clearance computes what the readable obstacle region does."""
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.shapes import SHAPES
 
-from tetractl.control.kernels import clearance
+from tetractl.control.kernels import clearance, options
 from tetractl.core.setup import Bounds
 from tetractl.model.obstacles import Obstacles
 
@@ -32,3 +33,9 @@ def test_the_least_distance_is_that_of_the_nearest_two(points):
     x, y = np.array(points).T.copy()
     gaps = np.hypot(x[:, None] - x, y[:, None] - y)[np.triu_indices(len(x), 1)]
     assert clearance.least_apart(x, y) == gaps.min()
+
+
+@pytest.mark.parametrize("name", ["INLINE_EXACT", "ENTRY", "INLINE_FAST", "ENTRY_FAST", "INLINE"])
+def test_no_kernel_inherits_the_options_of_its_first_caller(name):
+    """Regression: compiled after a fast caller, `gaps` was fast too, and its last bits differed."""
+    assert {"fastmath", "error_model", "nogil"} <= vars(options)[name].keys()

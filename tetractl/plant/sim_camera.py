@@ -105,27 +105,28 @@ class SimCamera:
         self._exposed += 1
         if self._measured:
             measured, valid = self._disturb(measured, when)
-        received = self.arrival(when)
+        received = self.arrivals([when])[0]
         if received < NEVER:
             self._shown = measured
             seen = Observation(number, when, received, measured, valid)
             self._under_way.append(Sample(seen, truth))
 
-    def arrival(self, when: int) -> int:
-        """Return when the next frame, exposed at `when`, reaches the host [ns]; NEVER if lost.
+    def arrivals(self, times: Sequence[int]) -> list[int]:
+        """Return when the next frames, exposed at `times`, reach the host [ns]; NEVER if lost.
 
         Frame 0 has no latency, because the camera sees the standing robots before the trial.
         """
-        at = when
-        for receive in self._received if when else ():
-            received = receive(when, at)
-            if received is None:
-                return NEVER
-            at = received
-        if at < self._arrived_ns:
-            return self._arrived_ns
-        self._arrived_ns = at
-        return at
+        found = list[int]()
+        for when in times:
+            at: int | None = when
+            for receive in self._received if when else ():
+                at = receive(when, at)
+                if at is None:
+                    break
+            if at is not None and at > self._arrived_ns:
+                self._arrived_ns = at
+            found.append(NEVER if at is None else self._arrived_ns)
+        return found
 
     def _disturb(self, measured: Poses, when: int) -> tuple[Poses, Bools]:
         """Return the poses as disturbed at a time [ns], and which robots are tracked."""

@@ -67,17 +67,18 @@ class CameraLatency(Disturbance):
     """Adds a latency to each frame."""
 
     def __init__(self, section: CameraLatencySection, rng: np.random.Generator) -> None:
-        self._section, self._rng = section, rng
+        self._normal, self._uniform = rng.standard_normal, rng.random
+        self._mean, self._deviation = section.mean, section.deviation
+        self._late_share, self._late_by = section.late_share, section.late_by
 
     def received(self, exposed_ns: int, received_ns: int) -> int:
         """Return the time of arrival with the latency added, never before the exposure."""
-        section, rng = self._section, self._rng
-        drawn = rng.standard_normal()
-        within = drawn if abs(drawn) < 4 else math.copysign(4.0, drawn)
-        latency = section.mean + section.deviation * within
-        if rng.random() < section.late_share:
-            latency += section.late_by * rng.random()
-        return received_ns + max(0, round(latency * SECOND))
+        drawn = self._normal()
+        within = drawn if -4 < drawn < 4 else math.copysign(4.0, drawn)
+        latency = self._mean + self._deviation * within
+        if self._uniform() < self._late_share:
+            latency += self._late_by * self._uniform()
+        return received_ns + round(latency * SECOND) if latency > 0 else received_ns
 
 
 class FrameLossSection(DisturbanceSection):

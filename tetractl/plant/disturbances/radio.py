@@ -44,12 +44,11 @@ class Radio(Disturbance):
     def sent(self, command: DelayedCommand) -> DelayedCommand:
         """Return the transmission with its delays, and with the robots that receive it."""
         section, rng = self._section, self._rng
-        delay_ns = round((section.delay + section.jitter * rng.random()) * SECOND)
-        heard = rng.random(command.reached.size) >= section.loss
-        late_ns = command.late_ns
+        late_ns, drawn = command.late_ns, rng.random(1 + command.reached.size)
+        delay_ns = round((section.delay + section.jitter * float(drawn[0])) * SECOND)
         if self._late_ns is not None:
             late_ns = self._late_ns if late_ns is None else late_ns + self._late_ns
-        due_ns, reached = command.due_ns + delay_ns, command.reached & heard
+        due_ns, reached = command.due_ns + delay_ns, command.reached & (drawn[1:] >= section.loss)
         more = command.headings, command.wheels
         return DelayedCommand(command.sent_ns, due_ns, command.action, reached, late_ns, *more)
 

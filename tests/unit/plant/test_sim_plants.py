@@ -11,7 +11,7 @@ from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
 from tetractl.core.errors import UsageError
 from tetractl.experiment.load import load_spec
-from tetractl.plant.batch import Batch
+from tetractl.plant.sim_plants import SimPlants
 from tetractl.plant.simulation import SimPlant
 
 TRIALS, STEPS = 5, 60
@@ -56,13 +56,13 @@ def spec_of(name):
 
 
 @pytest.mark.parametrize("name", ["bench", *PLANTS])
-def test_a_trial_of_a_batch_has_the_bits_of_the_trial_alone(name):
+def test_a_trial_side_by_side_has_the_bits_of_the_trial_alone(name):
     spec = spec_of(name)
     seeds = [np.random.SeedSequence(7, spawn_key=(trial,)) for trial in range(TRIALS)]
-    batch = Batch(spec.plant, spec.setup, seeds)
+    plants = SimPlants(spec.plant, spec.setup, seeds)
     directions = np.random.default_rng(3).uniform(-math.pi, math.pi, (STEPS, TRIALS))
     directions[1:] = np.where(np.arange(1, STEPS)[:, None] % 7 > 0, directions[:-1], directions[1:])
-    shown = [batch.step(each) for each in directions]
+    shown = [plants.step(each) for each in directions]
     touched = np.any([each.touched for each in shown], axis=0)
     for trial in range(TRIALS):
         seed = np.random.SeedSequence(7, spawn_key=(trial,))
@@ -97,4 +97,4 @@ def test_a_trial_of_a_batch_has_the_bits_of_the_trial_alone(name):
 def test_what_does_not_run_side_by_side_is_refused(plant, why):
     spec = experiment(plant=plant, wheels=WHEELS | {"watchdog": 5})
     with pytest.raises(UsageError, match=why):
-        Batch(spec.plant, spec.setup, [np.random.SeedSequence(1)])
+        SimPlants(spec.plant, spec.setup, [np.random.SeedSequence(1)])

@@ -37,7 +37,7 @@ class Shown:
     touched: Bools
 
 
-class Batch:
+class SimPlants:
     """Simulations of B trials of N robots on wheels, one for each of the `seeds`; `shown` is what
     they show. UsageError for other robots, and for disturbances that act on poses."""
 
@@ -48,6 +48,7 @@ class Batch:
 
         self._answer, self._roll, self._section, self._setup = answer, roll, section, setup
         self._plants = [SimPlant(section, setup, VirtualClock(), seed) for seed in seeds]
+        self._cameras = [plant.camera for plant in self._plants]
         drives = [plant.wheels for plant in self._plants if plant.wheels is not None]
         hosts, acting = [drive.host for drive in drives], self._plants[0].disturbances
         if section.drive is None:
@@ -112,12 +113,13 @@ class Batch:
 
     def _expose(self, times: Times) -> Floats:
         """Make room for frames exposed at `times` (F,) [ns]; return their noise (B, F, 3, N)."""
-        cameras, listed = [plant.camera for plant in self._plants], times.tolist()
+        cameras, listed = self._cameras, times.tolist()
         shape = times.size, 3, self._able.shape[1]
-        arrives = np.array([[camera.arrival(when) for when in listed] for camera in cameras])
+        arrives = np.array([camera.arrivals(listed) for camera in cameras])
         self._arrives_ns = np.append(self._arrives_ns, arrives, axis=1)
         self._exposed_ns = np.append(self._exposed_ns, times)
-        noise = np.array([each.noise * each.rng.standard_normal(shape) for each in cameras])
+        drawn = np.array([camera.rng.standard_normal(shape) for camera in cameras])
+        noise = cameras[0].noise * drawn
         self._seen = np.append(self._seen, noise, axis=1)
         return noise
 

@@ -142,8 +142,8 @@ class TrialRecords:
     Times are ns on the trial's clock, lengths in the experiment's unit, headings in rad. `mocap`
     (M, N, 3) are the measured poses at the times of exposure `mocap_ns` (M,), in the frames
     numbered `frames` (M,), which reached the host at `received_ns` (M,); `valid` (M, N) is False
-    if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, NaN if a
-    damaged log lost them, and None for a trial in the lab. `commands` are all commands: of the
+    if a robot was not tracked. `truth` (M, N, 3) are the true poses of a simulation, None for a
+    trial in the lab. `commands` are all commands: of the
     control steps, between them, and the stop; `notes` are the operator messages, such as a command
     that did not arrive. `result` is None if the run crashed or the end of the log is lost.
     """

@@ -20,7 +20,6 @@ from tetractl.core.protocols import LabSupervision, Plant
 from tetractl.core.trial import Result, Start, Step
 from tetractl.experiment.load import resolved_yaml
 from tetractl.log.format import channels
-from tetractl.log.format.codec import Frames, frame_count
 from tetractl.log.format.scene import decode_note
 from tetractl.log.read import limits
 from tetractl.log.read.raw_log import RawLog
@@ -163,16 +162,11 @@ def give_again(
     """Give the frames, commands and notes of a trial in the lab to the encoder again.
 
     A control step has the frame that it names, from the camera frames, and the command sent at its
-    time, with the action of its plan. Camera frames are grouped into messages as in the log,
-    since nothing else states how the log writer grouped them.
+    time, with the action of its plan.
     """
     encoder.on_start(_start(log))
-    frames = Frames(log.frames, log.mocap_ns, log.received_ns, log.mocap, log.valid, log.truth)
-    begin = 0
-    for message in raw.messages(channels.FRAMES):
-        if count := frame_count(message):
-            encoder.on_frames(frames.part(slice(begin, begin + count)))
-        begin += count
+    for i in range(len(log.frames)):
+        encoder.on_samples([log.sample(i)])
     rows, steps = {int(number): i for i, number in enumerate(log.frames)}, iter(log.steps)
     step = next(steps, None)
     for command in log.commands:

@@ -1,6 +1,8 @@
 """Converts the records of a trial to tetractl's protobuf messages and back, bit for bit."""
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,15 +16,14 @@ from tetractl.core.poses import Bools, Floats, Observation, Poses
 from tetractl.core.trial import Integers, Step
 from tetractl.log.format import tetractl_pb2 as pb
 
-OF_ESTIMATE = (
-    *("a", "a_std", "speed", "speed_std", "heading_bias", "heading_bias_std"),
-    *("dead_time", "dead_time_std", "misfit"),
-)
+OF_ESTIMATE = tuple(pb.Estimate.DESCRIPTOR.fields_by_name)
 OF_PLAN = ("cost", "target_cost", "obstacle_cost", "chosen", "generator", "leg", "delay_ns")
 """The numbers of a plan that are fields of `ControllerStep`."""
 STOP_REASON_MAX = 60  # largest number of characters read of the reason why a search stopped
 DIFFERENCES = 4  # how often a packed column is replaced by its differences
 DRAWN_PRECISION = 2.0**-14  # largest relative rounding error of `drawn`
+
+_reader = lru_cache(attrgetter)
 
 
 class Frames(NamedTuple):
@@ -53,16 +54,12 @@ class Frames(NamedTuple):
 
     @classmethod
     def joined(cls, parts: Sequence["Frames"]) -> "Frames":
-        """Join parts in order; if only some parts have true poses, those of the others are NaN."""
-        known = [one.truth for one in parts if one.truth is not None]
-        if 0 < len(known) < len(parts):
-            lost = [np.full_like(one.poses, np.nan) for one in parts]
-            pairs = zip(parts, lost, strict=True)
-            known = [nan if one.truth is None else one.truth for one, nan in pairs]
+        """Join parts in order; `truth` is None unless every part has true poses."""
         columns: list[Any] = [
-            np.concatenate(arrays) for arrays in zip(*(one[:-1] for one in parts), strict=True)
+            None if any(one is None for one in arrays) else np.concatenate(arrays)
+            for arrays in zip(*parts, strict=True)
         ]
-        return cls(*columns, truth=np.concatenate(known) if known else None)
+        return cls(*columns)
 
     def part(self, rows: slice | Integers) -> "Frames":
         """Return the frames in the given rows."""
@@ -72,8 +69,8 @@ class Frames(NamedTuple):
 
 def _columns(poses: Sequence[Poses], robots: int) -> Floats:
     """Stack the poses of N robots at M times in an array (M, N, 3)."""
-    rows = [(one.x, one.y, one.heading) for one in poses]
-    return np.array(rows, dtype=np.float64).reshape(-1, 3, robots).transpose(0, 2, 1)
+    rows = [column for one in poses for column in (one.x, one.y, one.heading)]
+    return np.concatenate([[], *rows]).reshape(-1, 3, robots).transpose(0, 2, 1)
 
 
 def drawn(values: Floats) -> Floats:
@@ -118,22 +115,17 @@ def encode_frames(frames: Frames) -> pb.CameraFrames:
     )
 
 
-def frame_count(message: pb.CameraFrames) -> int:
-    """Return the number of camera frames in a message."""
-    return len(message.times) // 24  # three numbers of 8 bytes
-
-
 def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
     """Decode camera frames; ValueError for another number of robots than `robots`."""
     times, poses = unpacked(message.times, 3, "<i8"), unpacked(message.poses, 3 * robots, "<f8")
     truth = poses if message.exact else unpacked(message.truth, 3 * robots, "<f4")
-    count, columns = len(times), times.T
+    count, (numbers, sampled_ns, received_ns) = len(times), times.T
     if len(poses) != count or len(message.valid) != count * robots or len(truth) not in (0, count):
         raise ValueError(f"arrays of camera frames do not have {count} times {robots} entries")
     return Frames(
-        columns[0],
-        columns[1],
-        columns[2],
+        numbers,
+        sampled_ns,
+        received_ns,
         poses.reshape(count, robots, 3),
         np.array(message.valid, dtype=np.bool_).reshape(count, robots),
         truth.astype(np.float64).reshape(count, robots, 3) if len(truth) == count else None,
@@ -142,8 +134,11 @@ def decode_frames(message: pb.CameraFrames, robots: int) -> Frames:
 
 def named(record: object, *names: str) -> dict[str, Any]:
     """Return the named fields of a record as arguments of a message; None leaves a field unset."""
-    found = ((name, getattr(record, name)) for name in names)
-    return {k: v.ravel().tolist() if isinstance(v, np.ndarray) else v for k, v in found}
+    values = _reader(*names)(record)
+    return {
+        name: value.ravel().tolist() if isinstance(value, np.ndarray) else value
+        for name, value in zip(names, values, strict=True)
+    }
 
 
 def stated(message: Message, *names: str) -> dict[str, Any]:
@@ -197,14 +192,14 @@ def decode_command(message: pb.WheelCommand) -> Command:
     )
 
 
-def encode_step(step: Step) -> pb.ControllerStep:
-    """Encode one control step; its solve time is in a separate message."""
+def encode_step(step: Step, command: pb.WheelCommand) -> pb.ControllerStep:
+    """Encode one control step with its encoded command; its solve time is in a separate message."""
     plan = step.plan
     x, y = drawn(plan.path[..., :2]).reshape(-1, 2).T.tolist()
     return pb.ControllerStep(
         k=step.k,
         observation=encode_observation(step.observation),
-        command=encode_command(step.command),
+        command=command,
         searches=[_encode_search(search) for search in plan.searches],
         path_x=x,
         path_y=y,
@@ -228,9 +223,7 @@ def decode_step(message: pb.ControllerStep, timing: pb.StepTiming | None, robots
         signals=_floats(message.signals),
         path=np.stack([x, y, np.full_like(x, np.nan)], axis=-1).reshape(-1, robots, 3),
         searches=tuple(_decode_search(search) for search in message.searches),
-        estimate=_decode_estimate(message.estimate, robots)
-        if message.HasField("estimate")
-        else None,
+        estimate=_decode_estimate(message, robots),
         instead=None if isinstance(command.action, Steer) else command.action,
         state=State(message.state),
         **stated(message, *OF_PLAN),
@@ -250,20 +243,20 @@ def encode_timing(step: Step) -> pb.StepTiming:
     return pb.StepTiming(**named(step, "k", "solve_ns", "deadline_missed"))
 
 
-def _decode_estimate(message: pb.Estimate, robots: int) -> Estimate:
+def _decode_estimate(step: pb.ControllerStep, robots: int) -> Estimate | None:
+    if not step.HasField("estimate"):
+        return None
     found: dict[str, Any] = {
         field.name: value if isinstance(value, float) else _floats(value)
-        for field, value in message.ListFields()
+        for field, value in step.estimate.ListFields()
     }
-    misfit = found.pop("misfit", np.empty(0))
-    arrays = (found.get(name, np.empty(0)) for name in ("a", "a_std", "speed", "speed_std"))
-    every = (*arrays, *(value for value in found.values() if isinstance(value, np.ndarray)))
-    counts = {len(values) for values in every}
-    if counts != {robots}:
+    if "misfit" in found:
+        found["misfit"] = found["misfit"].reshape(-1, 3)
+    needed = (found.get(name, np.empty(0)) for name in OF_ESTIMATE[:4])
+    every = (*needed, *(value for value in found.values() if isinstance(value, np.ndarray)))
+    if (counts := {len(values) for values in every}) != {robots}:
         raise ValueError(f"an estimate has {sorted(counts)} robots instead of {robots}")
-    if len(misfit) not in (0, 3 * robots):
-        raise ValueError(f"an estimate has {len(misfit)} values of misfit")
-    return Estimate(**found, misfit=misfit.reshape(-1, 3) if len(misfit) else None)
+    return Estimate(**found)
 
 
 def _encode_search(search: Search) -> pb.Search:

@@ -75,7 +75,7 @@ class Scene:
     """
 
     def __init__(self, setup: Setup, exact: bool = False) -> None:
-        self._setup, self._exact = setup, exact
+        self._setup, self._rounded = setup, np.asarray if exact else drawn
         self._metres = setup.metres
         self._colors = [_color(text) for text in robot_colors(setup.names, setup.colors)]
         radius, arena = setup.wheel_radius, setup.arena
@@ -101,31 +101,27 @@ class Scene:
         """
         known = frames.valid & np.isfinite(frames.poses).all(axis=2)
         times = [_time(unix_ns) for unix_ns in (frames.sampled_ns + start_ns).tolist()]
-        number, made = FrameTransforms.TRANSFORMS_FIELD_NUMBER, list[bytes]()
-        for i, frame_ids in enumerate(self._frame_ids):
-            x, y, heading = frames.poses[known[:, i], i].T
-            rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
-            poses = _filled(_pose, self._rounded(np.transpose(rows)))
-            at = np.flatnonzero(known[:, i])
-            parts = (times[k] + frame_ids + pose for k, pose in zip(at, poses, strict=True))
-            made += [_nested(number, part) for part in parts]
-        return b"".join(made)
+        number, (robots, at) = FrameTransforms.TRANSFORMS_FIELD_NUMBER, np.nonzero(known.T)
+        x, y, heading = frames.poses[at, robots].T
+        rows = (x * self._metres, y * self._metres, np.sin(heading / 2), np.cos(heading / 2))
+        poses = _filled(_pose, self._rounded(np.transpose(rows)))
+        each = zip(robots.tolist(), at.tolist(), poses, strict=True)
+        return b"".join(_nested(number, times[k] + self._frame_ids[i] + one) for i, k, one in each)
 
     def plan(self, path: Floats, unix_ns: int) -> bytes:
         """Serialise a line along each robot's predicted path (length + 1, N, 3), shown until the
         next plan, as SceneUpdate.
         """
         time, made = _time(unix_ns), list[bytes]()
-        known = np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])
-        for i, (entity, before, after) in enumerate(self._plans):
-            points = self._rounded(path[known[:, i], i, :2] * self._metres)
-            line = b"".join((before, *_filled(_point, points), after))
+        known = (np.isfinite(path[..., 0]) & np.isfinite(path[..., 1])).T
+        xy = path[..., :2].swapaxes(0, 1)[known]
+        points = _filled(_point, self._rounded(xy * self._metres))
+        ends = known.sum(axis=1).cumsum().tolist()
+        for (entity, before, after), begin, end in zip(self._plans, [0, *ends], ends, strict=False):
+            line = b"".join((before, *points[begin:end], after))
             drawn = time + entity + _nested(SceneEntity.LINES_FIELD_NUMBER, line)
             made.append(_nested(SceneUpdate.ENTITIES_FIELD_NUMBER, drawn))
         return b"".join(made)
-
-    def _rounded(self, values: Floats) -> Floats:
-        return values if self._exact else drawn(values)
 
     def static(self, unix_ns: int) -> SceneUpdate:
         """Return the static scene: arena, obstacles, targets, a body in each robot's frame."""

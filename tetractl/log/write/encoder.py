@@ -3,12 +3,12 @@
 from collections.abc import Iterable, Sequence
 from typing import Protocol
 
-import numpy as np
 from google.protobuf.message import Message
 
 from tetractl.core.clock import SECOND
 from tetractl.core.commands import Command, Note, Sample
 from tetractl.core.plan import Outcome
+from tetractl.core.poses import Observation
 from tetractl.core.trial import Result, Start, Step
 from tetractl.log import provenance
 from tetractl.log.format import channels, codec, layout
@@ -59,7 +59,7 @@ class Encoder:
 
     def __init__(self, sink: RecordSink, real_time: bool = False, hosted: bool = False) -> None:
         self._sink, self._real_time, self._hosted = sink, real_time, hosted
-        self._waiting: list[Frames] = []  # frames of a simulation's open chunk
+        self._waiting: list[Sample] = []  # frames of a simulation's open chunk
         self._chunk_ns = LAB_CHUNK_NS if real_time else CHUNK_NS
         self._flushed_ns = 0
         self.warnings = 0
@@ -69,8 +69,7 @@ class Encoder:
         setup, plant = start.setup, start.plant
         self._start, self._start_ns = start, start.start_unix_ns
         self._names, self._scene = setup.names, Scene(setup, exact=not plant.simulated)
-        # which robots were tracked in the last frame
-        self._tracked = np.ones(len(self._names), dtype=np.bool_)
+        self._tracked = b"\1" * len(self._names)  # which robots were tracked in the last frame
         self._every, self._most = 1, 1  # frames per transform shown, and per message
         self._plan_ns = 0  # time of the next plan shown
         if plant.simulated:
@@ -94,22 +93,18 @@ class Encoder:
     def on_samples(self, samples: Sequence[Sample]) -> None:
         """Add camera frames; those of a simulation are collected until their chunk ends."""
         if samples:
-            frames = Frames.of(samples, len(self._names))
-            self.on_frames(frames)
+            for sample in samples:
+                self._tell_tracking(sample.observation)
+            self._waiting += samples
+            if self._real_time:
+                self.flush_frames()
             for sample in samples:
                 if sample.film is not None:
                     seen = sample.observation
                     made = encode_film(sample.film, seen, self._start_ns)
                     for topic, message in made.items():
                         self._add(topic, message, seen.received_ns, seen.sampled_ns)
-            self._end_chunk(int(frames.received_ns[-1]))
-
-    def on_frames(self, frames: Frames) -> None:
-        """Add camera frames without their film."""
-        self._tell_tracking(frames)
-        self._waiting.append(frames)
-        if self._real_time:
-            self.flush_frames()
+            self._end_chunk(samples[-1].observation.received_ns)
 
     def flush_frames(self) -> None:
         """Add the collected camera frames to the sink: few messages for a simulation, two per frame
@@ -118,10 +113,9 @@ class Encoder:
         A lab's frames cannot be simulated again. Each is therefore stored twice, as poses and as
         transforms with the same times, so that a change of one copy can be detected.
         """
-        if self._waiting:
-            frames, self._waiting = Frames.joined(self._waiting), []
-            for begin in range(0, len(frames.numbers), self._most):
-                self._add_frames(frames.part(slice(begin, begin + self._most)))
+        frames, self._waiting = Frames.of(self._waiting, len(self._names)), []
+        for begin in range(0, len(frames.numbers), self._most):
+            self._add_frames(frames.part(slice(begin, begin + self._most)))
 
     def _add_frames(self, frames: Frames) -> None:
         """Add the message of one or more camera frames, and their transforms for viewers.
@@ -140,9 +134,6 @@ class Encoder:
 
     def on_command(self, command: Command) -> None:
         """Add a command sent outside the control steps."""
-        self._add_command(command)
-
-    def _add_command(self, command: Command) -> None:
         self._add(channels.COMMANDS, codec.encode_command(command), command.sent_ns)
 
     def on_note(self, note: Note) -> None:
@@ -152,8 +143,9 @@ class Encoder:
     def on_step(self, step: Step) -> None:
         """Add a control step: decision, command, planned path, solve time and estimate."""
         sampled_ns, sent_ns = step.observation.sampled_ns, step.command.sent_ns
-        self._add(channels.STEP, codec.encode_step(step), sent_ns, sampled_ns)
-        self._add_command(step.command)
+        command = codec.encode_command(step.command)
+        self._add(channels.STEP, codec.encode_step(step, command), sent_ns, sampled_ns)
+        self._add(channels.COMMANDS, command, sent_ns)
         if sent_ns >= self._plan_ns:
             self._plan_ns = sent_ns + PLAN_SHOWN_NS
             plan = self._scene.plan(codec.drawn(step.plan.path), self._start_ns + sent_ns)
@@ -168,9 +160,9 @@ class Encoder:
         """Add the stop and the end; then, in a chunk of its own, the run again, without which a log
         whose first chunk is lost could not be read, and the result.
         """
-        t_ns, warnings = stop.sent_ns, self.warnings
         self.flush_frames()
-        self._add_command(stop)
+        t_ns, warnings = stop.sent_ns, self.warnings
+        self._add(channels.COMMANDS, codec.encode_command(stop), t_ns)
         level = "error" if result.outcome is Outcome.ABORTED else "info"
         self._say(t_ns, level, result.summary)
         self._sink.flush()
@@ -185,17 +177,16 @@ class Encoder:
         stated = encode_result(result, self._start.setup.unit, warnings)
         self._add(channels.RESULT, stated, t_ns)
 
-    def _tell_tracking(self, frames: Frames) -> None:
-        """Add a message for each robot that was lost or found again in camera frames."""
-        valid = frames.valid
-        if valid.all() and self._tracked.all():
+    def _tell_tracking(self, seen: Observation) -> None:
+        """Add a message for each robot that was lost or found again in a camera frame."""
+        valid = seen.valid.tobytes()
+        if valid == self._tracked:
             return
-        for i in np.flatnonzero((valid != np.vstack([self._tracked, valid])[:-1]).any(axis=1)):
-            for name, was, now in zip(self._names, self._tracked, valid[i], strict=True):
-                if was != now:
-                    level, word = ("info", "tracked again") if now else ("warning", "lost")
-                    self._say(int(frames.received_ns[i]), level, f"{name} is {word}")
-            self._tracked = valid[i]
+        for name, was, now in zip(self._names, self._tracked, valid, strict=True):
+            if was != now:
+                level, word = ("info", "tracked again") if now else ("warning", "lost")
+                self._say(seen.received_ns, level, f"{name} is {word}")
+        self._tracked = valid
 
     def _end_chunk(self, trial_ns: int) -> None:
         """End the chunk if it has its full length at `trial_ns`, the time of the trial."""

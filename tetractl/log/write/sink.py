@@ -106,9 +106,9 @@ class Sink:
     def messages(self, entries: Iterable[Entry]) -> None:
         """Add messages."""
         self._chunk_since = self._chunk_since or time.monotonic()
-        for entry in entries:
-            self.digests.messages([entry])
-            topic, log_ns, publish_ns, data = entry
+        made = list(entries)
+        self.digests.messages(made)
+        for topic, log_ns, publish_ns, data in made:
             self._mcap.add_message(self._channels[topic], log_ns, data, publish_ns)
 
     @_while_open

@@ -116,38 +116,37 @@ class Swimmers:
 
     def laid_out(
         self,
-        field: tuple[float | Floats, float | Floats],
+        field: tuple[float, float] = (0.0, 0.0),
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> Floats:
-        """Return the constants (13, N) with which `swimming.swim` advances the cells.
+        """Return the cells as an array (ROWS, N) of `model.motion.swimming`.
 
-        `field` is B / B_ref times the unit vector of u, for all cells or for each (N,); the turning
-        rate is proportional to its length. `drift` [um/s] is the medium's flow, `walls` [um] are
-        edges along which cells slide. A resting cell only drifts.
+        `field` is B / B_ref times the unit vector of u; the turning rate is proportional to its
+        length. `drift` [um/s] is the medium's flow, `walls` [um] are edges along which cells slide.
         """
-        going, turns = ~self.resting, 2 * math.pi * self.helix_hz
-        own = self.a * going, self.bias, self.speed * going, self.walk * going, turns * going
         edges = -math.inf, math.inf, -math.inf, math.inf
         if walls is not None:
             edges = walls.left, walls.right, walls.bottom, walls.top
-        return np.array([each + np.zeros(len(self)) for each in (*own, *field, *drift, *edges)])
+        state = self.x, self.y, self.heading, self.phase, self.depth
+        own = self.a, self.bias, self.speed, self.walk, 2 * math.pi * self.helix_hz, self.helix_um
+        rows = (*state, *own, 1.0 - self.resting, *field, *drift, *edges)
+        return np.array([row + np.zeros(len(self)) for row in rows])
 
     def swim(
         self,
-        field: tuple[float | Floats, float | Floats],
+        field: tuple[float, float],
         seconds: float,
         random: np.random.Generator,
         drift: tuple[float, float] = (0.0, 0.0),
         walls: Bounds | None = None,
     ) -> None:
         """Advance every cell by a time [s]; arguments as of `laid_out`."""
-        shape = swimming.steps_until([seconds]), 2, len(self)
+        noise = random.standard_normal((swimming.steps_in(seconds), 2, len(self)))
         # plain floats: for a few cells ten times faster than arrays
-        noise, cells = random.standard_normal(shape).tolist(), self.laid_out(field, drift, walls)
-        state = [each.tolist() for each in (self.x, self.y, self.heading, self.phase, self.depth)]
-        swimming.swim(state, cells.tolist(), [seconds], noise)
-        self.x, self.y, self.heading, self.phase, self.depth = np.array(state)
+        body = self.laid_out(field, drift, walls).tolist()
+        swimming.step(body, seconds, noise.tolist())
+        self.x, self.y, self.heading, self.phase, self.depth = np.array(body[:5])
 
     def rest(self, cell: int, resting: bool = True) -> None:
         """Make a cell rest, or swim again if not `resting`."""

@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from tetractl.core.clock import NEVER, SECOND
+from tetractl.core.clock import NEVER
 from tetractl.core.commands import Steer, Stop
 from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, NonNegative
 from tetractl.experiment.disturbance import DelayedCommand
-from tetractl.model.motion.swimming import steps_until
+from tetractl.model.motion.swimming import FIELD, GOING, HELIX, PHASE, SPEED, A, steps_until
 from tetractl.model.swimmers import DIPOLE_SD_RAD, DRIFT_UM_S, Swimmers, to_the_left, walls_of
 
 
@@ -53,24 +53,16 @@ class CellDrive:
     ) -> None:
         from tetractl.control.kernels.swimming import swim
 
-        count, self._um, self._random = len(setup.names), setup.metres * 1e6, random
-        self._swim, self.cells = swim, Swimmers.drawn(random, count)
-        cells = self.cells
+        count, self._swim, self.random = len(setup.names), swim, random
+        cells, self.unit_um = Swimmers.drawn(random, count), setup.metres * 1e6
         cells.bias, cells.walk = random.normal(0, section.dipole, count), np.full(count, walk)
         towards = random.uniform(-math.pi, math.pi)
-        self._drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
-        self._field = np.zeros((2, count))
-        self._laid_out: Floats | None = None  # the cells' constants, under the present field
-        # 1 for cells whose last command lets them swim, 0 for others
-        self.commanded = self.moving = np.zeros(count)
+        drift = section.drift * math.cos(towards), section.drift * math.sin(towards)
         rim_um = float(cells.helix_um.max())
-        self._walls = walls_of(setup, rim_um) if section.walls else None
         cells.resting[:] = True
-        # the cells' arrays are its rows
-        self._state = np.array([cells.x, cells.y, cells.heading, cells.phase, cells.depth])
-        cells.x, cells.y, cells.heading, cells.phase, cells.depth = self._state
+        walls = walls_of(setup, rim_um) if section.walls else None
+        self._body = cells.laid_out(drift=drift, walls=walls)
         self.vary(a, speed)
-        self._across = cells.helix_um * np.cos(cells.phase)  # from the helix's axis to the body
         self.poses = starts
 
     @property
@@ -80,41 +72,47 @@ class CellDrive:
 
     @poses.setter
     def poses(self, poses: Poses) -> None:
-        cells, um = self.cells, self._um
-        cells.heading[:], (x, y) = poses.heading, to_the_left(poses.heading, self._across)
-        cells.x += poses.x * um - (cells.x + x)
-        cells.y += poses.y * um - (cells.y + y)
-        self._poses = Poses((cells.x + x) / um, (cells.y + y) / um, poses.heading)
+        self._poses, self._placed = poses, True
+
+    @property
+    def bodies(self) -> Floats:
+        """The cells, (1, ROWS, N) of `model.motion.swimming`."""
+        body, poses = self._body, self._poses
+        if self._placed:
+            across = body[HELIX] * np.cos(body[PHASE])
+            x, y = to_the_left(poses.heading, across)
+            body[0], body[1] = poses.x * self.unit_um - x, poses.y * self.unit_um - y
+            body[2], self._placed = poses.heading, False
+        return body[None]
+
+    @property
+    def moving(self) -> Floats:
+        """1 for cells whose last command lets them swim, 0 for others, (N,)."""
+        return self._body[GOING].copy()
+
+    commanded = moving
 
     def vary(self, a: Floats, speed: Floats) -> None:
         """Change the true turning rates a and speeds from now on, (N,) each."""
-        self.cells.a, self.cells.speed, self._laid_out = a.copy(), speed * self._um, None
+        self._body[A], self._body[SPEED] = a, speed * self.unit_um
 
     def advance(self, since_ns: int, times: Times, ticks: Bools) -> Floats:
         """Advance the cells; return x, y, heading (M, 3, N) at the `times` (M,) [ns].
 
         `ticks` (M,), True at times at which the true path is sampled, is not used.
         """
-        cells, um, seconds = self.cells, self._um, (times - since_ns) / SECOND
-        if self._laid_out is None:
-            self._laid_out = cells.laid_out(
-                (self._field[0], self._field[1]), self._drift, self._walls
-            )
-        noise = self._random.standard_normal((steps_until(seconds.tolist()), 2, len(cells)))
-        x, y, heading, phase = self._swim(self._state, self._laid_out, seconds, noise)
-        across = cells.helix_um * np.cos(phase)
-        left = to_the_left(heading, across)
-        x, y, self._across = (x + left[0]) / um, (y + left[1]) / um, across[-1]
-        self._poses = Poses(x[-1], y[-1], heading[-1])
-        return np.stack((x, y, heading), axis=1)
+        steps, count = steps_until(since_ns, times.tolist()), self._body.shape[1]
+        noise = self.random.standard_normal((1, steps, 2, count))
+        now_ns, path = np.array([since_ns]), np.empty((1, times.size, 3, count))
+        self._swim(self.bodies, now_ns, times[-1:], times, noise, self.unit_um, path)
+        self._poses = Poses(*path[0, -1].copy())
+        return path[0]
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the cells that it reaches."""
-        got: Bools = command.reached
-        self.cells.resting[got] = isinstance(command.action, Stop)
-        self.commanded = self.moving = (~self.cells.resting).astype(np.float64)
-        new = (0.0, 0.0)
-        if isinstance(command.action, Steer):
-            new = math.cos(command.action.direction), math.sin(command.action.direction)
-        self._field = np.where(got, np.array(new)[:, None], self._field)
-        self._laid_out = None
+        got, body, action = command.reached, self._body, command.action
+        body[GOING, got] = not isinstance(action, Stop)
+        field = 0.0, 0.0
+        if isinstance(action, Steer):
+            field = math.cos(action.direction), math.sin(action.direction)
+        body[FIELD, got], body[FIELD + 1, got] = field

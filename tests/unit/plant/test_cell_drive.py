@@ -66,9 +66,9 @@ def test_their_axes_turn_by_3_and_their_bodies_stay_a_helix_off():
     for i, a in enumerate((5.0, 3.0)):
         left = 2 * math.atan(math.exp(-a * 0.4))
         assert math.pi / 2 - heading[-1, i] == pytest.approx(left, abs=2e-3)
-    off = np.hypot(x[-1] - cells.cells.x / 1000, y[-1] - cells.cells.y / 1000) * 1000
-    assert (off <= cells.cells.helix_um).all()
-    assert np.ptp(cells.cells.helix_um) > 0
+    axis, radius = cells.bodies[0, :2] / 1000, cells.bodies[0, swimming.HELIX] / 1000
+    assert (np.hypot(x[-1] - axis[0], y[-1] - axis[1]) <= radius + 1e-12).all()
+    assert np.ptp(radius) > 0
 
 
 def test_it_makes_no_difference_how_often_they_are_read():
@@ -79,24 +79,26 @@ def test_it_makes_no_difference_how_often_they_are_read():
     swum(once, times)
     swum(twice, times[:37])
     swum(twice, times[37:], times[36])
-    assert np.allclose(once.poses.array(), twice.poses.array(), atol=1e-12)
+    assert np.array_equal(once.poses.array(), twice.poses.array())
 
 
 def test_compiled_they_swim_as_the_readable_ones_do():
-    """The same bits, along walls too and with a cell that rests."""
+    """The same bits, in trials side by side, along walls too and with a cell that rests."""
     random = np.random.default_rng(4)
     cells = Swimmers.drawn(random, 12)
     cells.x, cells.y = random.uniform(0, 1000, (2, 12))
     cells.resting[3] = True
-    times, walls = np.array([0.001, 0.0137, 0.2]), Bounds(0.0, 0.0, 1000.0, 1000.0)
-    own = cells.laid_out((0.6, np.linspace(-1, 1, 12)), (3.0, -2.0), walls)
-    state = np.array([cells.x, cells.y, cells.heading, cells.phase, cells.depth])
-    readable, noise = state.copy(), random.standard_normal((swimming.steps_until(times), 2, 12))
-    expected = swimming.swim(readable, own, times, noise)
-    assert np.array_equal(kernel.swim(state, own, times, noise), expected)
-    assert np.array_equal(state, readable)
-    slid = (expected[0] % 1000 == 0) | (expected[1] % 1000 == 0)
-    assert slid.any() and (expected[:2, -1, 3] != expected[:2, 0, 3]).all()
+    one = cells.laid_out((0.6, -0.8), (3.0, -2.0), Bounds(0.0, 0.0, 1000.0, 1000.0))
+    bodies, times = np.array([one, one]), np.array([1_000_000, 13_700_000, 3_000_000_000])
+    until_ns, path = np.array([times[-1], 100_000_000]), np.zeros((2, 3, 3, 12))
+    noise = random.standard_normal((2, swimming.steps_until(0, times.tolist()), 2, 12))
+    readable = bodies.copy(), np.zeros_like(path)
+    swimming.swim(readable[0], np.zeros(2, np.int64), until_ns, times, noise, 1000.0, readable[1])
+    kernel.swim(bodies, np.zeros(2, np.int64), until_ns, times, noise, 1000.0, path)
+    assert np.array_equal(bodies, readable[0]) and np.array_equal(path, readable[1])
+    assert path[0, -1].any() and not path[1, -1].any()
+    assert (bodies[0, :2] % 1000 == 0).any()
+    assert (path[0, 1, :2, 3] != path[0, 0, :2, 3]).all()
 
 
 def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
@@ -104,10 +106,10 @@ def test_a_command_acts_on_those_that_it_reaches_and_a_stop_holds():
     cells.apply(command(math.pi, reached=(True, False)))
     assert cells.moving.tolist() == [1, 0]
     cells.apply(command(None, off=True))
-    before = cells.cells.heading.copy()
+    before = cells.poses.heading.copy()
     swum(cells, 0.3)
     assert cells.moving.tolist() == [1, 1]
-    assert np.allclose(cells.cells.heading, before)  # no field turns them
+    assert np.allclose(cells.poses.heading, before)  # no field turns them
     cells.apply(command(None))
     at = cells.poses.array()
     swum(cells, 0.3)

@@ -1,7 +1,7 @@
-"""The motion of simulated cells: `tetractl.model.motion.swimming.swim`, compiled."""
+"""Cells in B simulations: `tetractl.model.motion.swimming.swim`, compiled, with the same bits."""
 
 from tetractl.control.kernels.cache import compiled
-from tetractl.control.kernels.options import ENTRY
+from tetractl.control.kernels.options import ENTRY, exact, with_parts
 from tetractl.model.motion import swimming
 
-swim = compiled(**ENTRY)(swimming.swim)
+swim = compiled(**ENTRY)(with_parts(swimming.swim, exact))

@@ -1,80 +1,114 @@
 """The motion of swimming cells in time steps: the axes of their helices follow the paper's (1)-(3).
 
-Lengths are in micrometres. `model.swimmers` draws cells and states the source of each number.
+Plain loops, compiled for the simulation and run as they are by the emulated dish. Lengths are in
+micrometres. `model.swimmers` draws cells and states the source of each number.
 """
 
 import math
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
-from tetractl.core.poses import Floats
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats, Times
 
 STEP_S = 0.005  # largest time step
 SINK_UM = 10.0  # guess: standard deviation of cells' wander in depth
 SINK_S = 5.0  # guess: time constant of the wander in depth
 
+PHASE, DEPTH, A, BIAS, SPEED, WALK, TURN, HELIX, GOING, FIELD, FLOW, WALLS, ROWS = (
+    *range(3, 12),
+    *(12, 14, 16, 20),
+)
+"""Rows of the array (ROWS, N) of N cells: 0-2 are x, y and heading of the helix's axis; PHASE [rad]
+and DEPTH the body's place on the helix and the axis's height from focus; A [rad/s] the turning rate
+at the reference field; BIAS [rad] the dipole's angle from the axis; SPEED [um/s]; WALK
+[rad/sqrt(s)] the random walk of the heading; TURN [rad/s] the turning of the phase; HELIX the
+helix's radius; GOING 1, or 0 for a cell that rests, which only drifts. Two rows each are the FIELD
+x, y, as a fraction of the reference field, and the medium's FLOW x, y [um/s]; four rows the
+coordinates of the left, right, lower and upper of the WALLS, along which cells slide."""
 
-def steps_until(times: Sequence[float]) -> int:
-    """Return the number of time steps in which `swim` reaches M `times` [s]."""
-    since, steps = 0.0, 0
+
+def steps_in(seconds: float) -> int:
+    """Return the number of time steps in which `step` advances cells by a time [s]."""
+    return math.ceil(seconds / STEP_S)
+
+
+def steps_until(since_ns: int, times: Sequence[int]) -> int:
+    """Return the number of time steps from `since_ns` from each of the `times` [ns] to the next."""
+    steps = 0
     for until in times:
-        steps += math.ceil((until - since) / STEP_S)
-        since = until
+        steps += math.ceil((until - since_ns) / SECOND / STEP_S)
+        since_ns = until
     return steps
 
 
-def swim(state: Any, cells: Any, times: Any, noise: Any) -> Floats:
-    """Advance N cells by the midpoint rule, in equal steps of at most STEP_S from each of the
-    `times` (M,) [s] to the next; return x, y, heading, phase (4, M, N) at these times. Plain loops,
-    to be compiled; arguments are arrays or lists of the same shapes.
-
-    `state` (5, N), which is advanced in place, is x, y [um] and heading [rad] of the helix's axis,
-    the phase [rad] on the helix and the depth [um]. `cells` (13, N) are the turning rate a [rad/s],
-    the dipole's angle from the axis [rad], speed [um/s], walk of the heading [rad/sqrt(s)], turning
-    of the phase [rad/s], field x, y [reference field], flow x, y [um/s] and the coordinates [um] of
-    the left, right, lower and upper wall. `noise` (steps_until(times), 2, N) is standard normal.
-    """
-    x, y, heading, phase, depth = state[0], state[1], state[2], state[3], state[4]
-    rates, biases, speeds, walks, turns = cells[0], cells[1], cells[2], cells[3], cells[4]
-    across, up, east, north = cells[5], cells[6], cells[7], cells[8]
-    left, right, bottom, top = cells[9], cells[10], cells[11], cells[12]
-    path = np.empty((4, len(times), len(x)))
-    since, step = 0.0, 0
-    for k in range(len(times)):
-        parts = math.ceil((times[k] - since) / STEP_S)
-        dt = (times[k] - since) / max(parts, 1)
-        since, pull, root = times[k], dt / SINK_S, math.sqrt(dt)
-        jolt = SINK_UM * math.sqrt(2 * pull)
-        for _ in range(parts):
-            swerves, jolts = noise[step][0], noise[step][1]
-            step += 1
-            for i in range(len(x)):
-                at, a, bias = heading[i], rates[i], biases[i]
-                sine = up[i] * math.cos(at + bias) - across[i] * math.sin(at + bias)
-                half = at + a * sine * dt / 2
-                x[i] += (speeds[i] * math.cos(half) + east[i]) * dt
-                y[i] += (speeds[i] * math.sin(half) + north[i]) * dt
-                sine = up[i] * math.cos(half + bias) - across[i] * math.sin(half + bias)
-                at += a * sine * dt  # (3)
-                at += walks[i] * root * swerves[i]
-                phase[i] += turns[i] * dt
-                depth[i] += jolt * jolts[i] - pull * depth[i]
-                # A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall,
-                # and leaves the wall once its heading points away from it.
-                if x[i] < left[i] or x[i] > right[i]:
-                    outwards = 1.0 if x[i] > right[i] else -1.0
-                    x[i] = right[i] if x[i] > right[i] else left[i]
-                    if math.cos(at) * outwards > 0:
-                        at = math.pi / 2 if math.sin(at) >= 0 else -math.pi / 2
-                if y[i] < bottom[i] or y[i] > top[i]:
-                    outwards = 1.0 if y[i] > top[i] else -1.0
-                    y[i] = top[i] if y[i] > top[i] else bottom[i]
-                    if math.sin(at) * outwards > 0:
-                        at = 0.0 if math.cos(at) >= 0 else math.pi
-                heading[i] = at
+def step(body: Any, seconds: float, noise: Any) -> None:
+    """Advance N cells `body` (ROWS, N) by a time [s], by the midpoint rule in equal steps of at
+    most STEP_S; `noise` (at least steps_in(seconds), 2, N) is standard normal. Arrays or lists."""
+    x, y, heading, phase, depth = body[0], body[1], body[2], body[PHASE], body[DEPTH]
+    left, right, bottom, top = body[WALLS], body[WALLS + 1], body[WALLS + 2], body[WALLS + 3]
+    parts = steps_in(seconds)
+    dt = seconds / max(parts, 1)
+    pull, root = dt / SINK_S, math.sqrt(dt)
+    jolt = SINK_UM * math.sqrt(2 * pull)
+    for k in range(parts):
+        swerves, jolts = noise[k][0], noise[k][1]
         for i in range(len(x)):
-            path[0, k, i], path[1, k, i] = x[i], y[i]
-            path[2, k, i], path[3, k, i] = heading[i], phase[i]
-    return path
+            at, bias, a = heading[i], body[BIAS][i], body[A][i] * body[GOING][i]
+            across, up, speed = body[FIELD][i], body[FIELD + 1][i], body[SPEED][i] * body[GOING][i]
+            sine = up * math.cos(at + bias) - across * math.sin(at + bias)
+            half = at + a * sine * dt / 2
+            x[i] += (speed * math.cos(half) + body[FLOW][i]) * dt
+            y[i] += (speed * math.sin(half) + body[FLOW + 1][i]) * dt
+            sine = up * math.cos(half + bias) - across * math.sin(half + bias)
+            at += a * sine * dt  # (3)
+            at += body[WALK][i] * body[GOING][i] * root * swerves[i]
+            phase[i] += body[TURN][i] * body[GOING][i] * dt
+            depth[i] += jolt * jolts[i] - pull * depth[i]
+            # A cell that meets a wall slides along it (Ohmura et al.): it swims along the wall,
+            # and leaves the wall once its heading points away from it.
+            if x[i] < left[i] or x[i] > right[i]:
+                outwards = 1.0 if x[i] > right[i] else -1.0
+                x[i] = right[i] if x[i] > right[i] else left[i]
+                if math.cos(at) * outwards > 0:
+                    at = math.pi / 2 if math.sin(at) >= 0 else -math.pi / 2
+            if y[i] < bottom[i] or y[i] > top[i]:
+                outwards = 1.0 if y[i] > top[i] else -1.0
+                y[i] = top[i] if y[i] > top[i] else bottom[i]
+                if math.sin(at) * outwards > 0:
+                    at = 0.0 if math.cos(at) >= 0 else math.pi
+            heading[i] = at
+
+
+def swim(
+    bodies: Floats,
+    now_ns: Times,
+    until_ns: Times,
+    times: Times,
+    noise: Floats,
+    unit_um: float,
+    path: Floats,
+) -> None:
+    """Advance the cells of each of B trials, `bodies` (B, ROWS, N), from `now_ns` to `until_ns`
+    (B,) [ns]; write x, y and heading of the bodies, in units of `unit_um`, at those of the `times`
+    (M,) [ns] in between into `path` (B, M, 3, N).
+
+    `noise` (B, S, 2, N) is standard normal, a row for each time step. A path does not depend on how
+    it is divided into calls.
+    """
+    for b in range(len(bodies)):
+        body, since, used = bodies[b], now_ns[b], 0
+        for k in range(len(times) + 1):
+            shown = k < len(times)
+            when = times[k] if shown else until_ns[b]
+            if not since <= when <= until_ns[b]:
+                continue
+            seconds = (when - now_ns[b]) / SECOND
+            step(body, seconds, noise[b, used:])
+            used += steps_in(seconds)
+            now_ns[b] = when
+            for i in range(body.shape[1] if shown else 0):
+                across, heading = body[HELIX, i] * math.cos(body[PHASE, i]), body[2, i]
+                path[b, k, 0, i] = (body[0, i] - across * math.sin(heading)) / unit_um
+                path[b, k, 1, i] = (body[1, i] + across * math.cos(heading)) / unit_um
+                path[b, k, 2, i] = heading

@@ -85,19 +85,19 @@ class Drivetrains:
         return np.where(self.swap, pairs[::-1], pairs) if self.swap.any() else pairs
 
 
-def nothing_sent(count: int) -> tuple[Times, Floats]:
-    """Return `sent_ns` and `sent` of `wish` for `count` robots that stand."""
-    sent_ns = np.full(8, NEVER)
-    sent_ns[0] = 0
-    return sent_ns, np.zeros((9, count))
+def nothing_sent(trials: int, robots: int) -> tuple[Times, Floats]:
+    """Return `sent_ns` and `sent` of `wish` for robots that stand, an axis of trials more."""
+    sent_ns = np.full((trials, 8), NEVER)
+    sent_ns[:, 0] = 0
+    return sent_ns, np.zeros((trials, 9, robots))
 
 
 def with_room(sent_ns: Times, sent: Floats) -> tuple[Times, Floats]:
-    """Return `sent_ns` (..., Q) and `sent` (..., Q + 1, N) with room for another command."""
-    if (sent_ns[..., -2] == NEVER).all():
+    """Return `sent_ns` (B, Q) and `sent` (B, Q + 1, N) with room for another command."""
+    if (sent_ns[:, -2] == NEVER).all():
         return sent_ns, sent
-    unused_ns, unused = np.full_like(sent_ns, NEVER), np.zeros_like(sent[..., 1:, :])
-    return np.concatenate([sent_ns, unused_ns], -1), np.concatenate([sent, unused], -2)
+    unused_ns, unused = np.full_like(sent_ns, NEVER), np.zeros_like(sent[:, 1:])
+    return np.concatenate([sent_ns, unused_ns], 1), np.concatenate([sent, unused], 1)
 
 
 class WheelHost:
@@ -113,17 +113,16 @@ class WheelHost:
     ) -> None:
         self.drivetrains, self._lag_s = drivetrains, lag_s
         self._known = np.array([a, speed, radius])
-        self._sent = nothing_sent(a.size)
+        self._sent = nothing_sent(1, a.size)
         self._owed = np.zeros((2, a.size))
 
     def wished(
         self, heading: Floats, u: float, since_ns: int, acts_ns: int, drives: bool = True
     ) -> Floats:
         """Return the wheel speeds (2, N) for the direction `u` [rad], see `wish`."""
-        towards = np.full(heading.shape, u)
-        return wish(
-            heading, towards, drives, since_ns, acts_ns, self._known, self._lag_s, *self._sent
-        )
+        towards, (sent_ns, sent) = np.full(heading.shape, u), self._sent
+        how = drives, since_ns, acts_ns, self._known, self._lag_s
+        return wish(heading, towards, *how, sent_ns[0], sent[0])
 
     def counts(self, wished: Floats) -> CountArray:
         """Return the counts (2, N) to send for wheel speeds (2, N)."""
@@ -134,8 +133,8 @@ class WheelHost:
         """Take wheel speeds (2, N) that were sent and act from `acts_ns` [ns] on; return the
         speeds and the turning rates [rad/s] of the robots, (N,) each."""
         if self._lag_s > 0:
-            self._sent = with_room(*self._sent)
-            note(acts_ns, speeds, self._known, *self._sent)
+            sent_ns, sent = self._sent = with_room(*self._sent)
+            note(acts_ns, speeds, self._known, sent_ns[0], sent[0])
         return body_velocity(speeds[0], speeds[1], self._known[2])
 
 

@@ -15,7 +15,6 @@ from tetractl.core.setup import Setup
 from tetractl.experiment.disturbance import DelayedCommand, overriding
 from tetractl.model.motion.rolling import MOVING
 from tetractl.model.obstacles import Obstacles
-from tetractl.model.wheels import with_room
 from tetractl.plant.sim_camera import Beats
 from tetractl.plant.simulation import SimPlant, SimSection
 
@@ -44,32 +43,28 @@ class SimPlants:
     def __init__(
         self, section: SimSection, setup: Setup, seeds: Sequence[np.random.SeedSequence]
     ) -> None:
-        from tetractl.control.kernels.wheels import answer, roll
-
-        self._answer, self._roll, self._section, self._setup = answer, roll, section, setup
+        self._section, self._setup = section, setup
         self._plants = [SimPlant(section, setup, VirtualClock(), seed) for seed in seeds]
         self._cameras = [plant.camera for plant in self._plants]
         drives = [plant.wheels for plant in self._plants if plant.wheels is not None]
-        hosts, acting = [drive.host for drive in drives], self._plants[0].disturbances
+        acting = self._plants[0].disturbances
         if section.drive is None:
             raise UsageError("only robots on wheels run side by side", "give the plant a 'drive'")
         if any(overriding(acting, method) for method in ("moved", "varied", "measured")):
             raise UsageError("disturbances of poses do not run side by side")
         if section.planning_max_s >= setup.period_s:
             raise UsageError("trials run side by side if planning takes less than a period")
-        self._sending, self._lead_ns = section.drive, hosts[0].acts_ns(0)
-        self._host, self._drive, count = hosts[0], drives[0], len(seeds)
+        self._drive, self._host, count = drives[0], drives[0].host, len(seeds)
+        self._host.beside([drive.host for drive in drives])
         self._walking = [drive.walking for drive in drives]
         self._bodies = np.concatenate([drive.bodies for drive in drives])
-        self._trains = np.concatenate([host.trains for host in hosts])
-        self._at = np.repeat(hosts[0].sent_ns, count, 0), np.repeat(hosts[0].sent, count, 0)
         self._able = np.array([(plant.a > 0) | (plant.speed > 0) for plant in self._plants])
         self._obstacles = Obstacles.of(setup.obstacles)
         self._beats = Beats(section.camera_rate, section.truth_rate)
         self._now_ns, robots = np.zeros(count, np.int64), self._able.shape[1]
-        self._next_ns, self._repeats_ns = np.full((2, count), NEVER)  # of commands that act
+        self._next_ns = np.full(count, NEVER)  # when the next command acts
         self._stopping_ns = np.full(self._able.shape, NEVER)  # times of the watchdogs
-        self._u, self._speeds = np.zeros(count), np.zeros((count, 2, 2, robots))
+        self._u = np.zeros(count)
         # frames that may be the newest: measured, and when they were exposed and arrive
         self._seen, self._exposed_ns = np.empty((count, 0, 3, robots)), np.empty(0, np.int64)
         self._arrives_ns, self._steps = np.empty((count, 0), np.int64), 0
@@ -95,14 +90,13 @@ class SimPlants:
         before, ends, sends = np.append(0, times), np.full(count, end), sends.copy()
         while True:
             silent_ns = self._stopping_ns.min(axis=1)
-            coming = np.array([self._next_ns, silent_ns, self._repeats_ns, sends, ends])
+            coming = np.array([self._next_ns, silent_ns, self._host.repeats_ns, sends, ends])
             what, when = coming.argmin(axis=0), coming.min(axis=0)
             # a path has points at its samples, and where a command acts or is repeated
             sampled = np.maximum(before[np.searchsorted(times, when, side="right")], self._now_ns)
             until = np.where(what < SEND, when, sampled)
-            self._roll(
-                self._bodies, self._now_ns, until, times, ticks, self._drive.walk, drawn, path
-            )
+            walk = self._drive.walk
+            self._drive.roll(self._bodies, self._now_ns, until, times, ticks, walk, drawn, path)
             self._seen[:, kept:] = path[:, frames] + noise
             if (what == END).all():
                 return self._show(end, path)
@@ -150,30 +144,10 @@ class SimPlants:
 
     def _transmit(self, sending: Bools, new: Bools, when: Times) -> None:
         """Send the held directions, `new` or not, at the times (B,) [ns] in the trials that do."""
-        section, drive, each = self._section, self._sending, np.arange(len(when))
-        newest = self._newest(when)
-        heading, exposed_ns = self._seen[each, newest, 2], self._exposed_ns[newest]
-        acts_ns = when + self._lead_ns
-        self._at, speeds = with_room(*self._at), self._speeds.copy()
-        self._answer(
-            sending if drive.recompute else new,
-            heading,
-            self._u[:, None] + np.zeros_like(heading),
-            np.ones_like(sending),
-            acts_ns if drive.lead is None else exposed_ns,
-            acts_ns,
-            self._host.known,
-            self._host.lag_s,
-            *self._at,
-            self._trains,
-            speeds,
-        )
-        self._speeds = speeds
-        if drive.rate is not None:
-            period = round(SECOND / drive.rate)
-            last = np.where(self._repeats_ns == NEVER, 0, self._repeats_ns)
-            following = np.maximum(last + period, when + period // 2)
-            self._repeats_ns = np.where(sending, following, self._repeats_ns)
+        section, newest = self._section, self._newest(when)
+        heading, exposed_ns = self._seen[np.arange(len(when)), newest, 2], self._exposed_ns[newest]
+        towards, drive = self._u[:, None] + np.zeros_like(heading), np.ones_like(sending)
+        speeds = self._host.speeds(sending, new, when, heading, exposed_ns, towards, drive)
         due = np.maximum(when, exposed_ns + round(section.dead_time * SECOND)).tolist()
         heard, u, now = np.ones(heading.shape[1], np.bool_), self._u.tolist(), when.tolist()
         for b in np.flatnonzero(sending).tolist():

@@ -210,8 +210,7 @@ class SimPlant:
         self.camera = SimCamera(count, section.measurement_noise, measuring, disturbances)
         self.wheels: WheelDrive | None = None
         self.drive = self._driven(starts, seed)
-        made = section.drive is not None or section.cells is not None  # walks of its own
-        walk = 0.0 if made else section.heading_noise / np.sqrt(section.camera_rate)
+        walk = section.heading_noise / np.sqrt(section.camera_rate)
         self.motion = TrueMotion(
             setup,
             self.a,
@@ -220,7 +219,7 @@ class SimPlant:
             self.camera,
             Beats(section.camera_rate, section.truth_rate),
             disturbances,
-            float(walk),
+            0.0 if self.drive.sampled else float(walk),
             swerving,
             lambda now: self._news.append(self._transmit(now, None)),
         )
@@ -264,8 +263,6 @@ class SimPlant:
         if isinstance(action, Stop):
             return self._halt(now, seen)
         self._held = action
-        if self.drive.host is not None:
-            self.drive.host.direct()
         command = self._transmit(now, seen)
         self.motion.advance(now)
         return command
@@ -367,8 +364,7 @@ class SimPlant:
 
     def planned_ns(self, now: int) -> int:
         """Return the time [ns] at which a command planned from `now` on is sent."""
-        seconds = sum(one.planning_s(now / SECOND) for one in self._planning)
-        return now + round(seconds * SECOND)
+        return now + round(sum(one.planning_s(now / SECOND) for one in self._planning) * SECOND)
 
     def _due_ns(self, answered: Observation, now: int) -> int:
         """Return the time [ns] at which a command sent `now` in answer to a frame acts if
@@ -378,16 +374,17 @@ class SimPlant:
     def _transmit(self, now: int, seen: Observation | None) -> Command:
         """Send the held action, or the wheel speeds for it in answer to the newest frame."""
         held, host, setup = self._held, self.drive.host, self.setup
-        seen = seen if host is None else self.camera.newest
+        new, seen = seen is not None, seen if host is None else self.camera.newest
         assert seen is not None, "there is no frame: call open() first"
         headings = seen.poses.heading
         left = right = made = None
+        drives, towards = not isinstance(held, Turn), aim(held, headings)
         if host is not None:
-            (left, right), made = host.speeds(now, seen, held)
+            given = [True], [new], [now], [headings], [seen.sampled_ns], [towards], [drives]
+            (left, right), made = host.speeds(*map(np.array, given))[0]
         elif setup.wheel_radius is not None:
-            towards = aim(held, headings)
-            speed = setup.speed * (not isinstance(held, Turn))
-            left, right = wheel_speeds(headings, towards, setup.a, speed, setup.wheel_radius)
+            speed, radius = setup.speed * drives, setup.wheel_radius
+            left, right = wheel_speeds(headings, towards, setup.a, speed, radius)
         heard = self.losing.uniform(size=self.a.size) >= self.spec.lost_commands
         due = self._due_ns(seen, now)
         command = DelayedCommand(now, due, held, heard, None, headings, made)

@@ -4,22 +4,19 @@ The host computes wheel speeds by equations (24)-(25) at the headings of the new
 rounds them to wheel counts, and sends them at the radio's rate or once per control step.
 """
 
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
 from pydantic import Field
 
 from tetractl.core.clock import NEVER, SECOND
-from tetractl.core.commands import FieldOff, Steer, Turn
-from tetractl.core.poses import Bools, Floats, Observation, Poses, Times
+from tetractl.core.poses import Bools, Floats, Poses, Times
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Fraction, Model, NonNegative, Positive
 from tetractl.experiment.disturbance import DelayedCommand
 from tetractl.model.motion.rolling import MOVING, note
 from tetractl.model.wheels import COUNT_MAX, NOTHING, WheeledRobots, nothing_sent, with_room
-from tetractl.plant.direct import aim
-
-ONE = np.ones(1, dtype=np.bool_)
 
 
 class WheelDriveSection(Model):
@@ -58,11 +55,11 @@ class WheelDriveSection(Model):
 
 
 class SimHost:
-    """The host of N simulated robots: computes wheel speeds sent, and the resulting true speeds.
+    """The host of N robots in each of B trials: computes wheel speeds sent, and the true ones.
 
-    `repeats_ns` is the time of the next transmission [ns]. The generator `erring` draws true gains
-    and dead zones, once per trial. `known`, `lag_s`, `sent_ns`, `sent` and `trains` are arguments
-    of `kernels.wheels.answer`, for one trial.
+    `repeats_ns` (B,) are the times of the next transmissions [ns]. One trial is made, and its true
+    gains and dead zones are drawn from `erring`; `beside` puts trials side by side. The arrays are
+    those of `kernels.wheels.answer`.
     """
 
     def __init__(
@@ -72,77 +69,58 @@ class SimHost:
 
         assert setup.wheel_radius is not None, "the wheels need a radius"
         both, self._answer, self._section = (2, setup.a.size), answer, section
-        self.repeats_ns = NEVER
         gains = 1 + section.gain_error * erring.uniform(-1, 1, both)
         more, limit = section.dead_zone_error, 0.0 if section.count is None else COUNT_MAX
         zones = section.dead_zone + erring.integers(-more, more + 1, both)
-        gain, ones = section.count or 1.0, np.ones(both)
-        truly = gain * gains, np.maximum(zones, 0)
-        self.trains = np.array(
-            [[0 * ones, gain * ones, section.dead_zone * ones, *truly, limit * ones]]
-        )
-        self.known = np.array([setup.a, setup.speed, np.full(both[1], setup.wheel_radius)])
-        self.lag_s = 0.0 if section.lead is None else setup.lag_s
-        sent_ns, sent = nothing_sent(both[1])
-        self.sent_ns, self.sent = sent_ns[None], sent[None]
-        self._last: tuple[Floats, Floats] | None = None
+        gain = section.count or 1.0
+        rows = 0.0, gain, section.dead_zone, gain * gains, np.maximum(zones, 0), limit
+        self.trains = np.array([[row + np.zeros(both) for row in rows]])
+        self._known = np.array([setup.a, setup.speed, np.full(both[1], setup.wheel_radius)])
+        self._lag_s = 0.0 if section.lead is None else setup.lag_s
+        self._lead_ns = round((section.lead or 0.0) * SECOND)
+        self.beside([self])
 
-    def direct(self) -> None:
-        """Compute the next speeds for a new direction, rather than repeat the last ones."""
-        self._last = None
+    def beside(self, hosts: "Sequence[SimHost]") -> None:
+        """Become the host of all trials of some hosts that have sent nothing."""
+        self.trains = np.concatenate([host.trains for host in hosts])
+        shape = len(self.trains), 2, *self._known[:2].shape
+        self._speeds, self.repeats_ns = np.zeros(shape), np.full(shape[0], NEVER)
+        self._sent = nothing_sent(shape[0], shape[-1])
 
     def halt(self, now: int) -> None:
-        """Hold no direction from now on, because a stop is sent `now` [ns]."""
-        self.repeats_ns = NEVER
-        self.sent_ns, self.sent = with_room(self.sent_ns, self.sent)
-        still = np.zeros_like(self.known[:2])
-        note(self.acts_ns(now), still, self.known, self.sent_ns[0], self.sent[0])
+        """Hold no direction from now on, because a stop is sent `now` [ns] in the only trial."""
+        self.repeats_ns[:], still = NEVER, np.zeros_like(self._known[:2])
+        sent_ns, sent = self._sent = with_room(*self._sent)
+        note(now + self._lead_ns, still, self._known, sent_ns[0], sent[0])
 
     def speeds(
-        self, now: int, seen: Observation, held: Steer | Turn | FieldOff
-    ) -> tuple[Floats, Floats]:
-        """Return the wheel speeds to send `now` [ns], and the resulting true wheel speeds.
+        self,
+        sends: Bools,
+        new: Bools,
+        now_ns: Times,
+        heading: Floats,
+        exposed_ns: Times,
+        u: Floats,
+        drives: Bools,
+    ) -> Floats:
+        """Return the wheel speeds sent in each trial that `sends` (B,) at `now_ns` (B,) [ns], and
+        the resulting true ones, (B, 2, 2, N), the last axes left and right [length unit/s] and N.
 
-        Both are (2, N), left and right [length unit/s]. `seen` is the newest frame received; while
-        the field is off, both wheels have equal speeds. Also schedules the next transmission.
+        `heading` (B, N) is that in the newest frames received, exposed at `exposed_ns` (B,), `u`
+        (B, N) the direction held, `new` or not; the robots of trials that do not `drives` turn on
+        the spot. Also schedules the next transmission, as the lab's inner loop does.
         """
-        self.repeats_ns = self.next_ns(now)
-        if self._last is None or self._section.recompute:
-            heading, acts_ns = seen.poses.heading, self.acts_ns(now)
-            when = [[acts_ns if self._section.lead is None else seen.sampled_ns], [acts_ns]]
-            drives, speeds = (
-                np.array([not isinstance(held, Turn)]),
-                np.empty((1, 2, *self.known[:2].shape)),
-            )
-            self.sent_ns, self.sent = with_room(self.sent_ns, self.sent)
-            self._answer(
-                ONE,
-                np.array([heading]),
-                np.array([aim(held, heading)]),
-                drives,
-                *np.array(when),
-                self.known,
-                self.lag_s,
-                self.sent_ns,
-                self.sent,
-                self.trains,
-                speeds,
-            )
-            self._last = speeds[0, 0], speeds[0, 1]
-        return self._last
-
-    def next_ns(self, now: int) -> int:
-        """Return the time of the transmission that follows one `now` [ns], as by the lab's inner
-        loop."""
-        if self._section.rate is None:
-            return NEVER
-        period = round(SECOND / self._section.rate)
-        before = 0 if self.repeats_ns == NEVER else self.repeats_ns
-        return max(before + period, now + period // 2)
-
-    def acts_ns(self, now: int) -> int:
-        """Return the time [ns] at which the host assumes that a command sent `now` acts."""
-        return now + round((self._section.lead or 0.0) * SECOND)
+        section, acts_ns = self._section, now_ns + self._lead_ns
+        if section.rate is not None:
+            period = round(SECOND / section.rate)
+            last = np.where(self.repeats_ns == NEVER, 0, self.repeats_ns)
+            following = np.maximum(last + period, now_ns + period // 2)
+            self.repeats_ns = np.where(sends, following, self.repeats_ns)
+        self._sent, self._speeds = with_room(*self._sent), self._speeds.copy()
+        since_ns, asked = acts_ns if section.lead is None else exposed_ns, sends & new
+        how = drives, since_ns, acts_ns, self._known, self._lag_s, *self._sent, self.trains
+        self._answer(sends if section.recompute else asked, heading, u, *how, self._speeds)
+        return self._speeds
 
 
 REST = 1e-10
@@ -186,7 +164,7 @@ class WheelDrive(WheeledRobots):
     @property
     def repeats_ns(self) -> int:
         """The time of the next transmission [ns]."""
-        return self.host.repeats_ns
+        return self.host.repeats_ns.item()
 
     @property
     def commanded(self) -> Floats:

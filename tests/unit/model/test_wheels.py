@@ -44,13 +44,13 @@ def test_the_wheels_turn_a_robot_like_a_cell(heading, u, a, v, r):
 
 def headings_at_rest(lag_s, sent, frames, until):
     """Headings (N,) for which `wish` computes wheel speeds, for each frame: time and headings."""
-    at, known = nothing_sent(2), np.ones((3, 2))
+    at, known = nothing_sent(1, 2), np.ones((3, 2))
     for when, rates in sent:
         at = with_room(*at)
-        note(when, np.array([-rates, rates]), known, *at)
+        note(when, np.array([-rates, rates]), known, at[0][0], at[1][0])
     found = []
     for since, heading in frames:
-        args = (True, since, until, known, lag_s, *at)
+        args = (True, since, until, known, lag_s, at[0][0], at[1][0])
         sine, cosine = (
             np.diff(wish(heading, np.full(2, u), *args), axis=0)[0] / 2 for u in (0.0, np.pi / 2)
         )
@@ -81,7 +81,16 @@ def test_headings_ahead_are_those_in_which_lagging_robots_come_to_rest():
 
 def test_headings_ahead_without_a_lag_fall_to_the_direction_by_3():
     known, heading = np.array([[6.0, 3.0], [180.0, 150.0], [40.0, 40.0]]), np.array([0.3, -2.0])
-    found = wish(heading, np.full(2, 1.2), True, 0, SECOND // 50, known, 0.0, *nothing_sent(2))
+    found = wish(
+        heading,
+        np.full(2, 1.2),
+        True,
+        0,
+        SECOND // 50,
+        known,
+        0.0,
+        *(each[0] for each in nothing_sent(1, 2)),
+    )
     _, _, ahead = exact(0.0, 0.0, heading, 1.2, known[0], known[1], 0.02)
     assert found == pytest.approx(np.array(wheel_speeds(ahead, 1.2, *known)), abs=1e-9)
 
@@ -114,7 +123,7 @@ def test_a_simulated_host_computes_the_bits_of_the_labs_host(lag_s):
     )
     rows, at = (
         np.array([rows] * trials),
-        [np.array([each] * trials) for each in nothing_sent(count)],
+        nothing_sent(trials, count),
     )
     for k in range(40):
         now, since = (k + 1) * SECOND // 40, k * SECOND // 40 + 3_000_000

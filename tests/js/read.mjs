@@ -25,7 +25,7 @@ for await (const message of reader.readMessages({ validateCrcs: true })) {
   if (found.count === 1) {
     found.logTime = message.logTime.toString();
     found.publishTime = message.publishTime.toString();
-    found.first = type.toObject(type.decode(message.data), { longs: String });
+    found.first = type.toObject(type.decode(message.data), { longs: String, bytes: String });
   }
 }
 

@@ -1,6 +1,6 @@
 """How many control periods a second of one core simulated plants advance, side by side and alone.
 
-    python benchmarks/side_by_side.py [--spec SPEC] [--trials B] [--rounds N]
+    python benchmarks/side_by_side.py [--spec SPEC] [--set PATH=VALUE] [--trials B] [--rounds N]
 
 Robots are steered in a new random direction every 8 periods, by no controller. Time is processor
 time, the least of the rounds. Prints Markdown.
@@ -14,6 +14,7 @@ import numpy as np
 
 from tetractl.core.clock import SECOND, VirtualClock
 from tetractl.core.commands import Steer
+from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.setup import Setup
 from tetractl.experiment.load import load_spec
@@ -54,10 +55,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     default = ROOT / "experiments" / "three_m3pi_bench.yaml"
     parser.add_argument("--spec", type=Path, default=default)
+    parser.add_argument("--set", dest="sets", action="append", default=[], metavar="PATH=VALUE")
     parser.add_argument("--trials", type=int, default=256, metavar="B")
     parser.add_argument("--rounds", type=int, default=5, metavar="N")
     asked = parser.parse_args()
-    spec = load_spec(asked.spec).experiment
+    spec = load_spec(asked.spec, asked.sets).experiment
     assert isinstance(spec.plant, SimSection)
     quiet = spec.plant.model_copy(update={"disturbances": ()})
     print(f"{asked.spec.name}, {1 / spec.setup.period_s:.3g} Hz, {STEPS} periods a trial\n")
@@ -65,12 +67,17 @@ def main() -> None:
     print("|---|--:|--:|--:|")
     for name, run, section, trials in (
         ("one by one", alone, spec.plant, ALONE),
+        ("one by one, without `disturbances`", alone, quiet, ALONE),
         ("side by side", side_by_side, spec.plant, asked.trials),
         ("side by side, without `disturbances`", side_by_side, quiet, asked.trials),
     ):
         drawn = np.random.default_rng(1).uniform(-np.pi, np.pi, (STEPS // 8, trials))
         directions = np.repeat(drawn, 8, axis=0)
-        used = min(run(section, spec.setup, directions) for _ in range(asked.rounds + 1))
+        try:
+            used = min(run(section, spec.setup, directions) for _ in range(asked.rounds + 1))
+        except UsageError as error:
+            print(f"| {name} | {trials} | {error} | |")
+            continue
         rate = directions.size / used
         print(f"| {name} | {trials} | {rate:.0f} | {1e6 / rate:.1f} |")
 

@@ -50,13 +50,14 @@ class ByTurns:
     ) -> None:
         self._durations_s = (unwell_s, well_s)  # indexed by whether a robot is well
         self._well = np.ones(robots, dtype=np.bool_)
-        self._until_s = np.array([well_s() for _ in range(robots)])
+        self._until_s = [well_s() for _ in range(robots)]
 
     def well(self, time_s: float) -> Bools:
         """Return whether each robot is undisturbed at `time_s` (N,); later calls must not have
         earlier times."""
-        for i in np.flatnonzero(self._until_s <= time_s):
-            while self._until_s[i] <= time_s:
+        for i, until_s in enumerate(self._until_s):
+            while until_s <= time_s:
                 self._well[i] = not self._well[i]
-                self._until_s[i] += self._durations_s[int(self._well[i])]()
+                until_s += self._durations_s[int(self._well[i])]()
+                self._until_s[i] = until_s
         return self._well

@@ -44,22 +44,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.filter_state import (
-    BIAS,
-    COSINE,
     DRIFT,
-    FLOW_X,
-    FLOW_Y,
     FOUND,
     GRID,
-    LN_A,
-    LN_V,
-    LN_W,
-    MARKER,
     MISFIT,
-    SINE,
-    SIZE,
-    STATE,
     Bank,
     FilterModel,
     Shared,
@@ -121,18 +111,18 @@ class FilterBank:
         noise = np.empty((3, count))
         noise[:2] = prior.position_noise or USUAL.position_noise_s * np.maximum(prior.speed, 1e-9)
         noise[2] = prior.heading_noise or USUAL.heading_noise
-        self._std, walk = np.zeros((2, SIZE, count))
+        self._std, walk = np.zeros((2, at.SIZE, count))
         walk[:2], walk[2] = USUAL.slip * prior.speed, USUAL.walk
         for k, std, drift in (
-            (LN_A, prior.a_std, USUAL.ln_a),
-            (LN_V, prior.speed_std, USUAL.ln_speed),
-            (BIAS, prior.heading_bias_std, USUAL.turn_bias),
-            (MARKER, prior.marker_bias_std, USUAL.marker_bias),
-            (FLOW_X, prior.flow_std, USUAL.flow * prior.flow_std),
-            (FLOW_Y, prior.flow_std, USUAL.flow * prior.flow_std),
-            (SINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
-            (COSINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
-            (LN_W, USUAL.pitch_std * helix, USUAL.pitch),
+            (at.LN_A, prior.a_std, USUAL.ln_a),
+            (at.LN_V, prior.speed_std, USUAL.ln_speed),
+            (at.BIAS, prior.heading_bias_std, USUAL.turn_bias),
+            (at.MARKER, prior.marker_bias_std, USUAL.marker_bias),
+            (at.FLOW_X, prior.flow_std, USUAL.flow * prior.flow_std),
+            (at.FLOW_Y, prior.flow_std, USUAL.flow * prior.flow_std),
+            (at.SINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
+            (at.COSINE, prior.helix_radius / math.sqrt(2), USUAL.helix * prior.helix_radius),
+            (at.LN_W, USUAL.pitch_std * helix, USUAL.pitch),
         ):
             self._std[k], walk[k] = std, drift * (std > 0)
         turns = 2 * math.pi * prior.helix_frequency * helix
@@ -158,8 +148,8 @@ class FilterBank:
         tau, count = self._tau, len(self.prior.a)
         pitches = np.log(PITCHES) if self._model.helix > 0 else np.zeros(1)
         pitch = np.repeat(np.arange(len(pitches)), len(tau))
-        mean = np.zeros((len(pitch), count, STATE))
-        mean[..., LN_W] = pitches[pitch, None]
+        mean = np.zeros((len(pitch), count, at.STATE))
+        mean[..., at.LN_W] = pitches[pitch, None]
         return Bank.start(np.tile(tau, len(pitches)), mean, self._std.T, pitch)
 
     def _lay_out(self, bank: Bank) -> None:

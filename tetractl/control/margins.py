@@ -48,10 +48,11 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
         return LOST * max(speed.tolist()) * period_s
     each = (one.tolist() for one in (speed, known.speed_std, known.a, known.a_std))
     tau_std, blind = known.dead_time_std or 0.0, dead_time_s + period_s
-    return max(
+    off = [
         LOST * v * period_s + SIGMAS * (v * tau_std + (v * a_std / a + v_std) * blind)
         for v, v_std, a, a_std in zip(*each, strict=True)
-    )
+    ]
+    return max(off)
 
 
 class Margins:

@@ -6,28 +6,11 @@ import math
 
 import numpy as np
 
+from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.filter import likeliest
 from tetractl.control.kernels.filter_motion import advance
-from tetractl.control.kernels.filter_state import (
-    ASSUMED,
-    BIAS,
-    FLOW_X,
-    FLOW_Y,
-    GRID,
-    HEADING,
-    LN_A,
-    LN_V,
-    LN_W,
-    MARKER,
-    MISFIT,
-    PACE,
-    SLOTS,
-    STUCK,
-    SWING,
-    X,
-    Y,
-)
+from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
 
 
@@ -58,16 +41,16 @@ def forecast(bank, model, shared, when, u, begin, sent, found):
         more = math.sqrt(more)
         tau, deviation = shared.dead_times[0, i], more * shared.dead_times[1, i]
         mean, doubt = mean + tau, doubt + deviation * deviation
-        a, speed = model.a[i] * math.exp(z[LN_A]), model.speed[i] * math.exp(z[LN_V])
-        a_std = more * a * math.sqrt(max(cov[LN_A, LN_A], 0.0))
-        speed_std = more * speed * math.sqrt(max(cov[LN_V, LN_V], 0.0))
-        var = cov[BIAS, BIAS] + cov[MARKER, MARKER] + 2 * cov[BIAS, MARKER]
-        held = _ahead(bank, model, best, i, slot, when, u, tau, begin, sent, z)
-        off, off_std = z[BIAS] + z[MARKER], more * math.sqrt(max(var, 0.0))
-        pose, flow = (z[X], z[Y], z[HEADING]), (z[FLOW_X], z[FLOW_Y])
-        numbers = (*pose, a, a_std, speed, speed_std, off, off_std, z[BIAS], held, *flow)
-        for k in range(MISFIT.start):
-            found[k, i] = numbers[k]
+        a, speed = model.a[i] * math.exp(z[at.LN_A]), model.speed[i] * math.exp(z[at.LN_V])
+        found[3, i], found[4, i] = a, more * a * math.sqrt(max(cov[at.LN_A, at.LN_A], 0.0))
+        found[5, i], found[6, i] = speed, more * speed * math.sqrt(max(cov[at.LN_V, at.LN_V], 0.0))
+        var = cov[at.BIAS, at.BIAS] + cov[at.MARKER, at.MARKER] + 2 * cov[at.BIAS, at.MARKER]
+        found[7, i], found[8, i] = z[at.BIAS] + z[at.MARKER], more * math.sqrt(max(var, 0.0))
+        found[9, i] = z[at.BIAS]
+        found[10, i] = _ahead(bank, model, best, i, slot, when, u, tau, begin, sent, z)
+        found[11, i], found[12, i] = z[at.FLOW_X], z[at.FLOW_Y]
+        for k in range(3):
+            found[k, i] = z[k]
     mean /= count
     for i in range(count):
         doubt += (shared.dead_times[0, i] - mean) ** 2
@@ -93,12 +76,12 @@ def _ahead(bank, model, b, i, s, when, u, tau, begin, sent, z):
             now, stops = u[c], acts + model.watchdog
             if acts <= until + 1e-9:
                 held = now if stops > until else math.nan
-    turn = model.lag * model.a[i] * math.exp(z[LN_A]) * z[SWING]
+    turn = model.lag * model.a[i] * math.exp(z[at.LN_A]) * z[at.SWING]
     half = 0.5 * turn
-    chord = model.lag * model.speed[i] * math.exp(z[LN_V]) * z[PACE] * (1 - half * half / 6)
-    z[X] += chord * math.cos(z[HEADING] + half)
-    z[Y] += chord * math.sin(z[HEADING] + half)
-    z[HEADING] += turn
+    chord = model.lag * model.speed[i] * math.exp(z[at.LN_V]) * z[at.PACE] * (1 - half * half / 6)
+    z[at.X] += chord * math.cos(z[at.HEADING] + half)
+    z[at.Y] += chord * math.sin(z[at.HEADING] + half)
+    z[at.HEADING] += turn
     return held
 
 
@@ -164,68 +147,50 @@ def select(bank, shared, steps, begun, changes, which, tau, own):
     _share(bank, shared, steps)
     if not changes:
         return False
-    changed, score, size = False, shared.score, shared.score.shape[0]
-    keep, grid, new = np.empty(size, np.bool_), np.empty(size + 1), np.empty(3)
-    kept = np.empty(size, np.int64)
+    changed, score, kept = False, shared.score, np.empty(which.shape[0], np.int64)
     for i in range(steps.size):
         for b in range(which.shape[0]):
             which[b, i] = -1
         count, best = 0, 0
-        while count < size and bank.score[count, i] > -math.inf:
+        while count < score.shape[0] and bank.score[count, i] > -math.inf:
             best = count if score[count, i] > score[best, i] else best
             count += 1
-        least, pitches = score[best, i] - GRID.unlikely, 0
-        for b in range(count):
-            keep[b] = False
-            pitches = max(pitches, bank.pitch[b, i] + 1)
-        for p in range(pitches):
-            top, first, last, begins, ends = -1, -1, -1, -1, -1
-            for b in range(count):
-                if bank.pitch[b, i] == p:
-                    begins, ends = b if begins < 0 else begins, b
-                    if top < 0 or score[b, i] > score[top, i]:
-                        top = b
-                    if score[b, i] >= least:
-                        first, last = b if first < 0 else first, b
-            same = abs(_reached(bank, max(top, 0), i) - _reached(bank, best, i)) < GRID.same_pitch
-            if first < 0 or (p != bank.pitch[best, i] and same):
-                continue
-            for b in range(max(begins, min(first, top - 1)), min(ends, max(last, top + 1)) + 1):
-                keep[b] = True
-        n = m = 0  # numbers of filters kept, and of their dead times
-        for b in range(count):
-            if keep[b]:
-                which[n, i], tau[n, i], own[n, i] = b, bank.tau[b, i], bank.score[b, i]
-                n, place = n + 1, 0
-                while place < m and grid[place] < bank.tau[b, i]:
-                    place += 1
-                if place == m or grid[place] != bank.tau[b, i]:
-                    for k in range(m, place, -1):
-                        grid[k] = grid[k - 1]
-                    grid[place], m = bank.tau[b, i], m + 1
+        least, n, ends = score[best, i] - GRID.unlikely, 0, 0
+        while ends < count:  # filters of one frequency follow each other, in the order of times
+            begins = top = ends
+            first = last = -1
+            while ends < count and bank.pitch[ends, i] == bank.pitch[begins, i]:
+                top = ends if score[ends, i] > score[top, i] else top
+                if score[ends, i] >= least:
+                    first, last = ends if first < 0 else first, ends
+                ends += 1
+            same = abs(_reached(bank, top, i) - _reached(bank, best, i)) < GRID.same_pitch
+            if first >= 0 and (bank.pitch[top, i] == bank.pitch[best, i] or not same):
+                for b in range(max(begins, min(first, top - 1)), min(ends, max(last, top + 1) + 1)):
+                    kept[n], n = b, n + 1
+        middle, below, above, m = bank.tau[best, i], False, False, n  # m dead times
+        for r in range(n):
+            b = kept[r]
+            which[r, i], tau[r, i], own[r, i] = b, bank.tau[b, i], bank.score[b, i]
+            below, above = below or tau[r, i] < middle, above or tau[r, i] > middle
+            for q in range(r):
+                if tau[q, i] == tau[r, i]:
+                    m -= 1
+                    break
         changed |= n < count
         if m > 3 or not begun:
             continue
-        at = 0
-        while grid[at] < bank.tau[best, i]:
-            at += 1
         if steps[i] > GRID.finest_s and m == 3:
             steps[i] /= 2
-        elif 0 < at < m - 1 or (at == 0 and grid[0] == 0 and m > 1):
+        elif above and (below or middle == 0):
             continue
-        fresh = 0
-        for k in range(-1, 2):
-            new[fresh] = max(grid[at] + steps[i] * k, 0.0)
-            if fresh == 0 or new[fresh] != new[fresh - 1]:
-                fresh += 1
-        for r in range(n):
-            kept[r] = which[r, i]
-        changed, of, n = True, kept[:n], 0
-        for p in range(pitches):  # frequencies that the poses do not distinguish stay
-            for k in range(fresh):
-                near, ln = _between(bank, of, p, i, new[k])
-                if near >= 0:
-                    which[n, i], tau[n, i], own[n, i] = near, new[k], ln
+        changed, group, n = True, kept[:n], 0
+        for p in range(bank.pitch[count - 1, i] + 1):
+            for k in range(-1, 2):  # frequencies that the poses do not distinguish stay
+                time = max(middle + steps[i] * k, 0.0)
+                near, ln = _between(bank, group, p, i, time)
+                if near >= 0 and (k != 0 or middle > 0):
+                    which[n, i], tau[n, i], own[n, i] = near, time, ln
                     n += 1
         for b in range(n, which.shape[0]):
             which[b, i] = -1
@@ -235,7 +200,7 @@ def select(bank, shared, steps, begun, changes, which, tau, own):
 @compiled(**INLINE_FAST)
 def _reached(bank, b, i):
     """Return ln of the frequency of the helix that a filter of robot i has reached."""
-    return bank.state[b, i, likeliest(bank.weight[b, i], SLOTS), LN_W]
+    return bank.state[b, i, likeliest(bank.weight[b, i], SLOTS), at.LN_W]
 
 
 @compiled(**INLINE_FAST)

@@ -5,26 +5,10 @@ import math
 
 import numpy as np
 
+from tetractl.control.kernels import filter_state as at
 from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.filter_motion import advance
-from tetractl.control.kernels.filter_state import (
-    ASSUMED,
-    BIAS,
-    COSINE,
-    FOLLOWS,
-    HEADING,
-    LN_A,
-    LN_V,
-    LN_W,
-    MARKER,
-    MOVED,
-    SINE,
-    SIZE,
-    SLOTS,
-    STUCK,
-    X,
-    Y,
-)
+from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, MOVED, SIZE, SLOTS
 from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.model.motion.polynomials import wrap
 
@@ -32,23 +16,27 @@ _wrap = inlined(wrap)
 
 # the states that each measured number depends on; the slopes by the last of x and y are 0
 BY = np.array(
-    [(X, HEADING, SINE, X, X), (Y, HEADING, SINE, Y, Y), (HEADING, MARKER, COSINE, LN_V, LN_W)]
+    [
+        (at.X, at.HEADING, at.SINE, at.X, at.X),
+        (at.Y, at.HEADING, at.SINE, at.Y, at.Y),
+        (at.HEADING, at.MARKER, at.COSINE, at.LN_V, at.LN_W),
+    ]
 )
 
 
 @compiled(**INLINE_FAST)
 def _expected(model, i, z, slopes):
     """Return the pose that a camera would measure; its slopes by the states BY are filled."""
-    c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
-    rate = model.helix * math.exp(z[LN_W]) / (model.speed[i] * math.exp(z[LN_V]) + 1e-300)
-    across = rate * z[COSINE]
+    c, s = math.cos(z[at.HEADING]), math.sin(z[at.HEADING])
+    rate = model.helix * math.exp(z[at.LN_W]) / (model.speed[i] * math.exp(z[at.LN_V]) + 1e-300)
+    across = rate * z[at.COSINE]
     flat = 1 / (1 + across * across)
     slopes[0, 0] = slopes[1, 0] = slopes[2, 0] = slopes[2, 1] = 1.0
-    slopes[0, 1], slopes[1, 1] = -c * z[SINE], -s * z[SINE]
+    slopes[0, 1], slopes[1, 1] = -c * z[at.SINE], -s * z[at.SINE]
     slopes[0, 2], slopes[1, 2], slopes[2, 2] = -s, c, rate * flat
     slopes[2, 3], slopes[2, 4] = -across * flat, across * flat
     tilt = math.atan(across)
-    return z[X] - s * z[SINE], z[Y] + c * z[SINE], z[HEADING] + z[MARKER] + tilt
+    return z[at.X] - s * z[at.SINE], z[at.Y] + c * z[at.SINE], z[at.HEADING] + z[at.MARKER] + tilt
 
 
 @compiled(**INLINE_FAST)
@@ -92,7 +80,7 @@ def _measure(model, i, z, cov, scale, pose, found, work):
     """
     _, slopes, off, var, gain = work
     expected = _expected(model, i, z, slopes)
-    c, s = math.cos(z[HEADING]), math.sin(z[HEADING])
+    c, s = math.cos(z[at.HEADING]), math.sin(z[at.HEADING])
     d2 = lns = 0.0
     for j in range(3):
         off[j] = pose[j] - expected[j] if j < 2 else _wrap(pose[j] - expected[j])
@@ -129,7 +117,7 @@ def _copy(bank, b, i, source, slot):
 @compiled(**INLINE_FAST)
 def _rate(model, i, z, u):
     """Return how fast robot i turns under direction u [rad/s]."""
-    rate = model.a[i] * math.exp(z[LN_A]) * math.sin(u + z[BIAS] - z[HEADING])
+    rate = model.a[i] * math.exp(z[at.LN_A]) * math.sin(u + z[at.BIAS] - z[at.HEADING])
     return 0.0 if math.isnan(u) else rate
 
 
@@ -149,7 +137,7 @@ def _switch(bank, model, b, i, u, step, now):
     The time at which u acts is uncertain by `step`, the spacing of the bank's dead times [s].
     """
     weight, held, until = bank.weight[b, i], bank.u[b, i], bank.until[b, i]
-    best, place = likeliest(weight, FOLLOWS), 0
+    best = place = likeliest(weight, FOLLOWS)
     for s in range(FOLLOWS):
         place = s if weight[s] < weight[place] else place
     heard = weight[best] + math.log(1 - ASSUMED.lost)
@@ -166,11 +154,11 @@ def _switch(bank, model, b, i, u, step, now):
     z, cov = bank.state[b, i, place], bank.cov[b, i, place]
     before = held[best] if now < until[best] else math.nan
     changes = _rate(model, i, z, u) - _rate(model, i, z, before)
-    cov[HEADING, HEADING] += (step * changes) ** 2 / 12
+    cov[at.HEADING, at.HEADING] += (step * changes) ** 2 / 12
     if math.isnan(before) != math.isnan(u):
-        speed = model.speed[i] * math.exp(z[LN_V])
-        cov[X, X] += (step * speed) ** 2 / 12
-        cov[Y, Y] += (step * speed) ** 2 / 12
+        speed = model.speed[i] * math.exp(z[at.LN_V])
+        cov[at.X, at.X] += (step * speed) ** 2 / 12
+        cov[at.Y, at.Y] += (step * speed) ** 2 / 12
     held[place], until[place], weight[place] = u, now + model.watchdog, heard
 
 
@@ -178,20 +166,20 @@ def _switch(bank, model, b, i, u, step, now):
 def _stick(bank, b, i, seconds, now):
     """Exchange probability between driving and being stuck, for the `seconds` before `now`."""
     weight = bank.weight[b, i]
-    best = likeliest(weight, FOLLOWS)
+    best, stuck = likeliest(weight, FOLLOWS), weight.size - 1
     if math.isnan(bank.u[b, i, best]) or bank.until[b, i, best] <= now:
-        weight[STUCK] = -math.inf
+        weight[stuck] = -math.inf
         return
     share = min(0.5, seconds / ASSUMED.stuck_for_s)
-    stays, free = weight[STUCK] + math.log(1 - share), weight[STUCK] + math.log(share)
+    stays, free = weight[stuck] + math.log(1 - share), weight[stuck] + math.log(share)
     sticks = weight[best] + math.log(min(0.5, seconds / ASSUMED.stuck_every_s))
     if free > weight[best]:
-        _copy(bank, b, i, STUCK, best)
+        _copy(bank, b, i, stuck, best)
         weight[best] = free
     elif sticks > stays:
-        _copy(bank, b, i, best, STUCK)
+        _copy(bank, b, i, best, stuck)
         stays = sticks
-    weight[STUCK] = stays
+    weight[stuck] = stays
 
 
 @compiled(**INLINE_FAST)
@@ -254,8 +242,8 @@ def _place(bank, b, i, model, pose):
     bank.unfit[b, i] = 0.0
     for s in range(SLOTS):
         z, cov = bank.state[b, i, s], bank.cov[b, i, s]
-        z[X], z[Y], z[HEADING] = pose[0], pose[1], pose[2] - z[MARKER]
-        for j in (X, Y, HEADING):
+        z[at.X], z[at.Y], z[at.HEADING] = pose[0], pose[1], pose[2] - z[at.MARKER]
+        for j in (at.X, at.Y, at.HEADING):
             for k in range(SIZE):
                 cov[j, k] = cov[k, j] = 0.0
             cov[j, j] = 4 * model.noise[j, i] ** 2
@@ -277,28 +265,6 @@ def place(bank, model, when, u, time, poses, which):
                 for s in range(SLOTS):
                     bank.u[b, i, s] = u[acting - 1]
                     bank.until[b, i, s] = when[acting - 1] + model.watchdog + bank.tau[b, i]
-
-
-@compiled(**INLINE_FAST)
-def _predict(bank, model, b, i, step, when, u, since, until, more):
-    """Predict one filter of robot i from `since` to `until` [s], through the commands that act."""
-    t = since
-    while t < until:
-        coming, at = bank.next[b, i], math.inf
-        if coming < when.size:
-            at = when[coming] + bank.tau[b, i]
-        acts, end = at <= until, max(t, min(at, until))
-        for s in range(SLOTS):
-            if bank.weight[b, i, s] > -math.inf:
-                z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
-                stops = min(max(bank.until[b, i, s], t), end)
-                for way, time in ((held, stops - t), (math.nan, end - stops)):
-                    if time > 0:
-                        advance(model, i, z, cov, way, bank.scale[b, i], time, more)
-        t = end
-        if acts:
-            _switch(bank, model, b, i, u[coming], step, t)
-            bank.next[b, i] += 1
 
 
 @compiled(**INLINE_FAST)
@@ -328,7 +294,23 @@ def follow(bank, model, step, when, u, time, poses, seen, noisy):
             for b in range(bank.tau.shape[0]):
                 if bank.score[b, i] == -math.inf:
                     continue
-                _predict(bank, model, b, i, step, when, u, since, until, work[0])
+                t, scale = since, bank.scale[b, i]
+                while t < until:
+                    coming, acts = bank.next[b, i], math.inf
+                    if coming < when.size:
+                        acts = when[coming] + bank.tau[b, i]
+                    end = max(t, min(acts, until))
+                    for s in range(SLOTS):
+                        if bank.weight[b, i, s] > -math.inf:
+                            z, cov, held = bank.state[b, i, s], bank.cov[b, i, s], bank.u[b, i, s]
+                            stops = min(max(bank.until[b, i, s], t), end)
+                            for way, left in ((held, stops - t), (math.nan, end - stops)):
+                                if left > 0:
+                                    advance(model, i, z, cov, way, scale, left, work[0])
+                    t = end
+                    if acts <= until:
+                        _switch(bank, model, b, i, u[coming], step, t)
+                        bank.next[b, i] += 1
                 if used:
                     pose, gap = poses[f, i], until - since
                     ln = _weigh(bank, b, i, model, pose, gap, off, best, work)

@@ -8,6 +8,7 @@ match, the code is compiled again. If a file cannot be written, a note is printe
 import hashlib
 import os
 import pickle
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -77,7 +78,7 @@ event.register("numba:compile", _Compiling())
 
 
 class KernelCache:
-    """The compiled code of one function: a file for each signature and processor."""
+    """The compiled code of one function: a file for each signature, processor and Python."""
 
     def __init__(self, function: Callable[..., Any], place: Path) -> None:
         self._function, self._place = function, place
@@ -122,7 +123,8 @@ class KernelCache:
             say_once(f"compiled code is not kept: {self._place}: {error.strerror or error}")
 
     def _key(self, sig: Any, codegen: Any) -> tuple[Any, ...]:
-        return sig, codegen.magic_tuple(), numba.__version__
+        # with the version of Python, whose objects the code reads
+        return sig, codegen.magic_tuple(), numba.__version__, sys.implementation.cache_tag
 
     def _path(self, key: tuple[Any, ...]) -> Path:
         name = f"{self._function.__module__}.{self._function.__qualname__}"

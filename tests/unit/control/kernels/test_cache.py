@@ -8,6 +8,8 @@ import pytest
 from support.durable import small_disk
 from support.paths import ROOT
 
+from tetractl.control.kernels import cache
+
 SEARCH = """
 import hashlib, sys
 from pathlib import Path
@@ -159,3 +161,17 @@ def test_without_any_folder_kernels_are_compiled_each_time(tmp_path):
     found = small(tmp_path, NUMBA_CACHE_DIR=nowhere, XDG_CACHE_HOME=nowhere)
     assert found[0][:2] == ["42", "0"]
     assert "Not a directory" in found[1]
+
+
+def test_another_python_compiles_afresh(tmp_path, monkeypatch):
+    """Regression: Python 3.13 ran what 3.11 had compiled for its own structures."""
+    monkeypatch.setattr(cache, "folder", lambda: tmp_path)
+
+    def doubled(value):
+        return 2 * value
+
+    for tag, hits in (("cpython-311", 0), ("cpython-311", 1), ("cpython-313", 0)):
+        monkeypatch.setattr(sys.implementation, "cache_tag", tag)
+        kernel = cache.compiled()(doubled)
+        assert kernel(21) == 42
+        assert sum(kernel.stats.cache_hits.values()) == hits

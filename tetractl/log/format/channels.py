@@ -13,19 +13,7 @@ from foxglove_schemas_protobuf.RawImage_pb2 import RawImage
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
-from tetractl.log.format.tetractl_pb2 import (
-    CameraFrames,
-    CellCrops,
-    ControllerStep,
-    Digests,
-    Host,
-    HostEnd,
-    Recovered,
-    Result,
-    Run,
-    StepTiming,
-    WheelCommand,
-)
+from tetractl.log.format import tetractl_pb2 as pb
 
 FORMAT_VERSION = 4
 
@@ -53,24 +41,24 @@ SUMMARY = frozenset({RUN, HOST, HOST_END, RESULT, DIGESTS, RECOVERED})
 """The channels of the run and its result; of two messages of one of them, the first counts."""
 
 CHANNELS: dict[str, type[Message]] = {
-    RUN: Run,
-    HOST: Host,
-    FRAMES: CameraFrames,
+    RUN: pb.Run,
+    HOST: pb.Host,
+    FRAMES: pb.CameraFrames,
     TRANSFORMS: FrameTransforms,
-    STEP: ControllerStep,
-    COMMANDS: WheelCommand,
+    STEP: pb.ControllerStep,
+    COMMANDS: pb.WheelCommand,
     SCENE: SceneUpdate,
     SCENE_PLAN: SceneUpdate,
     LOG: Log,
-    HOST_TIMING: StepTiming,
-    CELLS: CellCrops,
+    HOST_TIMING: pb.StepTiming,
+    CELLS: pb.CellCrops,
     CROPS: RawImage,
     PICTURE: CompressedImage,
     BACKGROUND: CompressedImage,
-    HOST_END: HostEnd,
-    RESULT: Result,
-    DIGESTS: Digests,
-    RECOVERED: Recovered,
+    HOST_END: pb.HostEnd,
+    RESULT: pb.Result,
+    DIGESTS: pb.Digests,
+    RECOVERED: pb.Recovered,
 }
 """Topic and message of each channel. The order is part of the format version: channels get the ids
 1, 2, ... in this order, which identify the messages of a log whose channel records are lost.

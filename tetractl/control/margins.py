@@ -46,11 +46,11 @@ def off_course(speed: Floats, period_s: float, dead_time_s: float, known: Estima
     """
     if known is None:
         return LOST * max(speed.tolist()) * period_s
-    each = (one.tolist() for one in (speed, known.speed_std, known.a, known.a_std))
+    a, a_std, v_std = known.a.tolist(), known.a_std.tolist(), known.speed_std.tolist()
     tau_std, blind = known.dead_time_std or 0.0, dead_time_s + period_s
     off = [
-        LOST * v * period_s + SIGMAS * (v * tau_std + (v * a_std / a + v_std) * blind)
-        for v, v_std, a, a_std in zip(*each, strict=True)
+        LOST * v * period_s + SIGMAS * (v * tau_std + (v * a_std[i] / a[i] + v_std[i]) * blind)
+        for i, v in enumerate(speed.tolist())
     ]
     return max(off)
 

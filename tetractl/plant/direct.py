@@ -68,7 +68,7 @@ class DirectDrive:
             held.direction = np.where(self._free, p.heading, held.direction)
         path = self._motion.hold(p.x, p.y, p.heading, held, self._a, self._ahead * self._speed, t)
         self.poses = Poses(*(each[-1] for each in path))
-        return np.stack(path, axis=1)
+        return np.concatenate(path, axis=1).reshape(times.size, 3, -1)
 
     def apply(self, command: DelayedCommand) -> None:
         """Apply a command to the robots that received it.

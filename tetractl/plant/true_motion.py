@@ -115,7 +115,8 @@ class TrueMotion:
             return
         while True:
             frame, stopping = self.beats.next_frame_ns, self._stops_ns
-            end = min(until, self.drive.repeats_ns, stopping, frame if self._by_frame else until)
+            repeating = self.drive.repeats_ns
+            end = min(until, repeating, stopping, frame if self._by_frame else until)
             command = None
             if self.transit.next_ns <= end:
                 command = self.transit.pop()
@@ -123,7 +124,7 @@ class TrueMotion:
                 command = self._silent(end)
             reached = command.due_ns if command else end
             disturbed = self._disturbs and (reached == frame or command is not None)
-            repeats = command is None and reached == self.drive.repeats_ns
+            repeats = command is None and reached == repeating
             self._move(reached, command is not None or disturbed or repeats, disturbed)
             self._camera.receive(reached)
             if self._walk > 0 and reached == frame:

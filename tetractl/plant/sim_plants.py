@@ -109,7 +109,7 @@ class SimPlants:
         """Make room for frames exposed at `times` (F,) [ns]; return their noise (B, F, 3, N)."""
         cameras, listed = self._cameras, times.tolist()
         shape = times.size, 3, self._able.shape[1]
-        arrives = np.array([camera.arrivals(listed) for camera in cameras])
+        arrives = np.array([camera.arrivals(listed) for camera in cameras], np.int64)
         self._arrives_ns = np.append(self._arrives_ns, arrives, axis=1)
         self._exposed_ns = np.append(self._exposed_ns, times)
         drawn = np.array([camera.rng.standard_normal(shape) for camera in cameras])

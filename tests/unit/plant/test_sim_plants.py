@@ -20,6 +20,10 @@ WHEELS = {"radius": 40, "watchdog": 0.25, "lag": 0.03}
 NOISE = {"position": 0.2, "heading": 0.003}
 PLANTS = {
     "ideal wheels, sent once a period": ({"wheels": {"radius": 40}}, {"drive": {}}),
+    "frames and samples rarer than commands": (
+        {"wheels": WHEELS},
+        {"drive": {"rate": 20}, "camera_rate": 4, "truth_rate": 7, "measurement_noise": NOISE},
+    ),
     "speeds repeated, commands lost": (
         {"wheels": WHEELS},
         {"drive": {"rate": 40, "recompute": False, "lag": 0.04}, "lost_commands": 0.3},

@@ -106,7 +106,8 @@ def search(work, rollout, key, warm, rounds, tolerance, slack, patience, budget,
             work.room.damping[0] = 0.0
             for j in range(u.size):
                 u[j] = of.starts[at[DONE], j]
-        pause = 0 if glance else 2**62 if look == 0 else max(z, z + look - used)
+        pause = 2**62 if look == 0 else z + max(1, look - used)  # at z a polish has not begun
+        pause = z if glance or look < 0 else pause
         left = budget - at[EVALUATIONS] - at[BEGUN] - 1
         now, more = polish(
             work, u, tolerance, slack, steps_max, patience, left, of.merits, z, pause

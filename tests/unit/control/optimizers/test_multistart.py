@@ -74,6 +74,26 @@ def test_a_deadline_ends_the_search_with_the_best_so_far():
     assert np.array_equal(again.signals, found.signals)
 
 
+@given(
+    steps=st.sampled_from([1, 3000, 20_000]),
+    seed=st.integers(0, 2**32),
+    length=st.integers(2, 24),
+    warmed=st.booleans(),
+)
+def test_looks_at_the_deadline_change_no_bit(steps, seed, length, warmed):
+    """Regression: a look before the first iteration of a polish added an evaluation, so that
+    `verify`, which looks, disagreed with a trial whose robots stood."""
+    problem, spec = problems.problem(problems.world(seed, 2, 1, "exact")), Multistart(rounds=2)
+    warm = np.random.default_rng(seed).uniform(-3, 3, length) if warmed else None
+    found = spec.search(problem, length, warm, seed, Limits())
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("tetractl.control.kernels.multistart.BETWEEN_LOOKS", steps)
+        looked = spec.search(problem, length, warm, seed, Limits(expired=lambda _: False))
+    assert looked.history.tobytes() == found.history.tobytes()
+    assert looked.signals.tobytes() == found.signals.tobytes()
+    assert (looked.evaluations, looked.stopped) == (found.evaluations, found.stopped)
+
+
 @given(st.floats(-1e4, 1e4))
 def test_wrapping_keeps_the_direction(angle):
     wrapped = wrap(np.array([angle]))[0]

@@ -115,7 +115,7 @@ def search(work, rollout, key, warm, rounds, tolerance, slack, patience, budget,
         used += now - z + 1
         at[STEPS] = now
         if look > 0 and not glance and work.room.damping[0] < math.inf:
-            at[BEGUN] += more if now > 0 else 0  # one without an iteration begins again
+            at[BEGUN] += more
             return UNDER_WAY
         cost = judge(work, u)
         at[EVALUATIONS] += 1 if glance else at[BEGUN] + more + 1

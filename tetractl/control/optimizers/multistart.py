@@ -163,7 +163,10 @@ class _PolishedProgress(Progress):
         warm = np.empty(0) if self.warm is None or limits.thorough else self.warm
         search = section.tolerance, slack * self.step, self.patience
         most = 2**62 if limits.evaluations is None else limits.evaluations
-        look = -1 if limits.timed and limits.expired(self.evaluations) else self.look
+        # a look is told the evaluations with which the search would end then, so that a rerun of
+        # the search can end at the same look
+        least = self.evaluations + (1 if len(warm) else 2 + section.particles * (rounds > 0))
+        look = -1 if limits.timed and limits.expired(least) else self.look
         how = kernels.UNDER_WAY
         while how == kernels.UNDER_WAY:
             how = kernels.search(
@@ -175,7 +178,7 @@ class _PolishedProgress(Progress):
             self.evaluations, begun = int(work.at[kernels.EVALUATIONS]), int(work.at[kernels.BEGUN])
             if how != kernels.UNDER_WAY:
                 self.ended = ENDED[how]
-            elif look < 0 or limits.expired(self.evaluations + begun):
+            elif look < 0 or limits.expired(self.evaluations + begun + bool(begun)):
                 self.ended = StopReason.DEADLINE
                 if look < 0 or not begun:
                     break

@@ -100,7 +100,7 @@ class M3piActuator:
         since = max(exposed_ns, arrives - SECOND // 10)
         heading = np.array([0.0 if pose is None else pose.heading for pose in poses])
         drives = isinstance(action, Steer)
-        u = np.array(action.direction if drives else action.facing)
+        u = action.direction if drives else action.facing
         wished = self._host.wished(heading, u, since, arrives, drives)
         wished[:, [pose is None for pose in poses]] = 0.0
         return [(one, two) for one, two in self._host.counts(wished).T.tolist()]

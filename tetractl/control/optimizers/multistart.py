@@ -163,7 +163,7 @@ class _PolishedProgress(Progress):
         warm = np.empty(0) if self.warm is None or limits.thorough else self.warm
         search = section.tolerance, slack * self.step, self.patience
         most = 2**62 if limits.evaluations is None else limits.evaluations
-        # a look is told the evaluations with which the search would end then, so that a rerun of
+        # a look is given the evaluations with which the search would end then, so that a rerun of
         # the search can end at the same look
         least = self.evaluations + (1 if len(warm) else 2 + section.particles * (rounds > 0))
         look = -1 if limits.timed and limits.expired(least) else self.look

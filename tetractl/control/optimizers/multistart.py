@@ -167,8 +167,7 @@ class _PolishedProgress(Progress):
         # the search can end at the same look
         least = self.evaluations + (1 if len(warm) else 2 + section.particles * (rounds > 0))
         look = -1 if limits.timed and limits.expired(least) else self.look
-        how = kernels.UNDER_WAY
-        while how == kernels.UNDER_WAY:
+        while True:
             how = kernels.search(
                 *self.laid, np.uint64(key), warm, rounds, *search, most, look, work
             )
@@ -176,13 +175,15 @@ class _PolishedProgress(Progress):
             self.history += work.history[: work.at[kernels.KEPT]].tolist()
             work.at[kernels.KEPT] = 0
             self.evaluations, begun = int(work.at[kernels.EVALUATIONS]), int(work.at[kernels.BEGUN])
-            if how != kernels.UNDER_WAY:
+            if look >= 0 and how != kernels.UNDER_WAY:
                 self.ended = ENDED[how]
-            elif look < 0 or limits.expired(self.evaluations + begun + bool(begun)):
-                self.ended = StopReason.DEADLINE
-                if look < 0 or not begun:
-                    break
-                look = -1  # ends the polish under way
+                break
+            if look >= 0 and not limits.expired(self.evaluations + begun + bool(begun)):
+                continue
+            self.ended = StopReason.DEADLINE  # even if what is ended early is good enough
+            if look < 0 or not begun:
+                break
+            look = -1  # ends the polish under way
         self.best, self.cost = work.best.copy(), float(work.costs[0])
 
     def hop(self, key: int) -> None:

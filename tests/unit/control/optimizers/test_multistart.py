@@ -94,6 +94,30 @@ def test_looks_at_the_deadline_change_no_bit(steps, seed, length, warmed):
     assert (looked.evaluations, looked.stopped) == (found.evaluations, found.stopped)
 
 
+@given(
+    tolerance=st.sampled_from([1e-3, 100.0, 1000.0]),
+    looks=st.integers(0, 6),
+    seed=st.integers(0, 2**32),
+    warmed=st.booleans(),
+)
+def test_a_search_that_was_cut_short_comes_out_again(tolerance, looks, seed, warmed):
+    """As `verify` repeats it: the deadline passes at the evaluations of the record. Regression: a
+    search cut short at a sequence that was good enough said that it had reached its target."""
+    spec = Multistart(rounds=2, tolerance=tolerance)
+    problem = problems.problem(problems.world(seed, 2, 1, "exact"))
+    warm = np.random.default_rng(seed).uniform(-3, 3, 20) if warmed else None
+    answers = iter([False] * looks)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr("tetractl.control.kernels.multistart.BETWEEN_LOOKS", 500)
+        late = Limits(expired=lambda _: next(answers, True))
+        found = spec.search(problem, 20, warm, seed, late)
+        most = found.evaluations if found.stopped == "deadline" else math.inf
+        again = spec.search(problem, 20, warm, seed, Limits(expired=lambda spent: spent >= most))
+    assert again.history.tobytes() == found.history.tobytes()
+    assert again.signals.tobytes() == found.signals.tobytes()
+    assert (again.evaluations, again.stopped) == (found.evaluations, found.stopped)
+
+
 @given(st.floats(-1e4, 1e4))
 def test_wrapping_keeps_the_direction(angle):
     wrapped = wrap(np.array([angle]))[0]

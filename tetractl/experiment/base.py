@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError, PydanticUndefined
 
 class Model(BaseModel):
     """An immutable section of the spec that refuses unknown keys and non-finite numbers; docstrings
-    describe its fields, see `yaml.schema.descriptions`."""
+    describe its fields, see `yaml.schema.description`."""
 
     model_config = ConfigDict(
         extra="forbid",

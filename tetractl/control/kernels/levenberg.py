@@ -80,7 +80,7 @@ class Polish(NamedTuple):
     room: Scratch
 
 
-@lru_cache(maxsize=4)  # a search and the prediction of what it found
+@lru_cache(maxsize=4)  # lengths searched for one problem
 def lay_out_polish(problem: Problem, length: int) -> Polish:
     """Return a problem with the scratch arrays for sequences of `length` signals, which other
     problems of the same shape laid out in this thread use too."""

@@ -37,7 +37,7 @@ def steps_until(since_ns: int, times: Sequence[int]) -> int:
     """Return the number of time steps from `since_ns` from each of the `times` [ns] to the next."""
     steps = 0
     for until in times:
-        steps += math.ceil((until - since_ns) / SECOND / STEP_S)
+        steps += steps_in((until - since_ns) / SECOND)
         since_ns = until
     return steps
 

@@ -9,13 +9,13 @@ from pydantic_core import PydanticCustomError, PydanticUndefined
 
 
 class Model(BaseModel):
-    """An immutable section of the spec that refuses unknown keys and non-finite numbers; docstrings
-    describe its fields, see `yaml.schema.description`."""
+    """An immutable section of the spec that refuses unknown keys and non-finite numbers."""
 
     model_config = ConfigDict(
         extra="forbid",
         frozen=True,
         allow_inf_nan=False,
+        use_attribute_docstrings=True,
         str_max_length=10_000,
     )
 

@@ -25,7 +25,6 @@ from tetractl.experiment.section_abilities import (
     PlansSignals,
 )
 from tetractl.experiment.yaml.problems import Loc, SpecProblem
-from tetractl.experiment.yaml.schema import description
 from tetractl.model import bounds
 from tetractl.model.bounds import reach
 from tetractl.model.free_space import clearance, shut_out
@@ -94,25 +93,21 @@ class CheckContext:
 
 def angles(spec: CheckContext) -> Found:
     """Warn of angles of more than a whole turn, which are probably degrees."""
-    for loc, value in _turns(spec.experiment, ()):
-        hint = f"if these are degrees, write {math.radians(value):.4g}"
-        yield loc, "is more than a whole turn, 6.283 rad", hint
+    for loc, value in _radians(spec.experiment, ()):
+        if abs(value) > 2 * math.pi:
+            hint = f"if these are degrees, write {math.radians(value):.4g}"
+            yield loc, "is more than a whole turn, 6.283 rad", hint
 
 
-def _turns(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
-    """Yield location and value of each number above a whole turn in those fields of a section that
-    the spec sets and that are described in [rad]."""
-    given = part.model_fields_set
-    for name, value in ((name, value) for name, value in part if name in given):
+def _radians(part: BaseModel, loc: Loc) -> Iterator[tuple[Loc, float]]:
+    """Yield location and value of each number in those fields of a section described in [rad]."""
+    fields = type(part).model_fields
+    for name, value in part:
         for step, item in enumerate(value) if isinstance(value, tuple) else [(None, value)]:
             at = (*loc, name) if step is None else (*loc, name, step)
             if isinstance(item, BaseModel):
-                yield from _turns(item, at)
-            elif (
-                isinstance(item, float)
-                and abs(item) > 2 * math.pi
-                and "[rad]" in (description(type(part), name) or "")
-            ):
+                yield from _radians(item, at)
+            elif isinstance(item, float) and "[rad]" in (fields[name].description or ""):
                 yield at, item
 
 

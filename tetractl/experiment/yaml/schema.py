@@ -1,18 +1,11 @@
 """The JSON schema of a spec, and its parts by the path of a field."""
 
-import ast
-import inspect
 import json
-import sys
 from collections.abc import Iterator
-from contextlib import suppress
 from functools import cache
-from itertools import pairwise
 from typing import Any
 
 from pydantic import BaseModel
-from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
-from pydantic_core.core_schema import ModelSchema
 
 from tetractl.experiment.experiment import Experiment
 from tetractl.experiment.yaml.problems import Loc
@@ -28,62 +21,7 @@ def experiment_schema() -> dict[str, Any]:
 
 def schema_of(model: type[BaseModel]) -> dict[str, Any]:
     """Return the JSON schema of a type of YAML file."""
-    return _unwrapped({"$schema": DRAFT, **model.model_json_schema(schema_generator=_Described)})
-
-
-def description(section: type, name: str) -> str | None:
-    """Return the docstring below a field of a section, None if there is none.
-
-    Pydantic's `use_attribute_docstrings` would read the source of every section in each command,
-    which takes a tenth of a second.
-    """
-    places = (_docstrings(kind.__module__).get(kind.__qualname__, {}) for kind in section.__mro__)
-    return next((own[name] for own in places if name in own), None)
-
-
-@cache
-def _docstrings(module: str) -> dict[str, dict[str, str]]:
-    """Return the docstrings below annotated names of each class in a module, by qualified name."""
-    found = dict[str, dict[str, str]]()
-
-    def search(body: list[ast.stmt], prefix: str) -> None:
-        for node in body:
-            match node:
-                case ast.ClassDef(name=name, body=inner):
-                    found[prefix + name] = dict(_described(inner))
-                    search(inner, f"{prefix}{name}.")
-                case ast.FunctionDef(name=name, body=inner):
-                    search(inner, f"{prefix}{name}.<locals>.")
-                case _:
-                    pass
-
-    with suppress(OSError, TypeError):  # there is no source
-        search(ast.parse(inspect.getsource(sys.modules[module])).body, "")
-    return found
-
-
-def _described(body: list[ast.stmt]) -> Iterator[tuple[str, str]]:
-    """Yield each annotated name that a docstring follows in a class, and the docstring."""
-    for pair in pairwise(body):
-        match pair:
-            case (
-                ast.AnnAssign(target=ast.Name(id=name)),
-                ast.Expr(value=ast.Constant(value=str(text))),
-            ):
-                yield name, inspect.cleandoc(text)
-            case _:
-                pass
-
-
-class _Described(GenerateJsonSchema):
-    """Describes the fields of sections by their docstrings."""
-
-    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
-        found = super().model_schema(schema)
-        for name, field in found.get("properties", {}).items():
-            if (text := description(schema["cls"], name)) is not None:
-                field.setdefault("description", text)
-        return found
+    return _unwrapped({"$schema": DRAFT, **model.model_json_schema()})
 
 
 def schema_json(schema: dict[str, Any]) -> str:

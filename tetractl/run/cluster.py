@@ -42,8 +42,10 @@ class Cluster:
         from distributed.comm.addressing import get_address_host_port
         from distributed.security import Security
 
-        # distributed logs tracebacks when it ends
-        logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
+        # distributed logs the traceback of a lost connection, in whichever of its modules notices
+        # the loss first; its configuration gives some of them a level of their own
+        for module in ("distributed", "distributed.client", "distributed.gc"):
+            logging.getLogger(module).setLevel(logging.CRITICAL)
         try:
             # without a port in the address, distributed would wait for ever
             get_address_host_port(self._address)

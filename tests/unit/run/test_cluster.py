@@ -1,5 +1,7 @@
 """How trials are handed out to a cluster, with a scheduler made for the test."""
 
+import logging
+
 import pytest
 from support.studies import Watcher
 
@@ -88,3 +90,24 @@ def test_a_trial_that_kills_its_workers_fails_alone(tmp_path):
     assert failed == [100]
     assert str(found[100]) == "the trial was lost: every worker that ran it has ended"
     assert [100] in client.chunks
+
+
+def test_no_module_of_distributed_logs_a_lost_connection(monkeypatch):
+    loggers = [
+        logging.getLogger(name)
+        for name in logging.root.manager.loggerDict
+        if name.split(".")[0] == "distributed"
+    ]
+    for logger in loggers:
+        monkeypatch.setattr(logger, "level", logging.NOTSET)
+    monkeypatch.setattr(logging.getLogger("distributed"), "level", logging.INFO)
+    monkeypatch.setattr(logging.getLogger("distributed.client"), "level", logging.WARNING)
+    monkeypatch.setattr(distributed, "Client", lambda *args, **options: Closed())
+    with Cluster("tcp://127.0.0.1:8786", Interrupt()):
+        assert {one.name for one in loggers} >= {"distributed.batched", "distributed.core"}
+        assert [one.name for one in loggers if one.isEnabledFor(logging.ERROR)] == []
+
+
+class Closed:
+    def close(self):
+        pass

@@ -167,4 +167,14 @@ EMULATED_ACTUATORS = Registry(
         "field": "tetractl.emulate.field:EmulatedField",
     },
 )
-REGISTRIES = (*SPEC_REGISTRIES, SWEEPS, STATISTICS, FIGURES, EMULATED_CAMERAS, EMULATED_ACTUATORS)
+ORGANISMS = Registry(
+    "tetractl.organisms",
+    {
+        "tetrahymena": "tetractl.model.organisms:TETRAHYMENA",
+        "paramecium": "tetractl.model.organisms:PARAMECIUM",
+        "euglena": "tetractl.model.organisms:EUGLENA",
+        "helical-microrobot": "tetractl.model.organisms:HELICAL_MICROROBOT",
+    },
+)
+OTHERS = (SWEEPS, STATISTICS, FIGURES, EMULATED_CAMERAS, EMULATED_ACTUATORS, ORGANISMS)
+REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)

@@ -13,6 +13,7 @@ def track(
     field: Path | None = None,
     scale: Annotated[float | None, ui.ValueRange(0.05, 100)] = None,
     rate: Annotated[float | None, ui.ValueRange(0.1, 2000)] = None,
+    organism: str | None = None,
     y_down: bool = False,
     out: Path | None = None,
     as_json: ui.AsJson = False,
@@ -28,7 +29,9 @@ def track(
       film FILM: A film, a TIFF stack or a folder of pictures.
       field CSV: CSV file of the field's direction over time, with columns time_s and direction_rad.
       scale UM: Micrometres per pixel; by default as the film states it, or else guessed from the
-        cells' size.
+        length that the organism has.
+      organism NAME: What swims: one that `tetractl kinds` lists, whose sizes and speeds are
+        searched for; by default the one that fits what swims in the film.
       rate HZ: Pictures per second, if the rate that the film states is wrong or missing.
       y_down: Directions in the --field file run clockwise.
       out DIR: Folder for the tables, a log and the film with the tracks drawn in.
@@ -39,16 +42,18 @@ def track(
     from tetractl.film.fit_cell import summarise
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
+    from tetractl.model.organisms import named
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
+    kind = None if organism is None else named(organism)
     ui.refuse_existing(out, folder=True)
     directions = None if field is None else read_field(field, y_down)
     pictures = open_film(film, rate, scale)
     ui.tell(*(f"{film}: {remark}" for remark in pictures.remarks))
     with ui.progress("Following") as on_picture:
         found = follow(
-            pictures, pictures.um_px, directions, lambda number: on_picture(number, None)
+            pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     with ui.progress("Fitting"):
         cells = summarise(found, directions)

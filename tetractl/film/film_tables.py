@@ -48,11 +48,7 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
         f"{followed.um_px:.3g} um/px; cells {look}, contrast {followed.contrast:.0f} grey levels, "
         f"noise {followed.noise:.1f}"
     ]
-    if followed.guessed_scale:
-        found.append(
-            "warning: the scale is guessed, assuming bodies of 52.3 um; lengths and speeds have "
-            "the scale's relative error. Give the scale by --scale"
-        )
+    found += followed.remarks
     if followed.damaged:
         found.append(f"warning: {followed.damaged} pictures could not be read")
     for pair, probability in followed.doubtful:
@@ -145,6 +141,8 @@ def as_items(followed: Followed, cells: Sequence[CellSummary]) -> dict:
         "rate_hz": followed.rate_hz,
         "um_per_px": followed.um_px,
         "scale_guessed": followed.guessed_scale,
+        "organism": followed.organism.name,
+        "remarks": list(followed.remarks),
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,

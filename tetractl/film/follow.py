@@ -11,18 +11,16 @@ import numpy as np
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Floats, Grey
 from tetractl.film.field_file import FieldRecord, no_field
+from tetractl.film.organism_of import recognised
 from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.cell import Born, SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.lab.cameras.cells.helix import STATES
 from tetractl.lab.cameras.cells.tracking import AXIS, POSITION_UM, CellTracker
-from tetractl.model.swimmers import BODY_UM
+from tetractl.model.organisms import Organism
 
 BACKGROUND = 25  # number of pictures for the background
 SAMPLE_PX = 100_000_000  # most pixels of these pictures together, which memory limits
 BACKGROUND_S = 20.0  # length of the film's first part, which gives the background [s]
-# a blob whose ratio of length to width lies between these may be a single cell
-SHAPE = (1.4, 3.0)
 SHORTEST_S, SHORTEST_UM = 0.5, 80.0  # least duration [s] and length [um] of a path that is kept
 UNKNOWN_COVARIANCE = np.full((STATES, STATES), np.nan)
 
@@ -48,8 +46,9 @@ class CellPath:
 class Followed:
     """The cells of a film; `damaged` of its `pictures` could not be read.
 
-    `doubtful` lists cells that could not be distinguished after they met, with the probability that
-    their numbers were then assigned correctly.
+    `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
+    that could not be distinguished after they met, with the probability that their numbers were
+    then assigned correctly.
     """
 
     paths: tuple[CellPath, ...]
@@ -59,6 +58,8 @@ class Followed:
     rate_hz: float
     um_px: float
     guessed_scale: bool
+    organism: Organism
+    remarks: tuple[str, ...]
     bright: bool
     contrast: float
     noise: float
@@ -75,18 +76,18 @@ def follow(
     film: FilmPictures,
     um_px: float | None,
     field: FieldRecord | None,
+    organism: Organism | None = None,
     on_picture: Callable[[int], None] = lambda number: None,
 ) -> Followed:
     """Follow the cells of a film; TetractlError if no picture can be read.
 
-    Without `um_px`, the scale is estimated from the lengths of moving objects.
+    Without `organism` or `um_px`, they are those that `recognised` returns.
     """
     sample = _sample(film)
     if not sample:
         raise TetractlError(f"{film.path}: no picture of the film can be read")
-    guessed = um_px is None
-    scale = _guessed_scale(sample, film) if um_px is None else um_px
-    tracker = CellTracker(scale, field is not None)
+    seen_as = recognised(film, sample, um_px, organism)
+    tracker = CellTracker(seen_as.um_px, field is not None, organism=seen_as.organism)
     tracker.learn(sample)
     pieces = no_field if field is None else field.pieces
     shown: list[dict[int, SeenCell]] = []  # the cells of each picture, by track
@@ -124,8 +125,10 @@ def follow(
         damaged=film.damaged,
         size=(width, height),
         rate_hz=film.rate_hz,
-        um_px=scale,
-        guessed_scale=guessed,
+        um_px=seen_as.um_px,
+        guessed_scale=seen_as.guessed,
+        organism=seen_as.organism,
+        remarks=seen_as.remarks,
         bright=bool(tracker.finder.bright),
         contrast=float(contrast),
         noise=float(noise),
@@ -145,22 +148,6 @@ def _sample(film: FilmPictures) -> list[Grey]:
             break
     step = max(1, count // BACKGROUND, math.ceil(count * pixels / SAMPLE_PX))
     return [picture for i, (_, picture) in zip(range(count), film, strict=False) if i % step == 0]
-
-
-def _guessed_scale(sample: Sequence[Grey], film: FilmPictures) -> float:
-    """Return the scale [um/px] at which the median length of moving objects is the usual length of
-    a cell.
-    """
-    finder = BlobFinder(30.0, 0.02 * sample[0].size)
-    finder.learn(sample)
-    blobs: list[Blob] = [blob for picture in sample for blob in finder.find(picture)]
-    lengths = [b.long for b in blobs if SHAPE[0] < b.long / b.wide < SHAPE[1] and not b.at_edge]
-    if len(lengths) < 5:
-        raise TetractlError(
-            f"{film.path}: no moving object looks like a cell, so the scale is not known",
-            "give the scale: --scale UM_PER_PIXEL",
-        )
-    return BODY_UM[0] / float(np.median(lengths))
 
 
 def _fill_back(

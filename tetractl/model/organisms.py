@@ -10,6 +10,7 @@ object is an `Organism`. A `guess` is a value for which no source was found.
 import math
 from dataclasses import dataclass
 
+from tetractl.core.errors import UsageError
 from tetractl.core.registries import ORGANISMS
 
 OUTLINE = 1.6  # factor by which an outline in a picture may be longer or shorter than the body
@@ -115,7 +116,11 @@ HELICAL_MICROROBOT = Organism(
 )
 
 
-def organism(name: str) -> Organism:
-    """Return the organism with this name; KeyError if there is none, PluginError if another
+def named(name: str) -> Organism:
+    """Return the organism with this name; UsageError if there is none, PluginError if another
     package offers it and it cannot be loaded."""
+    if name not in ORGANISMS:
+        raise UsageError(
+            f"no organism is named '{name}'", f"known are {', '.join(ORGANISMS.names())}"
+        )
     return ORGANISMS.load(name)

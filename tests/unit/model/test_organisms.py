@@ -6,12 +6,12 @@ from types import ModuleType
 import pytest
 
 from tetractl.core.registries import ORGANISMS
-from tetractl.model.organisms import TETRAHYMENA, organism
+from tetractl.model.organisms import TETRAHYMENA, named
 
 
 @pytest.mark.parametrize("name", ORGANISMS.names())
 def test_an_organism_found_by_name_has_ordered_ranges_and_a_source(name: str) -> None:
-    one = organism(name)
+    one = named(name)
     assert one.name == name
     assert 0 < one.wide_um[0] < one.wide_um[1] < one.long_um[1]
     assert 0 < one.slowest_um_s < one.speed_um_s[0] < one.speed_um_s[1]
@@ -25,4 +25,4 @@ def test_a_file_may_add_an_organism_by_its_name(monkeypatch: pytest.MonkeyPatch)
     vars(mine)["MINE"] = TETRAHYMENA
     monkeypatch.setitem(sys.modules, "mine", mine)
     monkeypatch.setitem(ORGANISMS.builtin, "mine", "mine:MINE")
-    assert organism("mine") is TETRAHYMENA
+    assert named("mine") is TETRAHYMENA

@@ -8,10 +8,11 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tetractl.core.poses import Floats
+from tetractl.model.organisms import Organism
 
 SPECKS = 120  # largest number of specks that are followed
 BORN = 5  # number of successive blobs after which a speck may be a cell
-SWIM_UM_S, SWIM_UM = 60.0, 12.0  # least speed and distance of a cell over these blobs
+SWIM_UM = 12.0  # least distance of a cell over these blobs
 STRAY_UM = 5.0  # largest distance of these blobs from a straight line
 ALONG = 0.75  # least cosine between a cell's axis and its path
 ROUND = 1.3  # ratio of length to width below which a blob has no axis
@@ -19,7 +20,6 @@ EVEN = 0.2  # relative variation of a cell's size
 NEAR_UM = 40.0  # a new blob this near to a cell is part of it, unless seen NEAR_BORN times
 NEAR_BORN = 7
 FROM_UM = 80.0  # a cell first seen this near to another cell had shared its blob or divided from it
-LONG_UM, WIDE_UM = (22.0, 110.0), (10.0, 60.0)  # ranges of length and width of a possible cell
 REACH_UM = 25.0  # radius of search around a speck's expected position
 FIRST_UM = 40.0  # radius of search for a speck whose path is too short to predict
 MISSED = 3  # pictures without a blob after which a speck is hidden or dropped
@@ -47,19 +47,20 @@ class Speck:
         ratio = (seconds - last[0]) / max(last[0] - first[0], 1e-3)
         return last[1] + (last[1] - first[1]) * ratio, last[2] + (last[2] - first[2]) * ratio
 
-    def swims(self, needed: int) -> bool:
-        """Return whether the speck's last blobs, at least `needed` of them, have a cell's size and
-        move fast, straight and along their axis.
+    def swims(self, needed: int, organism: Organism) -> bool:
+        """Return whether the speck's last blobs, at least `needed` of them, have the organism's
+        size and move fast, straight and along their axis.
         """
         entries = self.path[-max(needed, BORN) :]
         first, last = entries[0], entries[-1]
         moved = math.hypot(last[1] - first[1], last[2] - first[2])
         passed = max(last[0] - first[0], 1e-3)
-        if len(entries) < needed or moved < SWIM_UM or moved / passed < SWIM_UM_S:
+        if len(entries) < needed or moved < SWIM_UM or moved / passed < organism.slowest_um_s:
             return False
         path = np.array(entries)
         long, wide = np.median(path[:, 4:6], axis=0).tolist()
-        if not (LONG_UM[0] < long < LONG_UM[1] and WIDE_UM[0] < wide < WIDE_UM[1]):
+        (short, longest), (thin, thick) = organism.outline_long_um, organism.outline_wide_um
+        if not (short < long < longest and thin < wide < thick):
             return False
         (vx, vy), fitted = straight(path)
         strayed = np.sqrt(np.mean(np.square(path[:, 1:3] - fitted)))
@@ -82,8 +83,9 @@ def straight(path: Floats) -> tuple[tuple[float, float], Floats]:
 
 @dataclass(slots=True)
 class Specks:
-    """All specks that are followed."""
+    """All specks that are followed, and the organism that cells are."""
 
+    organism: Organism
     all: list[Speck] = field(default_factory=list)
 
     @property
@@ -127,7 +129,7 @@ class Specks:
                 continue
             speck = self.all[found[b]]
             speck.path = [*speck.path[-2 * NEAR_BORN :], entry]
-            if speck.swims(NEAR_BORN if nearest < NEAR_UM else BORN):
+            if speck.swims(NEAR_BORN if nearest < NEAR_UM else BORN, self.organism):
                 swimming.append(speck)
         kept = [
             speck

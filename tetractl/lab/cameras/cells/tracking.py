@@ -27,8 +27,9 @@ from tetractl.lab.cameras.cells.match import (
 )
 from tetractl.lab.cameras.cells.merges import Merges
 from tetractl.lab.cameras.cells.specks import BORN, FROM_UM, Speck, Specks, straight
+from tetractl.model.organisms import TETRAHYMENA, Organism
 
-LEAST_UM2, MOST_UM2 = 120.0, 15_000.0  # areas of blobs that are considered
+TOGETHER = 3.2  # the largest blob that is considered, in areas of a large cell: cells touch
 CELLS = 64  # largest number of cells that are followed
 LOST_S = 0.7  # time without a blob after which a cell is lost
 HIDDEN_S = 0.15  # time without a blob after which a cell is not reported
@@ -66,7 +67,7 @@ class _Reading:
 
 class CellTracker:
     """Follows the cells in pictures with the scale `um_px` [um/px]; `known`: whether the field is
-    known, `near_wall`: where a wall may turn cells.
+    known, `near_wall`: where a wall may turn cells, `organism`: which objects are cells.
 
     Pictures must be given in order of time. Column c and row r become x = (c + 1/2) um_px and, with
     y upwards, y = (height - 1/2 - r) um_px [um].
@@ -78,13 +79,15 @@ class CellTracker:
         known: bool,
         bright: bool | None = None,
         near_wall: NearWall = open_water,
+        organism: Organism = TETRAHYMENA,
     ) -> None:
         self.um_px = um_px
-        self.finder = BlobFinder(LEAST_UM2 / um_px**2, MOST_UM2 / um_px**2, bright)
+        least, most = organism.outline_um2
+        self.finder = BlobFinder(least / um_px**2, TOGETHER * most / um_px**2, bright)
         self.bank = HelixFilter(known, near_wall)
         self.born: list[Born] = []  # cells recognised in the newest picture
         self._cells: list[FollowedCell] = []
-        self._specks = Specks()
+        self._specks = Specks(organism)
         self._merges = Merges(self.bank)
         self._lost = LostCells(self.bank)
         self._next = 1

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from tetractl.core.errors import UsageError
 from tetractl.core.registries import ORGANISMS
+from tetractl.model.swimmers import BODY_UM, HELIX_HZ, HELIX_UM, WIDTH_UM
 
 OUTLINE = 1.6  # factor by which an outline in a picture may be longer or shorter than the body
 SLOW = 1 / 3  # an organism that swims at less than this fraction of its lowest speed rests
@@ -62,13 +63,18 @@ class Organism:
         return SLOW * self.speed_um_s[0]
 
 
+def _within(mean: float, deviation: float) -> Range:
+    """Return the range of some 95 % of normally distributed values."""
+    return mean - 2 * deviation, mean + 2 * deviation
+
+
 TETRAHYMENA = Organism(
     name="tetrahymena",
-    long_um=(36.7, 67.9),  # 52.3 +- 7.8
-    wide_um=(17.3, 35.3),  # 26.3 +- 4.5
+    long_um=_within(*BODY_UM),
+    wide_um=_within(*WIDTH_UM),
     speed_um_s=(180.0, 760.0),
-    helix_hz=(2.5, 0.3),
-    helix_um=(8.0, 1.5),
+    helix_hz=HELIX_HZ,
+    helix_um=HELIX_UM,
     source=(
         "T. pyriformis: lengths and widths, n = 1504, doi:10.1101/2023.07.25.550219; the fastest "
         "fifth swim at 400 to 754 um/s at 20 C, slower ones: guess; one cell turned 2.5 times a "

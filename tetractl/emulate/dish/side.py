@@ -36,6 +36,8 @@ class MicroscopeSettings(StreamSettings):
     """Whether cells are brighter than the medium."""
     contrast: Annotated[float, Field(gt=0, le=255)] = 60.0
     """Difference between cells and medium [grey levels]."""
+    mirrored: bool = False
+    """Whether the pictures are mirrored left to right, as behind an odd number of mirrors."""
     specks: int = Field(default=12, ge=0, le=200)
     """Number of debris particles."""
 
@@ -144,7 +146,7 @@ class EmulatedMicroscope(StreamedCamera):
             ),
             self.seed,
         )
-        self._hidden = False
+        self._hidden, self._mirrored = False, settings.mirrored
 
     def hide(self, hidden: bool) -> None:
         """If `hidden`, leave all cells out of the pictures; otherwise draw them again."""
@@ -166,4 +168,5 @@ class EmulatedMicroscope(StreamedCamera):
         moments = [Bodies(*(part[:there] for part in astuple(moment))) for moment in moments]
         cells = self._dish.cells.kept(np.arange(len(self._dish.cells)) < there)
         shown = np.full(there, not self._hidden)
-        return self.painter.picture(cells, moments, shown, exposed_ns / SECOND)
+        picture = self.painter.picture(cells, moments, shown, exposed_ns / SECOND)
+        return picture[:, ::-1] if self._mirrored else picture

@@ -25,6 +25,7 @@ from tetractl.lab.cameras.cells.helix import SPEED, WALL_UM, A, Piece
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
+from tetractl.model.organisms import named
 
 BACKGROUND = 15  # number of pictures from which the background is computed
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
@@ -51,8 +52,13 @@ class CellCamera(PictureCamera[SeenDish]):
         super().__init__(section, clock, wake, join)
         self.section = section
         self._setup = setup
+        self._organism = named(section.organism)
         self._tracker = CellTracker(
-            section.um_px, known=True, bright=section.bright, near_wall=self._near_wall
+            section.um_px,
+            known=True,
+            bright=section.bright,
+            near_wall=self._near_wall,
+            organism=self._organism,
         )
         self._cells: Sequence[SeenCell] = ()
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
@@ -116,10 +122,12 @@ class CellCamera(PictureCamera[SeenDish]):
         """
         looks = self._look()
         problems, warnings = self._stream_lines(looks)
-        wrong, doubtful = dish_lines(self._setup.names, looks, self.section.um_px)
+        width_px = self._organism.body_um[1] / self.section.um_px
+        wrong, doubtful = dish_lines(self._setup.names, looks, width_px)
         facts = {
             "source": self.section.source_name,
             "scale": f"{self.section.um_px:g} um/px",
+            "organism": self.section.organism,
             **self._stream_facts(looks),
             **({"cells": str(cell_count(looks))} if looks else {}),
             "opencv": cv2.__version__,
@@ -129,6 +137,8 @@ class CellCamera(PictureCamera[SeenDish]):
         return Health((*problems, *wrong), (*warnings, *doubtful), facts, emulated=self.emulated)
 
     def _see(self, picture: Grey, exposed_ns: int) -> SeenDish | None:
+        if self.section.mirrored:
+            picture = np.asarray(cv2.flip(picture, 1), np.uint8)
         if self._tracker.finder.background is None:
             self._learn(picture, exposed_ns)
             return None

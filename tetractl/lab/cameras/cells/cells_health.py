@@ -8,7 +8,6 @@ from tetractl.core.cell_film import SURE
 from tetractl.core.poses import Pose
 from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look
-from tetractl.model.swimmers import WIDTH_UM
 
 DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
 FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
@@ -34,12 +33,12 @@ class SeenDish:
 
 
 def dish_lines(
-    names: Sequence[str], looks: Sequence[Look[SeenDish]], um_px: float
+    names: Sequence[str], looks: Sequence[Look[SeenDish]], width_px: float
 ) -> tuple[list[str], list[str]]:
     """Return problems and warnings about light, focus and cells in the last pictures, which are
-    given oldest first; two empty lists without pictures.
+    given oldest first, for cells `width_px` wide; two empty lists without pictures.
     """
-    return (_problems(names, looks), _warnings(looks, um_px)) if looks else ([], [])
+    return (_problems(names, looks), _warnings(looks, width_px)) if looks else ([], [])
 
 
 def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
@@ -75,7 +74,7 @@ def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str
     return found
 
 
-def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
+def _warnings(looks: Sequence[Look[SeenDish]], width_px: float) -> list[str]:
     found: list[str] = []
     ratios = [
         look.seen.light.contrast / max(look.seen.light.noise, 1.0)
@@ -90,7 +89,7 @@ def _warnings(looks: Sequence[Look[SeenDish]], um_px: float) -> list[str]:
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         found.append("the rims of cells are blurred: focus, or shorten the exposure")
-    if (width_px := WIDTH_UM[0] / um_px) < SMALL_PX:
+    if width_px < SMALL_PX:
         found.append(f"a cell is {width_px:.0f} px wide; {SMALL_PX:.0f} px or more are needed")
     if looks[-1].seen.sure < SURE and not any(pose is None for pose in looks[-1].seen.poses):
         found.append(

@@ -7,8 +7,10 @@ from pydantic import Field
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
+from tetractl.core.registries import ORGANISMS
 from tetractl.experiment.base import Finite, Point, Positive
 from tetractl.experiment.lab_section import Measured
+from tetractl.experiment.registry_fields import KindName
 from tetractl.lab.cameras.pictures.picture_section import PictureSection
 
 LEAST_PX = 50  # least distance of the two points of a scale measurement
@@ -29,6 +31,10 @@ class CellsSection(PictureSection):
     """Position of the picture's lower left corner in the spec's coordinates [length unit]."""
     rotation: Finite = 0.0
     """Angle from the spec's x axis to the picture's rows, anticlockwise [rad]."""
+    mirrored: bool = False
+    """Whether pictures are mirrored left to right; they are mirrored back before `rotation`."""
+    organism: Annotated[str, KindName(ORGANISMS)] = "tetrahymena"
+    """What swims; its sizes and speeds decide which objects are cells."""
     cells: Literal["dark", "bright", "either"] = "either"
     """Whether cells are brighter or darker than the medium; `either`: the camera determines it."""
     learning: Annotated[float, Field(ge=0.5, le=30)] = 1.5
@@ -51,6 +57,7 @@ class CellsSection(PictureSection):
         UsageError if the points are too close together.
         """
         across, up = second[0] - first[0], first[1] - second[1]
+        across = -across if self.mirrored else across
         long = math.hypot(across, up)
         if long < LEAST_PX:
             raise UsageError(

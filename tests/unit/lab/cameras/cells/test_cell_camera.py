@@ -121,20 +121,20 @@ def looks(**changes):
 
 
 @pytest.mark.parametrize(
-    ("changes", "um_px", "says"),
+    ("changes", "width_px", "says"),
     [
-        ({}, 2.3, ""),
-        ({"level": 3.0}, 2.3, "black"),
-        ({"level": 252.0}, 2.3, "saturated"),
-        ({"light": Light(1, 2, None, 0.4, True)}, 2.3, "was the stage or the lamp moved"),
-        ({"poses": (None, None)}, 2.3, "first, second not tracked: 0 cells are in view, 2"),
-        ({"light": Light(1, 10.0, 20.0, 0.01, False)}, 2.3, "2.0 times the noise"),
-        ({"sharpness": 0.05}, 2.3, "focus"),
-        ({"sure": 0.6}, 2.3, "it is uncertain which is which"),
-        ({}, 5.0, "a cell is 5 px wide; 8 px"),
+        ({}, 11.0, ""),
+        ({"level": 3.0}, 11.0, "black"),
+        ({"level": 252.0}, 11.0, "saturated"),
+        ({"light": Light(1, 2, None, 0.4, True)}, 11.0, "was the stage or the lamp moved"),
+        ({"poses": (None, None)}, 11.0, "first, second not tracked: 0 cells are in view, 2"),
+        ({"light": Light(1, 10.0, 20.0, 0.01, False)}, 11.0, "2.0 times the noise"),
+        ({"sharpness": 0.05}, 11.0, "focus"),
+        ({"sure": 0.6}, 11.0, "it is uncertain which is which"),
+        ({}, 5.2, "a cell is 5 px wide; 8 px"),
     ],
 )
-def test_health_says_what_is_wrong_in_words(changes, um_px, says):
-    problems, warnings = dish_lines(("first", "second"), looks(**changes), um_px)
+def test_health_says_what_is_wrong_in_words(changes, width_px, says):
+    problems, warnings = dish_lines(("first", "second"), looks(**changes), width_px)
     lines = [*problems, *warnings]
     assert (lines == []) if not says else any(says in line for line in lines)

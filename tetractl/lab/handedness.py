@@ -1,0 +1,159 @@
+"""Checks by the cells' turning how picture and field lie to each other: mirrored, or rotated.
+
+A cell turns towards the field: its heading h and the field's direction u obey dh/dt = a sin(u - h).
+If the picture is mirrored, h obeys dh/dt = a sin(-u + f - h) for some angle f, and if it is rotated
+by f, dh/dt = a sin(u + f - h). With s = +1 or -1 for the side, both are linear in a cos f and
+a sin f,
+
+    dh/dt = a cos f sin(s u - h) + a sin f cos(s u - h),
+
+which are fitted to each cell by least squares. The side is that which explains more of the turning.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from tetractl.core.clock import SECOND
+from tetractl.core.poses import Floats
+from tetractl.core.protocols import LabSupervision
+from tetractl.experiment.choice import Choice
+from tetractl.lab.find_cells import manoeuvre, turn_field
+from tetractl.lab.preflight import Preflight
+from tetractl.lab.rig import Rig
+
+GRID_S = 0.05  # time step of the analysis
+SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
+LONGEST_GAP_S = 0.25  # a longer gap between two positions of a cell separates its path
+EXPLAINED = 0.4  # least share of the turning that a response to the field explains
+LEAST_CELLS = 3  # fewest cells that show a rotation
+SURE = 3.0  # standard deviations by which a rotation must differ from 0
+ALLOWED = 0.15  # rotation below which nothing is said [rad]
+
+
+@dataclass(frozen=True, slots=True)
+class Handedness:
+    """How `cells` cells turned in the field: to its side, or to the other if `mirrored`; towards a
+    direction off the field's by `turned` +- `turned_sd` [rad]. `explained` is the share of their
+    turning that this explains.
+    """
+
+    cells: int
+    mirrored: bool
+    turned: float
+    turned_sd: float
+    explained: float
+
+
+def with_handedness(
+    found: Preflight, rig: Rig, choice: Choice, seed: int, supervision: LabSupervision
+) -> Preflight:
+    """Return a preflight of an entered rig to which the check of the cells' turning is added."""
+    problems, text = handedness_lines(watch_turning(rig, choice, seed, supervision))
+    facts = {**found.facts, "turning": text}
+    return replace(found, problems=(*found.problems, *problems), facts=facts)
+
+
+def watch_turning(
+    rig: Rig, choice: Choice, seed: int, supervision: LabSupervision
+) -> Handedness | None:
+    """Turn the field of an entered rig as a survey does, and return how the cells turned; None if
+    too few of them were seen for long enough. Raises as `turn_field`.
+    """
+    seen: dict[int, list[tuple[float, float, float]]] = {}
+
+    def on_look() -> None:
+        if (newest := rig.frames.newest) is None:
+            return
+        at = newest.frame.sampled_ns / SECOND
+        for cell in rig.tracker.found_cells():
+            path = seen.setdefault(cell.number, [])
+            if cell.free and (not path or at > path[-1][0]):
+                path.append((at, cell.pose.x, cell.pose.y))
+
+    turn_field(rig, choice, seed, supervision, on_look)
+    rig.loop.stop()
+    direction = manoeuvre(choice.turn, seed)
+    return handedness([np.array(path) for path in seen.values()], direction)
+
+
+def handedness(paths: Sequence[Floats], direction: Callable[[int], float]) -> Handedness | None:
+    """Return how cells turned: `paths` (K, 3) are their times [s] and positions x, y, `direction`
+    gives the field's direction [rad] at a time [ns]; None for fewer than LEAST_CELLS cells.
+    """
+    pieces = [piece for path in paths for piece in _pieces(path)]
+    turns = [_turns(piece, direction) for piece in pieces]
+    if len(turns) < LEAST_CELLS:
+        return None
+    total = sum(float(way @ way) for way, _ in turns)
+    sides = []
+    for side in (0, 1):
+        vectors, left = [], 0.0
+        for way, bases in turns:
+            base = bases[side]
+            vector = np.linalg.lstsq(base, way, rcond=None)[0]
+            left += float(np.sum(np.square(way - base @ vector)))
+            vectors.append(complex(*vector))
+        sides.append((1 - left / total, np.array(vectors)))
+    mirrored = sides[1][0] > sides[0][0]
+    explained, vectors = sides[mirrored]
+    turned = float(np.angle(vectors.sum()))
+    # a cell without a magnet has a short vector, and so little weight
+    across = (vectors * np.exp(-1j * turned)).imag
+    spread = float(np.linalg.norm(across) / max(abs(vectors.sum()), 1e-9))
+    return Handedness(len(turns), bool(mirrored), turned, spread, explained)
+
+
+def handedness_lines(found: Handedness | None) -> tuple[list[str], str]:
+    """Return problems, and a text on how the cells turned."""
+    if found is None:
+        return [f"fewer than {LEAST_CELLS} cells were seen for 2 s while the field turned"], "-"
+    off = f"{found.turned:+.2f} +- {1.96 * found.turned_sd:.2f} rad off it"
+    text = f"{100 * found.explained:.0f} % of the turning of {found.cells} cells is towards " + (
+        "the mirror image of the field" if found.mirrored else f"the field, {off}"
+    )
+    if found.explained < EXPLAINED:
+        return ["the cells do not turn with the field: is there a field, have cells magnets?"], text
+    if found.mirrored:
+        return [
+            "cells turn right where the field turns left: the picture is mirrored (change "
+            "lab.camera.mirrored), or one coil pair's current is reversed (the sign of gain_mt_a)"
+        ], text
+    if abs(found.turned) < max(ALLOWED, SURE * found.turned_sd):
+        return [], text
+    return [
+        f"cells turn to a direction {found.turned:+.2f} rad off the field's: subtract this from "
+        "lab.camera.rotation, or add it to the coils' rotation"
+    ], text
+
+
+def _pieces(path: Floats) -> list[Floats]:
+    """Return the pieces (K, 3) of a path without a longer gap that last 2 s or more."""
+    if len(path) < 2:
+        return []
+    cuts = np.flatnonzero(np.diff(path[:, 0]) > LONGEST_GAP_S) + 1
+    return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > 2.0]
+
+
+def _turns(
+    piece: Floats, direction: Callable[[int], float]
+) -> tuple[Floats, tuple[Floats, Floats]]:
+    """Return the turning of a cell's course (M,) [rad/s], and for either side the rates (M, 2) that
+    a = 1 gives with f = 0 and with f = pi / 2.
+    """
+    times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
+    places = np.interp(times, piece[:, 0], piece[:, 1]) + 1j * np.interp(
+        times, piece[:, 0], piece[:, 2]
+    )
+    course = np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))
+    middle = times[SMOOTH // 2 : SMOOTH // 2 + len(course)]
+    field = np.array([direction(round(at * SECOND)) for at in middle])
+    box = np.ones(SMOOTH) / SMOOTH
+
+    def rates(side: int) -> Floats:
+        off = side * field - course
+        each = [np.convolve(one, box, "same") for one in (np.sin(off), np.cos(off))]
+        return np.array(each).T[SMOOTH:-SMOOTH]
+
+    return np.gradient(course, GRID_S)[SMOOTH:-SMOOTH], (rates(1), rates(-1))

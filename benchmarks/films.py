@@ -1,0 +1,132 @@
+"""How well cells are found and followed in films of two renderers that share no code.
+
+    python benchmarks/films.py render    write films with their truth
+    python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
+    python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
+    python benchmarks/films.py time      processor time a picture, of each part
+    python benchmarks/films.py real      what is said of a given film, at several scales
+
+Every film is synthetic, except those given to `real`. Both renderers were made by the hands that
+made the tracker. Seeds from 9000 on are those of the published figures; smaller ones were used in
+development. Films stay in the folder --cache, and are not rendered twice.
+"""
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from filmworld.rows import table
+from filmworld.scores import FilmScore, Shown, score_film
+from filmworld.truth import FilmTruth, write_film
+
+RENDERERS, LEVELS = ("first", "second"), ("easy", "normal", "hard")
+
+
+def rendered(cache: Path, renderer: str, level: str, seed: int) -> Path:
+    """Return the folder of a film, which is rendered if it is not there."""
+    folder = cache / f"{renderer}-{level}-{seed}"
+    if not folder.exists():
+        if renderer == "first":
+            from filmworld.first import first_film as film
+        else:
+            from filmworld.second import second_film as film
+        write_film(folder, *film(seed, level))
+    return folder
+
+
+def scored(cache: Path, renderer: str, level: str, tracker: str, keep: str, seed: int) -> FilmScore:
+    """Track one film, and score it; `keep` names a folder for what was said, or is empty."""
+    cv2.setNumThreads(1)
+    folder = rendered(cache, renderer, level, seed)
+    truth = FilmTruth.load(folder / "truth.npz")
+    shown = tracked(tracker, folder, truth)
+    score = score_film(folder.name, truth, shown)
+    if keep:
+        out = folder / keep
+        out.mkdir(exist_ok=True)
+        rows = {name: getattr(shown, name) for name in Shown.__slots__ if name != "numbers"}
+        np.savez_compressed(out / f"{tracker}.npz", **rows)
+        said = {"score": asdict(score), "numbers": shown.numbers}
+        (out / f"{tracker}.json").write_text(json.dumps(said, indent=1))
+    return score
+
+
+def tracked(tracker: str, folder: Path, truth: FilmTruth) -> Shown:
+    if tracker == "tetractl":
+        from filmworld.ours import track
+
+        return track(folder, truth.um_px)
+    from filmworld.peers import PEERS
+
+    return PEERS[tracker](folder, truth.um_px)
+
+
+def each(chosen: argparse.Namespace, work) -> Iterator:
+    """Yield a result for each seed, in order, from one or several processes."""
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.count)
+    if chosen.processes == 1:
+        yield from map(work, seeds)
+        return
+    with get_context("spawn").Pool(chosen.processes) as pool:
+        yield from pool.imap(work, seeds)
+
+
+def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",)) -> None:
+    for renderer in chosen.renderer:
+        for level in chosen.level:
+            for tracker in trackers:
+                work = partial(scored, chosen.cache, renderer, level, tracker, chosen.keep)
+                films = []
+                for one in each(chosen, work):
+                    films.append(one)
+                    wrong = f"{len(one.wrong)} wrong names" if one.wrong else ""
+                    print(f"  {one.film}: {tracker} F1 {one.f1:.4f} {wrong}", flush=True)
+                print(f"\n## {renderer}, {level}, {tracker}\n")
+                for what, figure in table(films, tracker == "tetractl"):
+                    print(f"| {what} | {figure} |", flush=True)
+                print(flush=True)
+
+
+def peers(chosen: argparse.Namespace) -> None:
+    from filmworld.peers import PEERS
+
+    score(chosen, tuple(PEERS))
+
+
+def render(chosen: argparse.Namespace) -> None:
+    for renderer in chosen.renderer:
+        for level in chosen.level:
+            for folder in each(chosen, partial(rendered, chosen.cache, renderer, level)):
+                size = sum(path.stat().st_size for path in folder.iterdir()) / 1e6
+                print(f"{folder}: {size:.0f} MB", flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("part", choices=("render", "score", "peers"))
+    parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
+    parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
+    parser.add_argument("--count", type=int, default=15, help="films of each kind")
+    parser.add_argument("--first-seed", type=int, default=9000)
+    parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")
+    parser.add_argument("--keep", default="", help="folder in each film's for what is said of it")
+    parser.add_argument("--processes", type=int, default=1)
+    chosen = parser.parse_args()
+    chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
+    with tempfile.TemporaryDirectory() as folder:
+        chosen.cache = chosen.cache or Path(folder)
+        {"render": render, "score": score, "peers": peers}[chosen.part](chosen)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,251 @@
+"""The first renderer: the emulated dish of tetractl, widened by what its pictures do not show.
+
+Cells pulse; a halo or an outline of the other sign; debris of the size and shape of cells; a focus
+that wanders; a knock in the middle of the film; a field that is recorded late.
+"""
+
+import math
+import sys
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
+from support.synthetic_film import FilmScript, SyntheticFilm
+
+from tetractl.emulate.dish.picture import SUB_EXPOSURES, DishPainter, PictureLook, RenderedSpeck
+from tetractl.model.swimmers import Bodies, Swimmers
+
+from .truth import FilmTruth
+
+SIDE_PX, UM_PX = 1024, 2.3
+CELLS, STRANGERS = 20, 4
+
+
+@dataclass
+class PulsingSwimmers(Swimmers):
+    """Cells whose speed pulses about `base` by the share `pulse` (standard deviation)."""
+
+    base: np.ndarray
+    pulse: np.ndarray
+    pulse_hz: np.ndarray
+    age: np.ndarray
+
+    def swim(self, field, seconds, random, drift=(0.0, 0.0), walls=None) -> None:
+        beat = math.sqrt(2) * self.pulse * np.sin(2 * math.pi * self.pulse_hz * self.age)
+        self.speed, self.age = self.base * (1 + beat), self.age + seconds
+        super().swim(field, seconds, random, drift, walls)
+
+    def joined(self, others: Swimmers) -> "PulsingSwimmers":
+        theirs = vars(others)
+        return PulsingSwimmers(**{n: np.append(own, theirs[n]) for n, own in vars(self).items()})
+
+    def kept(self, which) -> "PulsingSwimmers":
+        return PulsingSwimmers(**{name: each[which] for name, each in vars(self).items()})
+
+
+@dataclass(slots=True)
+class WidePainter(DishPainter):
+    """A painter whose cells have the share `halo` of their contrast around them, over `rim_um`, and
+    the share `hollow` of it missing within, both of which may be negative; `own` (N,) is each
+    cell's share of the film's contrast.
+    """
+
+    halo: float = 0.0
+    rim_um: float = 6.0
+    hollow: float = 0.0
+    own: np.ndarray = field(default_factory=lambda: np.ones(0))
+    _scratch: np.ndarray | None = None
+
+    def _draw_cell(self, ink, cells: Swimmers, moments: Sequence[Bodies], i: int) -> None:
+        middle = moments[len(moments) // 2]
+        reach = (cells.length[i] / 2 + 4 * self.rim_um + 30) / self.look.um_px
+        patch = self._patch(middle.x[i], middle.y[i], reach)
+        if patch is None:
+            return
+        where = patch[0]
+        cover = self._covered(where, cells, moments, i, 0.0)
+        total = cover.copy()
+        if self.halo:
+            total -= self.halo * (self._covered(where, cells, moments, i, self.rim_um) - cover)
+        if self.hollow:
+            total -= self.hollow * self._covered(where, cells, moments, i, -self.rim_um)
+        ink[where] = ink[where] * (1 - 0.5 * cover) + self.own[i] * total
+
+    def _covered(self, where, cells, moments, i: int, more: float) -> np.ndarray:
+        """Return how far a body that is larger by `more` [um] on each side covers each pixel."""
+        if self._scratch is None:
+            self._scratch = np.zeros((self.look.height, self.look.width), np.float32)
+        size = replace(cells, length=cells.length + 2 * more, width=cells.width + 2 * more)
+        DishPainter._draw_cell(self, self._scratch, size, moments, i)
+        found = self._scratch[where].copy()
+        self._scratch[where] = 0
+        return found
+
+
+@dataclass(slots=True)
+class WideFilm(SyntheticFilm):
+    """A synthetic film of a level, drawn by its seed."""
+
+    level: str = "easy"
+    halo: float = 0.0
+    hollow: float = 0.0
+    wander_um: float = 0.0
+    knock_um: tuple[float, float] = (0.0, 0.0)
+    knock_s: float = math.inf
+    late_s: float = 0.0
+
+    @classmethod
+    def drawn(cls, seed: int, level: str) -> "WideFilm":
+        at = ("easy", "normal", "hard").index(level)
+        random = np.random.default_rng([seed, 1, at])
+        hard, easy = level == "hard", level == "easy"
+        seconds = 10.0 if easy else round(random.uniform(10, 12) * 30) / 30
+        cells = PulsingSwimmers(
+            **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
+            base=np.zeros(0),
+            pulse=random.uniform(*((0.02, 0.05), (0.04, 0.07), (0.06, 0.1))[at], 24),
+            pulse_hz=random.uniform(0.4, 3.0, 24),
+            age=random.uniform(0, 10, 24),
+        )
+        cells.base = cells.speed.copy()
+        angle = random.uniform(-math.pi, math.pi)
+        kinds = (0.0, 0.0), (random.uniform(0.2, 0.5), 0.0), (0.2, random.uniform(0.8, 1.3))
+        halo, hollow = kinds[random.integers((1, 2, 3)[at])]
+        return cls(
+            FilmScript(seconds=seconds, strangers=STRANGERS, events=not easy, crossings=6.0),
+            _look(random, level),
+            seed,
+            cells,
+            level=level,
+            halo=halo,
+            hollow=hollow,
+            wander_um=(0.0, 20.0, 60.0)[at],
+            knock_um=(18 * math.cos(angle), 18 * math.sin(angle)) if hard else (0.0, 0.0),
+            knock_s=seconds * random.uniform(0.35, 0.65) if hard else math.inf,
+            late_s=0.0 if easy else random.uniform(0, 0.02 if hard else 0.01),
+        )
+
+    def pictures(self) -> Iterator[np.ndarray]:
+        random = np.random.default_rng([self.seed, 7])
+        # the JPEG comes later, at the quality of the whole film
+        painter = WidePainter(replace(self.look, quality=None), self.seed)
+        painter.halo, painter.hollow = self.halo, self.hollow
+        painter.own = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.1, 64))
+        spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
+        focus, knocked = 0.0, False
+        for t in self.times:
+            focus += -focus / 60 + self.wander_um * math.sqrt(2 / 60) * random.standard_normal()
+            if t > self.knock_s and not knocked:
+                knocked, (dx, dy) = True, self.knock_um
+                painter.change(corner_um=(-dx, -dy))  # everything seems to move by dx, dy
+            painter.look = replace(painter.look, focus_um=focus)
+            moments = [self._bodies(t + part * self.look.exposure_s) for part in spread]
+            yield painter.picture(self.cells, moments, self._alive(t), float(t))
+
+    def truth(self) -> FilmTruth:
+        """Return what was drawn, in the coordinates of the pictures."""
+        random = np.random.default_rng([self.seed, 8])
+        here = np.array([self._alive(t) for t in self.times])
+        knocked = (self.times > self.knock_s)[:, None, None] * np.array(self.knock_um)
+        place = self.body[..., :2] + knocked
+        states = [self._at(t) for t in self.times]
+        resting = np.array([state.resting for state in states])
+        speed = np.array([state.speed for state in states]) * ~resting
+        a, parent = self.cells.a.copy(), np.full(len(self.cells), -1)
+        if self.script.events:
+            parent[-1] = self._mother
+            a[self._mother] = math.nan  # it changes
+        late = random.uniform(0.5 * self.late_s, self.late_s, len(self.turns))
+
+        def only(values):
+            return np.where(here, values, np.nan)
+
+        look = {n: getattr(self.look, n) for n in self.look.__slots__ if n != "specks"}
+        own = {n: getattr(self, n) for n in ("level", "seed", *WideFilm.__slots__)}
+        return FilmTruth(
+            times=self.times,
+            x=only(place[..., 0]),
+            y=only(place[..., 1]),
+            axis=only(self.body[..., 2]),
+            heading=only(self.heading),
+            speed=only(speed),
+            resting=resting & here,
+            a=a,
+            bias=self.cells.bias,
+            parent=parent,
+            turns=self.turns,
+            recorded=self.turns[:, 0] + late,
+            um_px=UM_PX,
+            side_px=SIDE_PX,
+            about={"renderer": "first", **own, "picture": look},
+        )
+
+
+def first_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
+    """Return the truth of a film, its pictures and the quality at which they are to be coded."""
+    film = WideFilm.drawn(seed, level)
+    return film.truth(), film.pictures(), film.look.quality
+
+
+def _look(random: np.random.Generator, level: str) -> PictureLook:
+    at = ("easy", "normal", "hard").index(level)
+    span, bright = SIDE_PX * UM_PX, bool(random.random() < 0.5)
+    light = random.uniform(60, 110) if bright else random.uniform(120, 190)
+    contrast = (random.uniform(40, 80), random.uniform(30, 70), random.uniform(0.17, 0.24) * light)
+    noise = (random.uniform(2, 4), random.uniform(3, 6), random.uniform(6, 8))
+    contrast, noise = contrast[at], noise[at]
+    if level == "hard" and random.random() < 0.5:
+        contrast, noise = 0.17 * light, 8.0
+    specks = [_speck(random, span, at) for _ in range((4, 30, 36)[at])]
+    specks += [_lookalike(random, span, at) for _ in range((0, 3, 10)[at])]
+    if at:
+        x, y = random.uniform(0, span, 2).tolist()
+        size = float(random.uniform(100, 250))
+        wall = RenderedSpeck(x, y, size, 1.0, 0.0, 0.1, rim=True)
+        specks += [wall] * (1, 3)[at - 1]  # a bubble's wall has a contrast of its own
+    return PictureLook(
+        width=SIDE_PX,
+        height=SIDE_PX,
+        um_px=UM_PX,
+        exposure_s=float(random.uniform(0.004, 0.015)),
+        bright=bright,
+        light=light,
+        contrast=contrast,
+        vignetting=float(random.uniform(0.0, 0.1) if not at else random.uniform(0.1, 0.3)),
+        light_drift=float(random.uniform(-0.01, 0.01)) if at else 0.0,
+        flicker=float(random.uniform(0.005, 0.02)) * at,
+        noise=noise,
+        quality=(95, int(random.integers(75, 91)), 60)[at],
+        specks=tuple(specks),
+    )
+
+
+def _speck(random: np.random.Generator, span: float, at: int) -> RenderedSpeck:
+    drifts = at and random.random() < 0.3
+    drift = random.uniform(-10, 10, 2) if drifts else np.zeros(2)
+    return RenderedSpeck(
+        *random.uniform(0, span, 2).tolist(),
+        size_um=float(random.uniform(5, 30)),
+        stretch=float(random.uniform(1, 2.5)),
+        turn=float(random.uniform(0, math.pi)),
+        shade=float(random.uniform(0.3, 1.2)),
+        drift=tuple(drift.tolist()),
+    )
+
+
+def _lookalike(random: np.random.Generator, span: float, at: int) -> RenderedSpeck:
+    """Return debris of the size and shape of a cell, which may drift."""
+    speed = random.uniform(0, (0, 15, 40)[at]) if random.random() < 0.6 else 0.0
+    way = random.uniform(-math.pi, math.pi)
+    width = random.uniform(20, 32)
+    return RenderedSpeck(
+        *random.uniform(0, span, 2).tolist(),
+        size_um=float(width),
+        stretch=float(random.uniform(1.7, 2.3)),
+        turn=float(random.uniform(0, math.pi)),
+        shade=float(random.uniform(0.6, 1.2)),
+        drift=(speed * math.cos(way), speed * math.sin(way)),
+    )

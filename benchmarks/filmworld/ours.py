@@ -1,0 +1,42 @@
+"""What `tetractl track` says of a film, as rows to be scored."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.film.field_file import read_field
+from tetractl.film.fit_cell import summarise
+from tetractl.film.follow import follow
+from tetractl.film.pictures import open_film
+
+from .scores import Shown
+
+
+def track(folder: Path, um_px: float) -> Shown:
+    """Run the pipeline of cli/track.py on the film in a folder: decode, follow, summarise."""
+    began = cpu_s()
+    field = read_field(folder / "field.csv")
+    followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)
+    cells = summarise(followed, field)
+    spent = cpu_s() - began
+    rows = [
+        (frame, path.identity, c.x, c.y, c.axis, c.heading, c.probability)
+        for path in followed.paths
+        for frame, c in zip(path.frames.tolist(), path.seen, strict=True)
+    ]
+    table = np.array(sorted(rows)).reshape(-1, 7)
+    numbers = {}
+    for cell in cells:
+        said = {"speed": cell.speed, "a": cell.a}
+        numbers[int(cell.cell)] = {
+            name: (float(one.low), float(one.high)) for name, one in said.items() if one is not None
+        }
+    frame, name = table[:, 0].astype(int), table[:, 1].astype(int)
+    return Shown(frame, name, *table[:, 2:].T, numbers=numbers, cpu_s=spent)
+
+
+def cpu_s() -> float:
+    """Return the processor time of this process and of its children that have ended [s]."""
+    spent = os.times()
+    return spent.user + spent.system + spent.children_user + spent.children_system

@@ -1,0 +1,105 @@
+"""The rows of the table: scores over films, with n and 95 % intervals."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from scipy.stats import beta
+
+from .scores import FilmScore
+
+RESAMPLED = 1000  # bootstrap samples of the films
+
+
+def total(films: Sequence[FilmScore], name: str) -> float:
+    return sum(vars_of(film)[name] for film in films)
+
+
+def vars_of(film: FilmScore) -> dict:
+    return {name: getattr(film, name) for name in FilmScore.__slots__}
+
+
+def f1(films: Sequence[FilmScore]) -> float:
+    found = total(films, "found")
+    return 2 * found / max(2 * found + total(films, "missed") + total(films, "extra"), 1)
+
+
+def idf1(films: Sequence[FilmScore]) -> float:
+    rows = 2 * total(films, "found") + total(films, "missed") + total(films, "extra")
+    return 2 * total(films, "named") / max(rows, 1)
+
+
+def root(squares: str, count: str) -> Callable[[Sequence[FilmScore]], float]:
+    return lambda films: (total(films, squares) / max(total(films, count), 1)) ** 0.5
+
+
+def an_hour(films: Sequence[FilmScore], count: float) -> float:
+    return count / max(total(films, "hours"), 1e-9)
+
+
+def share(hits: int, count: int) -> str:
+    """A share with its interval after Clopper and Pearson."""
+    low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
+    high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
+    return f"{hits} of {count} = {hits / max(count, 1):.2f} [{low:.2f}, {high:.2f}]"
+
+
+def over_films(
+    films: Sequence[FilmScore], value: Callable[[Sequence[FilmScore]], float], digits: int
+) -> str:
+    """A value with its interval by drawing films again."""
+    random = np.random.default_rng(0)
+    drawn = [
+        value([films[i] for i in random.integers(0, len(films), len(films))])
+        for _ in range(RESAMPLED)
+    ]
+    low, high = np.quantile(drawn, (0.025, 0.975))
+    return f"{value(films):.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def table(films: Sequence[FilmScore], numbers: bool = True) -> list[tuple[str, str]]:
+    """Return the rows (what, figure) of films of one level; `numbers` if intervals are stated."""
+    worst = min(films, key=lambda film: film.f1)
+    wrong = [p for film in films for p in film.wrong]
+    hours = total(films, "hours")
+    pictures = total(films, "pictures")
+    rows = [
+        ("films, cell-hours", f"{len(films)}, {hours:.3f}"),
+        ("F1", over_films(films, f1, 4)),
+        ("worst film's F1", f"{worst.f1:.3f} ({worst.film})"),
+        ("position apart, um", over_films(films, root("place2", "near"), 2)),
+        (
+            "less a constant along the body, um",
+            over_films(films, root("place2_less", "near"), 2),
+        ),
+    ]
+    if numbers:
+        rows += [
+            ("axis, rad", over_films(films, root("axis2", "axes"), 3)),
+            ("heading of the helix, rad", over_films(films, root("heading2", "headings"), 3)),
+        ]
+    rows += [
+        ("IDF1", over_films(films, idf1, 3)),
+        (
+            "new names a cell-hour",
+            over_films(films, lambda some: an_hour(some, total(some, "renamed")), 0),
+        ),
+        (
+            "wrong names that last, a cell-hour",
+            over_films(films, lambda some: an_hour(some, sum(len(f.wrong) for f in some)), 1),
+        ),
+    ]
+    if numbers:
+        a, speed, strangers = (
+            [int(sum(getattr(film, name)[k] for film in films)) for k in (0, 1)]
+            for name in ("a", "speed", "strangers")
+        )
+        rows += [
+            ("of these stated above 0.9", f"{sum(p > 0.9 for p in wrong)} of {len(wrong)}"),
+            ("95 % interval of a holds", share(*a)),
+            ("95 % interval of the speed holds", share(*speed)),
+            ("long tracks without a number", f"{total(films, 'silent')}"),
+            ("strangers whose a is said not to be 0", share(*strangers)),
+        ]
+    cpu = over_films(films, lambda some: 1e3 * total(some, "cpu_s") / total(some, "pictures"), 1)
+    rows.append(("processor time a picture, ms", f"{cpu}, n {pictures}"))
+    return rows

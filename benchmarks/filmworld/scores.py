@@ -1,0 +1,234 @@
+"""How well a tracker's rows agree with the truth of a film. Shares no code with any tracker."""
+
+from dataclasses import dataclass, field
+from itertools import pairwise
+
+import numpy as np
+from scipy.optimize import linear_sum_assignment
+
+from .truth import VIEW_UM, FilmTruth
+
+REACH_UM = 25.0  # a cell is found by a row within half a body of it
+APART_UM = 60.0  # positions and axes count where no other cell is nearer than this
+TOGETHER_UM = 40.0  # bodies nearer than this are one blob: their names do not count
+LASTS_S = 0.5  # a wrong name that is borne for as long as this, or to its end, lasts
+GAP = 3  # pictures out of view after which a cell may bear another name
+LONG_S = 2.0  # least duration of a track whose numbers are scored
+
+
+@dataclass(slots=True)
+class Shown:
+    """What a tracker says: rows (R,) in order of `frame`, with integer `name`, x, y [um], axis and
+    heading [rad] (NaN where not said) and the stated probability of the name. `numbers` holds for
+    each name intervals of the `speed` and of `a` (low, high), where said. `cpu_s` is the processor
+    time.
+    """
+
+    frame: np.ndarray
+    name: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    axis: np.ndarray
+    heading: np.ndarray
+    probability: np.ndarray
+    numbers: dict[int, dict[str, tuple[float, float]]] = field(default_factory=dict)
+    cpu_s: float = 0.0
+
+
+@dataclass(slots=True)
+class FilmScore:
+    """Sums over one film, which may be added over films.
+
+    `wrong` are the probabilities stated for wrong names that last; `held` maps a quantity to the
+    number of intervals that hold the truth and their number.
+    """
+
+    film: str = ""
+    pictures: int = 0
+    found: int = 0
+    missed: int = 0
+    extra: int = 0
+    near: int = 0
+    place2: float = 0.0
+    place2_less: float = 0.0
+    axis2: float = 0.0
+    axes: int = 0
+    heading2: float = 0.0
+    headings: int = 0
+    named: int = 0
+    hours: float = 0.0
+    renamed: int = 0
+    wrong: list[float] = field(default_factory=list)
+    a: tuple[int, int] = (0, 0)
+    speed: tuple[int, int] = (0, 0)
+    strangers: tuple[int, int] = (0, 0)
+    silent: int = 0
+    cpu_s: float = 0.0
+
+    @property
+    def f1(self) -> float:
+        return 2 * self.found / max(2 * self.found + self.missed + self.extra, 1)
+
+
+def score_film(name: str, truth: FilmTruth, shown: Shown) -> FilmScore:
+    """Return how well a film's rows agree with its truth."""
+    owner = owners(truth, shown)
+    view, nearest = truth.view, _nearest(truth)
+    score = FilmScore(name, pictures=len(truth.times), cpu_s=shown.cpu_s)
+    true = owner >= 0
+    inside = np.zeros(len(owner), bool)
+    inside[true] = view[shown.frame[true], owner[true]]
+    span = truth.um_px * truth.side_px - VIEW_UM
+    within = (np.minimum(shown.x, shown.y) > VIEW_UM) & (np.maximum(shown.x, shown.y) < span)
+    score.found = int(inside.sum())
+    score.missed = int(view.sum()) - score.found
+    score.extra = int((~true & within).sum())
+    score.hours = float(view.sum()) * (truth.times[1] - truth.times[0]) / 3600
+    rows = np.flatnonzero(inside)
+    apart = rows[nearest[shown.frame[rows], owner[rows]] > APART_UM]
+    _errors(score, truth, shown, owner, apart)
+    score.named = _named(shown, owner, inside)
+    free = rows[nearest[shown.frame[rows], owner[rows]] > TOGETHER_UM]
+    score.renamed = _renamed(truth, shown, owner, free)
+    score.wrong = _wrong(truth, shown, owner, free)
+    _intervals(score, truth, shown, owner)
+    return score
+
+
+def owners(truth: FilmTruth, shown: Shown) -> np.ndarray:
+    """Return the individual that each row shows, or -1: the nearest assignment within REACH_UM,
+    where a name that was an individual's in the picture before stays so within reach.
+    """
+    owner = np.full(len(shown.frame), -1)
+    last: dict[int, int] = {}
+    starts = np.searchsorted(shown.frame, np.arange(len(truth.times) + 1))
+    for k, (first, end) in enumerate(pairwise(starts.tolist())):
+        there = np.flatnonzero(np.isfinite(truth.x[k]))
+        if first == end or not len(there):
+            continue
+        gaps = np.hypot(
+            truth.x[k, there][:, None] - shown.x[None, first:end],
+            truth.y[k, there][:, None] - shown.y[None, first:end],
+        )
+        cost = np.where(gaps < REACH_UM, gaps - 1e4, 0.0)
+        place = {int(i): at for at, i in enumerate(there)}
+        for j in range(end - first):
+            i = place.get(last.get(int(shown.name[first + j]), -1))
+            if i is not None and gaps[i, j] < REACH_UM:
+                cost[i, j] -= 1e3
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if gaps[i, j] < REACH_UM:
+                owner[first + j] = there[i]
+                last[int(shown.name[first + j])] = int(there[i])
+    return owner
+
+
+def _nearest(truth: FilmTruth) -> np.ndarray:
+    """Return the distance of each individual's nearest neighbour (K, M) [um]."""
+    found = np.full(truth.x.shape, np.inf)
+    for k in range(len(truth.times)):
+        there = np.flatnonzero(np.isfinite(truth.x[k]))
+        x, y = truth.x[k, there], truth.y[k, there]
+        gaps = np.hypot(x[:, None] - x, y[:, None] - y)
+        np.fill_diagonal(gaps, np.inf)
+        found[k, there] = gaps.min(axis=1, initial=np.inf)
+    return found
+
+
+def _errors(score: FilmScore, truth: FilmTruth, shown: Shown, owner, rows) -> None:
+    k, i = shown.frame[rows], owner[rows]
+    dx, dy = shown.x[rows] - truth.x[k, i], shown.y[rows] - truth.y[k, i]
+    along = dx * np.cos(truth.axis[k, i]) + dy * np.sin(truth.axis[k, i])
+    aside = dy * np.cos(truth.axis[k, i]) - dx * np.sin(truth.axis[k, i])
+    score.near = len(rows)
+    score.place2 = float((dx**2 + dy**2).sum())
+    off = along - along.mean() if len(rows) else along
+    score.place2_less = float((off**2 + aside**2).sum())
+    axis = (shown.axis[rows] - truth.axis[k, i] + np.pi / 2) % np.pi - np.pi / 2
+    axis = axis[np.isfinite(axis)]
+    score.axis2, score.axes = float((axis**2).sum()), len(axis)
+    heading = (shown.heading[rows] - truth.heading[k, i] + np.pi) % (2 * np.pi) - np.pi
+    heading = heading[np.isfinite(heading) & ~truth.resting[k, i]]
+    score.heading2, score.headings = float((heading**2).sum()), len(heading)
+
+
+def _named(shown: Shown, owner, inside) -> int:
+    """Return the rows that agree if each individual has the one name that suits it best (IDTP)."""
+    names, column = np.unique(shown.name, return_inverse=True)
+    if not len(names) or owner.max(initial=-1) < 0:
+        return 0
+    count = np.zeros((owner.max() + 1, len(names)))
+    np.add.at(count, (owner[inside], column[inside]), 1)
+    return int(count[linear_sum_assignment(-count)].sum())
+
+
+def _renamed(truth: FilmTruth, shown: Shown, owner, free) -> int:
+    """Return how often a cell that stays in view gets a name that no cell had before."""
+    last: dict[int, tuple[int, int]] = {}
+    known: set[int] = set()
+    count, view = 0, truth.view
+    for row in free:
+        i, name, k = int(owner[row]), int(shown.name[row]), int(shown.frame[row])
+        before = last.get(i)
+        if before is not None and before[0] != name and name not in known:
+            gone = (~view[before[1] : k, i]).sum()
+            count += int(gone <= GAP)
+        last[i] = name, k
+        known.add(name)
+    return count
+
+
+def _wrong(truth: FilmTruth, shown: Shown, owner, free) -> list[float]:
+    """Return the probabilities stated (the median of each) where a name that was one cell's is
+    another's for LASTS_S or to its end. A mother's name may be a daughter's.
+    """
+    found = []
+    for name in np.unique(shown.name[free]):
+        rows = free[shown.name[free] == name]
+        cuts = np.flatnonzero(np.diff(owner[rows])) + 1
+        runs = np.split(rows, cuts)
+        before = -1
+        for number, run in enumerate(runs):
+            i = int(owner[run[0]])
+            times = truth.times[shown.frame[run]]
+            lasts = times[-1] - times[0] >= LASTS_S or number in (0, len(runs) - 1)
+            if not lasts:
+                continue
+            family = before in (i, truth.parent[i]) or truth.parent[before] == i
+            family |= before >= 0 and truth.parent[before] == truth.parent[i] >= 0
+            if before >= 0 and not family:
+                found.append(float(np.median(shown.probability[run])))
+            before = i
+    return found
+
+
+def _intervals(score: FilmScore, truth: FilmTruth, shown: Shown, owner) -> None:
+    """Score the intervals of names seen for LONG_S by the cell that bears each for longest."""
+    held = {"a": [0, 0], "speed": [0, 0], "strangers": [0, 0]}
+    for name in np.unique(shown.name):
+        rows = np.flatnonzero(shown.name == name)
+        times = truth.times[shown.frame[rows]]
+        own = owner[rows][owner[rows] >= 0]
+        if times[-1] - times[0] < LONG_S or 2 * len(own) < len(rows):
+            continue
+        i = int(np.bincount(own).argmax())
+        said = shown.numbers.get(int(name), {})
+        score.silent += int("speed" not in said)
+        rows = rows[owner[rows] == i]
+        if "speed" in said:
+            mean = float(truth.speed[shown.frame[rows], i].mean())
+            _count(held["speed"], said["speed"][0] <= mean <= said["speed"][1])
+        # what a is while a cell rests is not defined
+        rests = truth.resting[shown.frame[rows], i].any()
+        if "a" in said and truth.a[i] > 0 and not rests:
+            _count(held["a"], said["a"][0] <= truth.a[i] <= said["a"][1])
+        elif "a" in said and truth.a[i] == 0:
+            _count(held["strangers"], not said["a"][0] <= 0 <= said["a"][1])
+    score.a, score.speed, score.strangers = (
+        tuple(held[name]) for name in ("a", "speed", "strangers")
+    )
+
+
+def _count(held: list[int], holds: bool) -> None:
+    held[0] += bool(holds)
+    held[1] += 1

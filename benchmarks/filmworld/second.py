@@ -1,0 +1,266 @@
+"""The second renderer: films of `swim` and `optics` under `conditions`.
+
+Nothing here is taken from tetractl.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .conditions import RATE_HZ, SIDE_PX, UM_PX, Conditions
+from .optics import Optics, Shape, bubble
+from .swim import NEARBY_UM, STEPS_S, Crowd, Swum, swim
+from .truth import FilmTruth
+
+CELLS, STRANGERS = 20, 4
+NOISE_SPARE_PX = 64
+TRIES = 60  # attempts to let two neighbours cross in view
+
+
+def second_film(seed: int, level: str) -> tuple[FilmTruth, Iterator[np.ndarray], int]:
+    """Return the truth of a film, its pictures and the quality at which they are to be coded."""
+    random = np.random.default_rng([seed, 2, ("easy", "normal", "hard").index(level)])
+    made = Conditions.drawn(random, level)
+    crowd = Crowd.drawn(random, CELLS, STRANGERS, made.pulse)
+    times = [0.0]
+    while times[-1] < made.seconds:
+        times.append(times[-1] + random.uniform(0.3, 1.2))
+    turns = np.column_stack([times, random.uniform(-np.pi, np.pi, len(times))])
+    rest = (CELLS - 1, 0.4 * made.seconds, 0.6 * made.seconds) if made.events else None
+    swum = swim(random, crowd, made.seconds, turns, rest, made.backs)
+    world = _World.of(random, made, crowd, swum)
+    count = round(made.seconds * RATE_HZ)
+    moments = (np.arange(count) + 0.5) / RATE_HZ
+    jitter = random.uniform(0, made.late_s / 2, len(turns))
+    truth = world.truth(moments, turns, turns[:, 0] + made.late_s / 2 + jitter, level, seed)
+    return truth, world.pictures(random, moments), made.quality
+
+
+@dataclass(slots=True)
+class _World:
+    """A film's individuals: `slot` of the swimmer, `shift` [um] and first and last step of each."""
+
+    made: Conditions
+    crowd: Crowd
+    swum: Swum
+    shapes: list[Shape]
+    slot: np.ndarray
+    shift: np.ndarray
+    span: np.ndarray
+    parent: np.ndarray
+
+    @classmethod
+    def of(cls, random, made: Conditions, crowd: Crowd, swum: Swum) -> "_World":
+        """Place the cells so that neighbours cross in view; one that leaves on one side is
+        followed by a new individual on the other.
+        """
+        side, count = SIDE_PX * UM_PX, len(crowd.speed)
+        wide = side + 2 * NEARBY_UM
+        flat = swum.place[:, :, :2]
+        steps = len(flat)
+        shift = np.zeros((count, 2))
+        for i in range(count):
+            shift[i] = random.uniform(0, wide, 2) - flat[steps // 2, i]
+            for _ in range(TRIES if i % 4 else 0):  # with the neighbour before it
+                at = random.integers(steps // 10, 95 * steps // 100)
+                meet = (flat[at, i - 1] + shift[i - 1]) % wide - NEARBY_UM
+                if (meet > 60).all() and (meet < side - 60).all():
+                    shift[i] = meet + NEARBY_UM - flat[at, i] + random.normal(0, 6, 2)
+                    break
+        slots, shifts, spans, parents, shapes = [], [], [], [], []
+
+        def add(i: int, by: np.ndarray, first: int, end: int, parent: int, shrink: float) -> None:
+            slots.append(i)
+            shifts.append(by)
+            spans.append((first, end))
+            parents.append(parent)
+            size = shrink * random.normal(1, 0.0 if first == 0 else 0.08)
+            long, wide = crowd.length[i] * np.clip(size, 0.6, 1.2), crowd.width[i]
+            shapes.append(Shape.drawn(random, long, wide, made.texture, made.spread))
+
+        for i in range(count):
+            turns = np.floor((flat[:, i] + shift[i]) / wide)
+            cuts = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
+            for first, end in zip([0, *cuts], [*cuts, steps], strict=True):
+                if end - first < 3:
+                    continue
+                add(i, shift[i] - turns[first] * wide - NEARBY_UM, int(first), int(end), -1, 1.0)
+        world = cls(made, crowd, swum, shapes, *map(np.array, (slots, shifts, spans, parents)))
+        if made.events:
+            world._divide(random)
+        return world
+
+    def _divide(self, random) -> None:
+        """Let an individual become two: itself, shorter, and one that swims like a stranger's."""
+        half = len(self.swum.place) // 2
+        side = SIDE_PX * UM_PX
+        middle = self.swum.place[half, self.slot, :2] + self.shift
+        there = (self.span[:, 0] < half) & (self.span[:, 1] > half + 2 * STEPS_S)
+        there &= ((middle > 250) & (middle < side - 250)).all(axis=1) & (self.slot < CELLS - 1)
+        if not there.any():
+            return
+        mother = int(random.choice(np.flatnonzero(there)))
+        own = self.slot[mother]
+        # the daughters swim on as the mother and as the swimmer with the likest heading
+        turn = self.swum.heading[half] - self.swum.heading[half, own]
+        off = np.abs(np.angle(np.exp(1j * turn))) + 10.0 * (np.arange(len(turn)) == own)
+        other = int(np.argmin(np.where(self.crowd.a > 0, np.abs(off - 0.6), 100.0)))
+        ways = own, other
+        ends = int(self.span[mother, 1]), len(self.swum.place)
+        slots, shifts, spans, parents = [], [], [], []
+        for way, end, apart in zip(ways, ends, (1.0, -1.0), strict=True):
+            th = self.swum.heading[half, own] + math.pi / 2
+            step = apart * 6.0 * np.array([math.cos(th), math.sin(th)])
+            slots.append(way)
+            shifts.append(middle[mother] - self.swum.place[half, way, :2] + step)
+            spans.append((half, end))
+            parents.append(mother)
+            long = 0.8 * self.shapes[mother].length
+            width = self.shapes[mother].width
+            self.shapes.append(
+                Shape.drawn(random, long, width, self.made.texture, self.made.spread)
+            )
+        self.span[mother, 1] = half
+        self.slot = np.append(self.slot, slots)
+        self.shift = np.vstack([self.shift, shifts])
+        self.span = np.vstack([self.span, spans])
+        self.parent = np.append(self.parent, parents)
+
+    def truth(self, moments, turns, recorded, level: str, seed: int) -> FilmTruth:
+        step = np.round(moments * STEPS_S).astype(int)
+        here = (step[:, None] >= self.span[:, 0]) & (step[:, None] < self.span[:, 1])
+        knocked = (moments > self.made.knock_s)[:, None, None] * np.array(self.made.knock_um)
+        place = self.swum.place[step][:, self.slot, :2] + self.shift + knocked
+        along = self.swum.along[step][:, self.slot]
+
+        def only(values: np.ndarray) -> np.ndarray:
+            return np.where(here, values, np.nan)
+
+        about = {"renderer": "second", "level": level, "seed": seed, "look": self.made.look}
+        drawn = {name: getattr(self.made, name) for name in Conditions.__slots__}
+        drawn["optics"] = {n: getattr(self.made.optics, n) for n in Optics.__slots__}
+        return FilmTruth(
+            times=moments - moments[0],
+            x=only(place[..., 0]),
+            y=only(place[..., 1]),
+            axis=only(np.arctan2(along[..., 1], along[..., 0])),
+            heading=only(self.swum.heading[step][:, self.slot]),
+            speed=only(self.swum.speed[step][:, self.slot]),
+            resting=self.swum.resting[step][:, self.slot] & here,
+            a=self.crowd.a[self.slot],
+            bias=self.crowd.bias[self.slot],
+            parent=self.parent,
+            turns=turns - [moments[0], 0.0],
+            recorded=recorded - moments[0],
+            um_px=UM_PX,
+            side_px=SIDE_PX,
+            about=about | drawn,
+        )
+
+    def pictures(self, random, moments: np.ndarray) -> Iterator[np.ndarray]:
+        """Yield the pictures at the given times [s]."""
+        made, side = self.made, SIDE_PX
+        grain = random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32) * made.noise
+        focus, flicker = 0.0, 0.0
+        debris = _Debris.drawn(random, made)
+        stills = {}
+        for t in moments.tolist():
+            focus += (
+                -focus / (2.0 * RATE_HZ)
+                + made.wander / math.sqrt(RATE_HZ) * random.standard_normal()
+            )
+            flicker = made.flicker * math.sin(2 * math.pi * 99.3 * t) + 0.2 * made.flicker * (
+                random.standard_normal()
+            )
+            knock = np.array(made.knock_um) * (t > made.knock_s)
+            key = t > made.knock_s, round(focus / 4) if made.wander > 5 else 0
+            if key not in stills:
+                stills.clear()
+                stills[key] = debris.still(made, knock, focus)
+            field = stills[key].copy()
+            debris.moving(field, made, t, knock, focus)
+            step = round(t * STEPS_S)
+            for i in np.flatnonzero((self.span[:, 0] <= step) & (step < self.span[:, 1])):
+                self._stamp(field, int(i), step, knock, focus)
+            light = made.light * (1 + made.drift * t) * (1 + flicker)
+            down, across = random.integers(0, NOISE_SPARE_PX, 2)
+            shades = field * np.float32(light)
+            shades += grain[down : down + side, across : across + side] * np.sqrt(field)
+            yield np.clip(shades + 0.5, 0, 255).astype(np.uint8)
+
+    def _stamp(self, field, i: int, step: int, knock: np.ndarray, focus: float) -> None:
+        slot = self.slot[i]
+        place, along = self.swum.place[step, slot], self.swum.along[step, slot]
+        side = self.swum.side[step, slot]
+        ahead = self.swum.speed[step, slot] * self.made.exposure_s
+        turn = math.atan2(along[1], along[0])
+        level = np.array([-math.sin(turn), math.cos(turn), 0.0])
+        roll = math.atan2(side @ level, side[2])
+        x, y = place[:2] + self.shift[i] + knock
+        pose = x, y, place[2], turn, math.hypot(along[0], along[1]), roll
+        self.made.optics.stamp(field, self.shapes[i], pose, focus, ahead * along[:2])
+
+
+@dataclass(slots=True)
+class _Debris:
+    """Specks (D): `shapes` and poses x, y, z [um], turn [rad]; `drift` x, y, turn a second."""
+
+    shapes: list[Shape]
+    pose: np.ndarray
+    drift: np.ndarray
+    bubbles: list[tuple[float, ...]]
+
+    @classmethod
+    def drawn(cls, random, made: Conditions) -> "_Debris":
+        side, count = SIDE_PX * UM_PX, made.specks + made.lookalikes
+        shapes, drift = [], np.zeros((count, 3))
+        for i in range(count):
+            alike = i < made.lookalikes
+            long = random.normal(52, 8) if alike else random.uniform(5, 40)
+            wide = long * (random.uniform(0.42, 0.6) if alike else random.uniform(0.4, 1.0))
+            shapes.append(Shape.drawn(random, max(long, 5.0), max(wide, 4.0), made.texture, 0.3))
+            if made.speck_um_s and (random.random() < 0.5 if alike else random.random() < 0.3):
+                speed, way = random.uniform(5, made.speck_um_s), random.uniform(-np.pi, np.pi)
+                turn = random.normal(0, 0.3)
+                drift[i] = speed * math.cos(way), speed * math.sin(way), turn
+        pose = np.column_stack(
+            [
+                random.uniform(0, side, (count, 2)),
+                random.normal(0, 15, count),
+                random.uniform(-np.pi, np.pi, count),
+            ]
+        )
+        bubbles = [
+            (
+                *random.uniform(150, SIDE_PX - 150, 2),
+                random.uniform(25, 60),
+                random.uniform(0.3, 0.6),
+            )
+            for _ in range(made.bubbles)
+        ]
+        return cls(shapes, pose, drift, bubbles)
+
+    def still(self, made: Conditions, knock: np.ndarray, focus: float) -> np.ndarray:
+        """Return the field of the light with what does not move."""
+        rows, columns = np.ogrid[-1 : 1 : SIDE_PX * 1j, -1 : 1 : SIDE_PX * 1j]
+        field = (1 - made.vignetting * ((rows - 0.1) ** 2 + (columns + 0.15) ** 2) / 2).astype(
+            np.float32
+        )
+        for x, y, radius, strength in self.bubbles:
+            bubble(field, x + knock[0] / UM_PX, y - knock[1] / UM_PX, radius, strength)
+        self._stamp(field, ~self.drift.any(axis=1), made, 0.0, knock, focus)
+        return field
+
+    def moving(self, field, made: Conditions, t: float, knock: np.ndarray, focus: float) -> None:
+        """Add what drifts to a field, at a time [s]."""
+        self._stamp(field, self.drift.any(axis=1), made, t, knock, focus)
+
+    def _stamp(self, field, which, made: Conditions, t: float, knock, focus: float) -> None:
+        strong = replace(made.optics, halo=0.5 * made.optics.halo)
+        for i in np.flatnonzero(which):
+            x, y, z, turn = self.pose[i]
+            dx, dy, dturn = self.drift[i] * t
+            pose = x + dx + knock[0], y + dy + knock[1], z, turn + dturn, 1.0, 0.0
+            strong.stamp(field, self.shapes[i], pose, focus, np.zeros(2))

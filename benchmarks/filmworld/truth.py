@@ -1,0 +1,126 @@
+"""A synthetic film on disk: film.avi, field.csv for `tetractl track --field`, and its truth."""
+
+import json
+import os
+import shutil
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+VIEW_UM = 30.0  # a cell whose middle is nearer to the picture's edge need not be found
+
+
+@dataclass(slots=True)
+class FilmTruth:
+    """The truth of K pictures with M individuals, at the middle of each exposure.
+
+    `x`, `y` [um], with y up, are in the picture's coordinates, also after a knock; `axis` [rad] is
+    the body's direction, `heading` [rad] that of its helix, `speed` [um/s] along the helix (all
+    (K, M), NaN where an individual is not there). `a` [rad/s] is 0 for a stranger, NaN if it
+    changes; `bias` [rad]; `parent` is the index of the individual that divided, else -1; `resting`
+    (K, M). `turns` (T, 2) are times [s] and directions [rad] of the field, `recorded` (T,) the
+    times that the file states. `about` says what was drawn for the film.
+    """
+
+    times: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    axis: np.ndarray
+    heading: np.ndarray
+    speed: np.ndarray
+    resting: np.ndarray
+    a: np.ndarray
+    bias: np.ndarray
+    parent: np.ndarray
+    turns: np.ndarray
+    recorded: np.ndarray
+    um_px: float
+    side_px: int
+    about: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def view(self) -> np.ndarray:
+        """Whether each individual is wholly in the picture (K, M)."""
+        span = self.side_px * self.um_px
+        with np.errstate(invalid="ignore"):
+            low = np.minimum(self.x, self.y) > VIEW_UM
+            return low & (np.maximum(self.x, self.y) < span - VIEW_UM)
+
+    def save(self, path: Path) -> None:
+        arrays = {name: getattr(self, name) for name in self.__slots__ if name != "about"}
+        ids = np.arange(len(self.a))
+        np.savez_compressed(
+            path, **arrays, id=ids, view=self.view, about=np.array(json.dumps(self.about))
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> "FilmTruth":
+        with np.load(path) as found:
+            values = {name: found[name] for name in cls.__slots__ if name != "about"}
+            about = json.loads(str(found["about"]))
+        values["um_px"], values["side_px"] = float(values["um_px"]), int(values["side_px"])
+        return cls(**values, about=about)
+
+
+def write_film(
+    folder: Path, truth: FilmTruth, pictures: Iterator[np.ndarray], quality: int
+) -> None:
+    """Write a film to a new folder, as MJPEG of a quality from 0 to 100."""
+    part = folder.with_name(f".{folder.name}.{os.getpid()}")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir(parents=True)
+    rate = 1 / (truth.times[1] - truth.times[0])
+    coded = (
+        cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])[1].tobytes()
+        for picture in pictures
+    )
+    write_mjpeg(part / "film.avi", coded, truth.side_px, truth.side_px, rate)
+    lines = [f"{t:.6f},{u:.6f}" for t, u in zip(truth.recorded, truth.turns[:, 1], strict=True)]
+    (part / "field.csv").write_text("\n".join(["time_s,direction_rad", *lines, ""]))
+    truth.save(part / "truth.npz")
+    shutil.rmtree(folder, ignore_errors=True)
+    part.rename(folder)
+
+
+def write_mjpeg(
+    path: Path, pictures: Iterator[bytes], width: int, height: int, rate_hz: float
+) -> None:
+    """Write JPEG pictures as an AVI file; OpenCV's own writer ignores the quality."""
+
+    def chunk(name: bytes, data: bytes) -> bytes:
+        return name + struct.pack("<I", len(data)) + data + b"\0" * (len(data) % 2)
+
+    def headers(count: int) -> bytes:
+        rate = round(rate_hz * 1000)
+        main = struct.pack(
+            "<14I", round(1e6 / rate_hz), 0, 0, 0x10, count, 0, 1, 1 << 20, width, height, *[0] * 4
+        )
+        stream = b"vidsMJPG" + struct.pack(
+            "<IHHIIIIIIII4H", 0, 0, 0, 0, 1000, rate, 0, count, 1 << 20, 2**32 - 1, 0, *[0] * 4
+        )
+        code = int.from_bytes(b"MJPG", "little")
+        shape = struct.pack("<IiiHHIIiiII", 40, width, height, 1, 24, code, 0, 0, 0, 0, 0)
+        inner = chunk(b"LIST", b"strl" + chunk(b"strh", stream) + chunk(b"strf", shape))
+        return chunk(b"LIST", b"hdrl" + chunk(b"avih", main) + inner)
+
+    index, place = [], 4
+    with path.open("wb") as file:
+        file.write(b"RIFF\0\0\0\0AVI " + headers(0))
+        start = file.tell()
+        file.write(b"LIST\0\0\0\0movi")
+        for data in pictures:
+            whole = chunk(b"00dc", data)
+            file.write(whole)
+            index.append(struct.pack("<4sIII", b"00dc", 0x10, place, len(data)))
+            place += len(whole)
+        file.write(chunk(b"idx1", b"".join(index)))
+        end = file.tell()
+        file.seek(start + 4)
+        file.write(struct.pack("<I", place))
+        file.seek(0)
+        file.write(b"RIFF" + struct.pack("<I", end - 8) + b"AVI " + headers(len(index)))

@@ -30,22 +30,92 @@ def test_tables_a_log_and_a_film_are_written(dish):
     out = dish / "tracks"
     assert sorted(p.name for p in out.iterdir()) == [
         "cells.csv",
+        "cells.png",
         "overlay.mp4",
         "poses.csv",
         "track.mcap",
+        "tracks.csv",
     ]
     with (out / "cells.csv").open() as stream:
         cells = list(csv.DictReader(stream))
     assert any(cell["magnetised"] == "true" for cell in cells)
+    assert all(0 < float(cell["lin"]) <= 1 for cell in cells)
     with (out / "track.mcap").open("rb") as stream:
         reader = make_reader(stream)
         topics = {channel.topic for channel in reader.get_summary().channels.values()}
-        assert {"/tf", "/picture", f"/crops/cell {cells[0]['cell']}"} <= topics
-        assert [a.name for a in reader.iter_attachments()] == ["background.png"]
+        assert topics == {"/tf", "/picture"}
+        assert [a.name for a in reader.iter_attachments()] == ["track.json", "background.png"]
     shown = cv2.VideoCapture(str(out / "overlay.mp4"))
     assert shown.get(cv2.CAP_PROP_FRAME_COUNT) == 120
     again = tetractl(dish, "track", *words)
     assert again.returncode == 2 and "exists already" in again.stderr
+
+
+@pytest.fixture(scope="module")
+def tracks(dish):
+    """The results of the film, and what was printed."""
+    words = ("--field", "field.csv", "--scale", "2.3", "-o", "found")
+    return dish / "found", tetractl(dish, "track", "dish.avi", *words).ok().stdout
+
+
+def test_the_log_is_read_back_as_it_was_printed(tracks):
+    out, printed = tracks
+    shown = tetractl(out, "stats", "track.mcap").ok().stdout
+    assert shown.startswith("Cells, with 95 % intervals") and printed.startswith(shown)
+    assert tetractl(out, "stats", ".", "--format", "csv").ok().stdout.startswith("film,cell,since")
+    told = tetractl(out, "info", ".").ok().stdout
+    assert "the cells of a film" in told and "\ndamage\n" not in told
+    found = json.loads(tetractl(out, "info", ".", "--json").ok().stdout)
+    assert found["film"] == "dish.avi" and len(found["cells"]) >= 3
+
+
+@pytest.mark.slow
+def test_figures_and_a_page_are_made_of_the_log(tracks):
+    out, _ = tracks
+    tetractl(out, "plot", ".", "-o", "again.png").ok()
+    assert (out / "again.png").read_bytes() == (out / "cells.png").read_bytes()
+    tetractl(out, "plot", "track.mcap", "--kind", "turning", "-o", "turning.pdf").ok()
+    tetractl(out, "report", ".", "-o", "page.html").ok()
+    page = (out / "page.html").read_text()
+    assert "data:image/svg+xml" in page and "Means over cells" in page
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("verify",), ("replay",), ("recover",), ("identify",), ("open",), ("rerun",), ("redrive",),
+        ("export", "-o", "x.csv", "--table", "poses"), ("plot", "--kind", "trajectory"),
+        ("stats", "--against", "track.mcap"), ("plot", "--kind", "video"),
+    ],
+)  # fmt: skip
+def test_what_needs_a_trial_says_so_of_a_film(tracks, words):
+    done = tetractl(tracks[0], words[0], "track.mcap", *words[1:])
+    assert done.returncode == 2
+    assert "hint: " in done.stderr and "damaged" not in done.stderr
+    assert len(done.stderr.splitlines()) == 2
+
+
+def test_a_log_that_is_cut_short_says_what_is_lost(tracks, tmp_path):
+    whole = (tracks[0] / "track.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) * 9 // 10])
+    (tmp_path / "stub.mcap").write_bytes(whole[:300])
+    cut = tetractl(tmp_path, "info", "cut.mcap")
+    assert cut.returncode == 1 and "breaks off" in cut.stdout
+    stub = tetractl(tmp_path, "stats", "stub.mcap")
+    assert stub.returncode == 1 and "cells of the film cannot be read" in stub.stderr
+
+
+def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
+    found = pandas.read_csv(tracks[0] / "tracks.csv")
+    assert list(found.columns[:4]) == ["id", "t", "y", "x"]  # napari's
+    assert {"particle", "frame", "x", "y"} <= set(found.columns)  # trackpy's
+    assert found.id.dtype.kind == found.frame.dtype.kind == "i"
+    assert not found.duplicated(["particle", "frame"]).any()
+    poses = pandas.read_csv(tracks[0] / "poses.csv")
+    assert (poses.cell == found.id).all() and (poses.picture == found.t).all()
+    assert found.x.to_numpy() == pytest.approx(poses.x_um.to_numpy() / 2.3 - 0.5)
+    assert found.y.to_numpy() == pytest.approx(383.5 - poses.y_um.to_numpy() / 2.3)
 
 
 def test_json_has_intervals_and_says_when_the_scale_is_guessed(dish):

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,11 +10,13 @@ from typing import TYPE_CHECKING, Any
 from tetractl.cli import ui
 from tetractl.core.clock import milliseconds
 from tetractl.core.errors import Exit, LogError, printable
+from tetractl.core.table.table_files import json_text
 from tetractl.core.table.terminal_table import LISTED_MAX
 from tetractl.log.read.find import find_log, find_logs
 
 if TYPE_CHECKING:
-    from tetractl.log.read.overview import Overview
+    from tetractl.log.read.overview import ChannelCount, Overview
+    from tetractl.log.read.track_log import TrackLog
     from tetractl.replay.verify import Verification
 
 
@@ -23,6 +25,8 @@ def info(
     as_json: ui.AsJson = False,
 ) -> int:
     """Print the contents of a log: run, result, events, estimate, channels, provenance, damage.
+
+    Of the log of `tetractl track`: the film, how many cells it shows, channels, damage.
 
     Times count from the first direction sent.
 
@@ -34,8 +38,12 @@ def info(
       log LOG: Log of a trial, finished or not.
     """
     from tetractl.log.read.overview import overview
+    from tetractl.log.read.track_log import is_track, read_track
 
-    found = overview(find_log(log))
+    log = find_log(log)
+    if is_track(log):
+        return _info_of_film(read_track(log), as_json)
+    found = overview(log)
     if as_json:
         print(found.as_json())
     else:
@@ -44,21 +52,48 @@ def info(
     return Exit.FAILED if found.damage else Exit.DONE
 
 
+def _info_of_film(log: "TrackLog", as_json: bool) -> int:
+    """Print the contents of the log of a film."""
+    from tetractl.log.read.overview import channel_counts
+
+    found = log.contents
+    if as_json:
+        print(json_text({"path": log.path, "size": found.size, **log.record}))
+        return Exit.FAILED if log.damage else Exit.DONE
+    film = {
+        key: str(value) for key, value in log.record.items() if not isinstance(value, list | dict)
+    }
+    sizes = {name: f"{len(item.data)} bytes" for name, item in found.attachments.items()}
+    lines = [
+        f"{log.path}: the cells of a film; {found.size} bytes, {found.chunks} chunks",
+        *_section("film", _aligned(film)),
+        *_section("cells", [f"{len(log.record['cells'])} cells, {len(log.time)} poses"]),
+        *_section("notes", log.record["notes"]),
+        *_section("channels", _channel_lines(channel_counts(found))),
+        *_section("attachments", _aligned(sizes)),
+        *_section("damage", log.damage),
+    ]
+    for line in lines:
+        print(printable(line, 240).rstrip())
+    return Exit.FAILED if log.damage else Exit.DONE
+
+
+def _channel_lines(channels: "Sequence[ChannelCount]") -> Iterator[str]:
+    wide = max((len(item.topic) for item in channels), default=0)
+    for item in channels:
+        rate = "" if item.hz is None else f"{item.hz:.1f} Hz"
+        yield f"{item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
+
+
 def _lines(found: "Overview") -> Iterator[str]:
     yield f"{found.path}: {found.size} bytes, {found.chunks} chunks"
-    wide = max((len(item.topic) for item in found.channels), default=0)
-    rates = ["" if item.hz is None else f"{item.hz:.1f} Hz" for item in found.channels]
-    channels = (
-        f"{item.topic:<{wide}}  {item.schema:<25} {item.messages:>6} messages {rate:>9}"
-        for item, rate in zip(found.channels, rates, strict=True)
-    )
     events = (f"{one.time_s:8.2f} s  {one.level:<7}  {one.text}" for one in found.events)
     sizes = {name: f"{size} bytes" for name, size in found.attachments.items()}
     yield from _section("run", _aligned(found.run))
     yield from _section("result", _aligned(_result(found)))
     yield from _section("events", events)
     yield from _section(f"estimate at step {found.estimate_step}", _aligned(_estimate(found)))
-    yield from _section("channels", channels)
+    yield from _section("channels", _channel_lines(found.channels))
     yield from _section("attachments", _aligned(sizes))
     yield from _section("host", _aligned(found.host))
     yield from _section("provenance", _aligned(found.provenance))

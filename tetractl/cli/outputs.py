@@ -7,18 +7,19 @@ from typing import Annotated
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, LogError, UsageError, printable
 from tetractl.core.files import save_whole
+from tetractl.core.registries import CELL_FIGURES
 from tetractl.core.table.table_files import FORMATS, check_format, table_files
 from tetractl.log.read.find import find_logs
 
-VIDEO = "video"
+CELLS, TRAJECTORY, VIDEO = "cells", "trajectory", "video"
 
 
 def plot(
     logs: ui.Logs,
     out: Path | None = None,
-    kind: str = "trajectory",
+    kind: str | None = None,
 ) -> int:
-    """Draw a figure of a trial and print the name of its file.
+    """Draw a figure of a trial, or of a film's cells, and print the name of its file.
 
     trajectory: paths in one trial or several, the paper's Figure 5.
     convergence: cost over the iterations, the paper's Figure 3.
@@ -31,6 +32,17 @@ def plot(
     estimate: the controller's estimates of turning rate a, speed and so on over time.
     timing: solve time of each control step.
     video: a film of the trial.
+
+    Of the log of `tetractl track`:
+
+    cells: all figures that follow, on one page.
+    paths: the cells' paths over the first picture.
+    speeds: each cell's speed with its interval.
+    turning: rate of turning against the angle to the field, with a sin(angle).
+    msd: mean squared displacement.
+    velocities: VCL, VAP and VSL, as of sperm.
+    linearity: VSL / VCL.
+
     Installed packages may add figures.
 
     The same log gives the same bytes. MP4 films need ffmpeg.
@@ -40,15 +52,25 @@ def plot(
     Options:
       out FILE: Picture to write: .png, .svg or .pdf; by default LOG-KIND.png in this folder. A
         film: .mp4, .gif or .webp, by default LOG-video.gif.
-      kind NAME: The figure to draw, a name from the list above.
+      kind NAME: The figure to draw, a name from the lists above.  [trajectory or cells]
     """
-    from tetractl.view.figures.draw import check_kind, draw
+    from tetractl.log.read.track_log import tracks_of
+    from tetractl.view.figures.draw import check_kind, draw, draw_cells
     from tetractl.view.style import file_format, save
 
-    if kind == VIDEO:
-        return _film(find_logs(logs), out)
-    check_kind(kind)
+    if kind not in (None, VIDEO, *CELL_FIGURES.names()):
+        check_kind(kind)  # before the logs are read
     logs = find_logs(logs)
+    if films := tracks_of(logs):
+        path = out or _default_name(logs, kind or CELLS)
+        file_format(path)
+        save(draw_cells(kind or CELLS, films), path)
+        print(printable(str(path)))
+        return Exit.FAILED if any(film.damage for film in films) else Exit.DONE
+    if kind == VIDEO:
+        return _film(logs, out)
+    kind = kind or TRAJECTORY
+    check_kind(kind)
     path = out or _default_name(logs, kind)
     file_format(path)
     trials = [ui.open_trial(log) for log in logs]

@@ -34,15 +34,19 @@ def track(
         searched for; by default the one that fits what swims in the film.
       rate HZ: Pictures per second, if the rate that the film states is wrong or missing.
       y_down: Directions in the --field file run clockwise.
-      out DIR: Folder for the tables, a log and the film with the tracks drawn in.
+      out DIR: Folder for the tables, a log, figures, and the film with the tracks drawn in.
     """
     from tetractl.film.field_file import read_field
-    from tetractl.film.film_files import write_log, write_overlay
-    from tetractl.film.film_tables import as_items, cell_table, pose_table, summary_table
+    from tetractl.film.film_files import write_films
+    from tetractl.film.film_tables import as_items, pose_tables
     from tetractl.film.fit_cell import summarise
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
+    from tetractl.log.read.track_log import read_track
     from tetractl.model.organisms import named
+    from tetractl.results.cell_tables import cell_data, cell_tables
+    from tetractl.view.figures.draw import draw_cells
+    from tetractl.view.style import save
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
@@ -57,14 +61,21 @@ def track(
         )
     with ui.progress("Fitting"):
         cells = summarise(found, directions)
+    record = as_items(film.name, found, cells, directions)
     if out is not None:
-        files = {"cells": out / "cells.csv", "poses": out / "poses.csv"}
-        with table_files(files, "csv") as add:
-            add("cells", summary_table(cells), "")
-            add("poses", pose_table(found), "")
-        write_log(out / "track.mcap", pictures, found)
-        write_overlay(out / "overlay.mp4", pictures, found)
-    ui.show(as_json, as_items(found, cells), [cell_table(found, cells)])
+        with (
+            ui.progress("Writing"),
+            table_files(
+                {name: out / f"{name}.csv" for name in ("cells", "poses", "tracks")}, "csv"
+            ) as add,
+        ):
+            add("cells", cell_data(record), "")
+            for name, table in zip(("poses", "tracks"), pose_tables(found), strict=True):
+                add(name, table, "")
+            write_films(out, pictures, found, record)
+        if found.paths:
+            save(draw_cells("cells", [read_track(out / "track.mcap")]), out / "cells.png")
+    ui.show(as_json, record, cell_tables(record))
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")
     if not found.paths:

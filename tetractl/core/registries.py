@@ -152,6 +152,18 @@ FIGURES = Registry(
         "timing": "tetractl.view.figures.convergence:timing_figure",
     },
 )
+CELL_FIGURES = Registry(
+    "tetractl.cell_figures",
+    {
+        "cells": "tetractl.view.figures.cells:cells_figure",
+        "paths": "tetractl.view.figures.cells:paths_figure",
+        "speeds": "tetractl.view.figures.cells:speeds_figure",
+        "turning": "tetractl.view.figures.cells:turning_figure",
+        "msd": "tetractl.view.figures.cells:msd_figure",
+        "velocities": "tetractl.view.figures.cells:velocities_figure",
+        "linearity": "tetractl.view.figures.cells:linearity_figure",
+    },
+)
 EMULATED_CAMERAS = Registry(
     "tetractl.emulated_cameras",
     {
@@ -176,5 +188,13 @@ ORGANISMS = Registry(
         "helical-microrobot": "tetractl.model.organisms:HELICAL_MICROROBOT",
     },
 )
-OTHERS = (SWEEPS, STATISTICS, FIGURES, EMULATED_CAMERAS, EMULATED_ACTUATORS, ORGANISMS)
+OTHERS = (
+    SWEEPS,
+    STATISTICS,
+    FIGURES,
+    CELL_FIGURES,
+    EMULATED_CAMERAS,
+    EMULATED_ACTUATORS,
+    ORGANISMS,
+)
 REGISTRIES = (*SPEC_REGISTRIES, *OTHERS)

@@ -1,13 +1,15 @@
-"""Writes the results of a film as a log for viewers, and as a film with the tracks drawn in."""
+"""Writes the results of a film as a log, and as a film with the tracks drawn in."""
 
 import math
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
-from google.protobuf.timestamp_pb2 import Timestamp
 from mcap_protobuf.writer import Writer
 
 from tetractl import __version__
@@ -15,122 +17,114 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
-from tetractl.core.setup import METRES
+from tetractl.core.table.table_files import json_text
+from tetractl.film.film_tables import pixel
 from tetractl.film.follow import Followed
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
+from tetractl.log.format.channels import TRACK, TRANSFORMS
+from tetractl.log.format.scene import stamp
+from tetractl.log.read.track_log import CELL, PICTURE, PROFILE, UM
 
-CROP_PX = 64
 PICTURES_S = 1.0  # interval of whole pictures in the log [s]
-QUALITY = 85
+QUALITY = 85  # of their JPEG
+SIDE_PX = 768  # longest side of the film with the tracks; larger films are drawn at a fraction
 TRAIL = 45  # length of a trail [pictures]
 
+Cells = list[SeenCell]
 
-def write_log(path: Path, film: FilmPictures, followed: Followed) -> None:
-    """Write a log for viewers: poses as transforms in metres, a crop around each cell in each
-    picture, and a whole picture per second.
 
-    Crops are on the topics /crops/cell N, whole pictures on /picture; the background is an
-    attachment.
+def write_films(folder: Path, film: FilmPictures, followed: Followed, record: Any) -> None:
+    """Write `track.mcap` and `overlay.mp4` into a folder, reading the film once."""
+    cells: Mapping[int, Cells] = defaultdict(list)
+    for path in followed.paths:
+        for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
+            cells[number].append(cell)
+    with (
+        _log(folder / "track.mcap", film, followed, record) as add,
+        _overlay(folder / "overlay.mp4", followed) as draw,
+    ):
+        for number, picture in film:
+            add(number, picture, cells[number])
+            draw(picture, cells[number])
+
+
+@contextmanager
+def _log(
+    path: Path, film: FilmPictures, followed: Followed, record: Any
+) -> Iterator[Callable[[int, Grey, Cells], None]]:
+    """Write a log: the record as an attachment, poses as transforms in metres, a whole picture a
+    second, and the background; yield the function that adds a picture.
     """
-    cells = _by_picture(followed)
     every = max(1, round(PICTURES_S * followed.rate_hz))
     part = path.with_name(path.name + ".part")
+
+    def add(number: int, picture: Grey, cells: Cells) -> None:
+        ns = round(film.seconds(number) * SECOND)
+        log.write_message(TRANSFORMS, _transforms(cells, ns), ns, ns)
+        if number % every == 0 or not shown:
+            shown.append(number)
+            image = CompressedImage(
+                timestamp=stamp(ns), frame_id="picture", data=_coded(picture), format="jpeg"
+            )
+            log.write_message(PICTURE, image, ns, ns)
+
+    shown: list[int] = []
     try:
-        with part.open("wb") as stream, Writer(stream) as log:
-            log.add_metadata(
-                "tetractl.film",
-                {
-                    "film": str(film.path.name),
-                    "tetractl": __version__,
-                    "um_per_px": f"{followed.um_px:.6g}",
-                    "rate_hz": f"{followed.rate_hz:g}",
-                    "opencv": opencv().__version__,
-                },
-            )
-            log.add_attachment(
-                0, 0, "background.png", "image/png", _coded(followed.background, ".png")
-            )
-            for number, picture in film:
-                ns = round(film.seconds(number) * SECOND)
-                seen = cells.get(number, [])
-                log.write_message("/tf", _transforms(seen, ns), ns, ns)
-                for cell in seen:
-                    crop = cropped(picture, cell, followed.um_px)
-                    topic = f"/crops/cell {cell.identity}"
-                    log.write_message(topic, _image(crop, ns, f"cell {cell.identity}"), ns, ns)
-                if number % every == 0:
-                    log.write_message("/picture", _image(picture, ns, "picture"), ns, ns)
+        with part.open("wb") as stream, Writer(stream, profile=PROFILE) as log:
+            about = {"kind": "cells of a film", "film": film.path.name, "tetractl": __version__}
+            log.add_metadata("tetractl.film", about | {"opencv": opencv().__version__})
+            text = json_text(record, None).encode()
+            log.add_attachment(0, 0, TRACK, "application/json", text)
+            background = _coded(followed.background, ".png")
+            log.add_attachment(0, 0, "background.png", "image/png", background)
+            yield add
         part.replace(path)
     except OSError as error:
         raise TetractlError(f"{path}: cannot be written: {error.strerror}") from error
 
 
-def write_overlay(path: Path, film: FilmPictures, followed: Followed) -> None:
-    """Write the film as MP4 with each cell's number, outline, heading and trail."""
+@contextmanager
+def _overlay(path: Path, followed: Followed) -> Iterator[Callable[[Grey, Cells], None]]:
+    """Write an MP4 film with each cell's number, outline, heading and trail; yield the function
+    that adds a picture.
+    """
     cv2 = opencv()
-    cells = _by_picture(followed)
-    width, height = (side - side % 2 for side in followed.size)  # MP4 needs even sides
-    code = cv2.VideoWriter.fourcc(*"mp4v")
+    shrink = math.ceil(max(followed.size) / SIDE_PX)
+    width, height = (side // shrink - side // shrink % 2 for side in followed.size)
+    code = cv2.VideoWriter.fourcc(*"mp4v")  # which needs even sides
     writer = cv2.VideoWriter(str(path), code, followed.rate_hz, (width, height))
     if not writer.isOpened():
         raise TetractlError(f"{path}: OpenCV on this computer cannot write an MP4 film")
-    trails: dict[int, list[tuple[int, int]]] = {}
+    trails: dict[int, list[tuple[int, int]]] = defaultdict(list)
+
+    def draw(picture: Grey, cells: Cells) -> None:
+        size = (picture.shape[1] // shrink, picture.shape[0] // shrink)
+        small = cv2.resize(picture, size, interpolation=cv2.INTER_AREA) if shrink > 1 else picture
+        drawn = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
+        for cell in cells:
+            _draw(drawn, cell, followed.um_px * shrink, trails[cell.identity])
+        writer.write(np.ascontiguousarray(drawn[:height, :width]))
+
     try:
-        for number, picture in film:
-            drawn = cv2.cvtColor(picture, cv2.COLOR_GRAY2BGR)
-            for cell in cells.get(number, []):
-                _draw(drawn, cell, followed.um_px, trails.setdefault(cell.identity, []))
-            writer.write(np.ascontiguousarray(drawn[:height, :width]))
+        yield draw
     finally:
         writer.release()
 
 
-def cropped(picture: Grey, cell: SeenCell, um_px: float) -> Grey:
-    """Return a crop of CROP_PX x CROP_PX around a cell, black outside the picture."""
-    column, row = _pixel(cell, um_px, picture.shape[0])
-    half = CROP_PX // 2
-    left, top = round(column) - half, round(row) - half
-    crop = np.zeros((CROP_PX, CROP_PX), np.uint8)
-    part = picture[max(0, top) : max(0, top + CROP_PX), max(0, left) : max(0, left + CROP_PX)]
-    crop[max(0, -top) :, max(0, -left) :][: part.shape[0], : part.shape[1]] = part
-    return crop
-
-
-def _by_picture(followed: Followed) -> dict[int, list[SeenCell]]:
-    found: dict[int, list[SeenCell]] = {}
-    for path in followed.paths:
-        for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
-            found.setdefault(number, []).append(cell)
-    return found
-
-
-def _pixel(cell: SeenCell, um_px: float, height: int) -> tuple[float, float]:
-    return cell.x / um_px - 0.5, height - 0.5 - cell.y / um_px
-
-
-def _coded(picture: Grey, kind: str) -> bytes:
+def _coded(picture: Grey, kind: str = ".jpg") -> bytes:
     cv2 = opencv()
     options = [cv2.IMWRITE_JPEG_QUALITY, QUALITY] if kind == ".jpg" else []
     return cv2.imencode(kind, picture, options)[1].tobytes()
 
 
-def _stamp(ns: int) -> Timestamp:
-    return Timestamp(seconds=ns // SECOND, nanos=ns % SECOND)
-
-
-def _image(picture: Grey, ns: int, frame: str) -> CompressedImage:
-    data = _coded(picture, ".jpg")
-    return CompressedImage(timestamp=_stamp(ns), frame_id=frame, data=data, format="jpeg")
-
-
-def _transforms(cells: list[SeenCell], ns: int) -> FrameTransforms:
-    message = FrameTransforms()
+def _transforms(cells: Cells, ns: int) -> FrameTransforms:
+    message, time = FrameTransforms(), stamp(ns)
     for cell in cells:
         one = message.transforms.add()
-        one.timestamp.CopyFrom(_stamp(ns))
-        one.parent_frame_id, one.child_frame_id = "picture", f"cell {cell.identity}"
-        one.translation.x, one.translation.y = cell.x * METRES["um"], cell.y * METRES["um"]
+        one.timestamp.CopyFrom(time)
+        one.parent_frame_id, one.child_frame_id = "picture", f"{CELL}{cell.identity}"
+        one.translation.x, one.translation.y = cell.x * UM, cell.y * UM
         one.rotation.z, one.rotation.w = math.sin(cell.heading / 2), math.cos(cell.heading / 2)
     return message
 
@@ -148,7 +142,7 @@ def _draw(picture: np.ndarray, cell: SeenCell, um_px: float, trail: list[tuple[i
     """Draw a cell: its trail, the outline of its body if it was found, heading and number."""
     cv2 = opencv()
     color = _COLORS[cell.identity % len(_COLORS)]
-    column, row = _pixel(cell, um_px, picture.shape[0])
+    column, row = pixel(cell.x, cell.y, um_px, picture.shape[0])
     at = (round(column), round(row))
     trail.append(at)
     del trail[:-TRAIL]

@@ -1,42 +1,14 @@
-"""The results of a film, as tables."""
+"""The results of a film as a record of plain values, and its poses as tables."""
 
 from collections.abc import Sequence
 
-from tetractl.core.table.table import Column, Table, fixed
+from tetractl.core.table.table import Column, Table
+from tetractl.core.table.table_files import plain
+from tetractl.film.field_file import FieldRecord
 from tetractl.film.fit_cell import CellSummary
-from tetractl.film.follow import Followed
+from tetractl.film.follow import CellPath, Followed
+from tetractl.film.kinematics import velocities
 from tetractl.replay.identification.fit import SampleInterval
-
-
-def interval(decimals: int, value: SampleInterval | None) -> str:
-    """Return a value with its 95 % interval as text; "-" for an unknown value."""
-    if value is None:
-        return "-"
-    show = fixed(decimals)
-    return f"{show(value.value)} [{show(value.low)}, {show(value.high)}]"
-
-
-def cell_table(followed: Followed, cells: Sequence[CellSummary]) -> Table:
-    """Return the table to print, with one row per cell."""
-    known = any(cell.a is not None for cell in cells)
-    columns = [
-        Column("cell", [cell.cell for cell in cells]),
-        Column("from", [cell.since_s for cell in cells], "s", fixed(1)),
-        Column("for", [cell.seconds for cell in cells], "s", fixed(1)),
-        Column("speed", [interval(0, cell.speed) for cell in cells], "um/s"),
-        Column("path", [cell.path_um for cell in cells], "um", fixed(0)),
-        Column("sway", [cell.sway_rad for cell in cells], "rad", fixed(2)),
-        Column("helix", [cell.helix_hz for cell in cells], "Hz", fixed(1)),
-    ]
-    if known:
-        columns += [
-            Column("a", [interval(2, cell.a) for cell in cells], "rad/s"),
-            Column("bias", [interval(2, cell.bias) for cell in cells], "rad"),
-            Column("magnet", [_yes(cell.magnetised) for cell in cells]),
-        ]
-    if any(cell.probability < 0.999 for cell in cells):
-        columns.append(Column("identity", [cell.probability for cell in cells], "", fixed(2)))
-    return Table("Cells, with 95 % intervals", tuple(columns), "\n".join(notes(followed, cells)))
 
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
@@ -62,114 +34,109 @@ def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:
     return found
 
 
-def summary_table(cells: Sequence[CellSummary]) -> Table:
-    """Return the data table with one row per cell."""
+def as_items(
+    film: str,
+    followed: Followed,
+    cells: Sequence[CellSummary],
+    field: FieldRecord | None = None,
+) -> dict:
+    """Return the record of the film with this name: the JSON object of --json, which its log
+    holds, too.
 
-    def ends(name: str, key: str, unit: str) -> list[Column]:
-        values = [getattr(cell, name) for cell in cells]
-        return [
-            Column(f"{key}{end}", [None if v is None else getattr(v, part) for v in values], unit)
-            for end, part in (("", "value"), ("_low", "low"), ("_high", "high"))
-        ]
-
-    columns = (
-        Column("cell", [cell.cell for cell in cells]),
-        Column("since", [cell.since_s for cell in cells], "s"),
-        Column("duration", [cell.seconds for cell in cells], "s"),
-        Column("pictures", [cell.pictures for cell in cells]),
-        *ends("speed", "speed", "um/s"),
-        Column("path", [cell.path_um for cell in cells], "um"),
-        Column("sway", [cell.sway_rad for cell in cells], "rad"),
-        Column("helix", [cell.helix_hz for cell in cells], "Hz"),
-        Column("helix_radius", [cell.helix_um for cell in cells], "um"),
-        *ends("a", "a", "rad/s"),
-        *ends("bias", "bias", "rad"),
-        Column("magnetised", [cell.magnetised for cell in cells]),
-        Column("identity_probability", [cell.probability for cell in cells]),
-    )
-    return Table("Cells", columns)
-
-
-def pose_table(followed: Followed) -> Table:
-    """Return the data table with one row per cell and picture, which `tetractl identify` also
-    reads.
+    `field` lists x and y of the field from each of its times [s] on, None without a field.
     """
-    rows = [
-        (
-            t,
-            int(k),
-            f"cell {path.identity}",
-            c.x,
-            c.y,
-            c.heading,
-            c.axis,
-            c.probability,
-            c.found,
-            c.merged,
-        )
-        for path in followed.paths
-        for t, k, c in zip(path.times.tolist(), path.frames, path.seen, strict=True)
-    ]
-    rows.sort(key=lambda row: (row[1], row[2]))
-    values = list(zip(*rows, strict=True)) or [()] * 10
-    names = (
-        ("time", "s"),
-        ("picture", ""),
-        ("robot", ""),
-        ("x", "um"),
-        ("y", "um"),
-        ("heading", "rad"),
-        ("axis", "rad"),
-        ("identity_probability", ""),
-        ("found", ""),
-        ("merged", ""),
-    )
-    return Table("Poses", tuple(Column(n, v, u) for (n, u), v in zip(names, values, strict=True)))
-
-
-def as_items(followed: Followed, cells: Sequence[CellSummary]) -> dict:
-    """Return the JSON object of --json: the film, and each cell with [low, high] of 95 %
-    intervals.
-    """
-
-    def value(found: SampleInterval | None) -> dict | None:
-        return None if found is None else {"value": found.value, "ci95": [found.low, found.high]}
-
-    return {
+    width, height = followed.size
+    record = {
+        "film": film,
         "pictures": followed.pictures,
         "damaged": followed.damaged,
         "rate_hz": followed.rate_hz,
         "um_per_px": followed.um_px,
         "scale_guessed": followed.guessed_scale,
         "organism": followed.organism.name,
-        "remarks": list(followed.remarks),
+        "width": width,
+        "height": height,
         "bright": followed.bright,
         "contrast": followed.contrast,
         "noise": followed.noise,
-        "cells": [
-            {
-                "cell": cell.cell,
-                "since_s": cell.since_s,
-                "duration_s": cell.seconds,
-                "pictures": cell.pictures,
-                "speed_um_s": value(cell.speed),
-                "path_um": cell.path_um,
-                "sway_rad": cell.sway_rad,
-                "helix_hz": cell.helix_hz,
-                "helix_um": cell.helix_um,
-                "a_rad_s": value(cell.a),
-                "bias_rad": value(cell.bias),
-                "magnetised": cell.magnetised,
-                "identity_probability": cell.probability,
-            }
-            for cell in cells
-        ],
+        "cells": [_cell(cell, path) for cell, path in zip(cells, followed.paths, strict=True)],
         "indistinguishable": [
             {"cells": list(pair), "probability": probability}
             for pair, probability in followed.doubtful
         ],
+        "notes": notes(followed, cells),
+        "field": None
+        if field is None
+        else {"time_s": field.times.tolist(), "x": field.x.tolist(), "y": field.y.tolist()},
+    }
+    return plain(record)
+
+
+def _cell(cell: CellSummary, path: CellPath) -> dict:
+    """Return the values of one cell, by the keys of `results.cell_tables.QUANTITIES`."""
+
+    def value(found: SampleInterval | None) -> dict | None:
+        return None if found is None else {"value": found.value, "ci95": [found.low, found.high]}
+
+    return {
+        "cell": cell.cell,
+        "since_s": cell.since_s,
+        "duration_s": cell.seconds,
+        "pictures": cell.pictures,
+        "speed_um_s": value(cell.speed),
+        **velocities(path.times, path.places, cell.helix_hz),
+        "path_um": cell.path_um,
+        "sway_rad": cell.sway_rad,
+        "helix_hz": cell.helix_hz,
+        "helix_um": cell.helix_um,
+        "a_rad_s": value(cell.a),
+        "bias_rad": value(cell.bias),
+        "magnetised": cell.magnetised,
+        "identity_probability": cell.probability,
     }
 
 
-def _yes(magnetised: bool | None) -> str:
-    return "-" if magnetised is None else "yes" if magnetised else "no"
+def pose_tables(followed: Followed) -> tuple[Table, Table]:
+    """Return the data tables with one row per cell and picture: `poses` in um, y upwards, which
+    `tetractl identify` reads, and `tracks` in pixels, y downwards.
+
+    In `tracks` the first four columns are those of napari's tracks, and `particle`, `frame`, `y`
+    and `x` are trackpy's; (0, 0) is the middle of the upper left pixel.
+    """
+    rows = sorted(
+        (
+            (int(picture), path.identity, time, cell)
+            for path in followed.paths
+            for time, picture, cell in zip(path.times.tolist(), path.frames, path.seen, strict=True)
+        ),
+        key=lambda row: row[:2],
+    )
+    pictures, numbers = [row[0] for row in rows], [row[1] for row in rows]
+    cells = [row[3] for row in rows]
+    pixels = [pixel(cell.x, cell.y, followed.um_px, followed.size[1]) for cell in cells]
+    poses = (
+        Column("time", [row[2] for row in rows], "s"),
+        Column("picture", pictures),
+        Column("cell", numbers),
+        Column("x", [cell.x for cell in cells], "um"),
+        Column("y", [cell.y for cell in cells], "um"),
+        Column("heading", [cell.heading for cell in cells], "rad"),
+        Column("axis", [cell.axis for cell in cells], "rad"),
+        Column("identity_probability", [cell.probability for cell in cells]),
+        Column("found", [cell.found for cell in cells]),
+        Column("merged", [cell.merged for cell in cells]),
+    )
+    tracks = (
+        Column("id", numbers),
+        Column("t", pictures),
+        Column("y", [y for _, y in pixels]),
+        Column("x", [x for x, _ in pixels]),
+        Column("frame", pictures),
+        Column("particle", numbers),
+    )
+    return Table("Poses", poses), Table("Tracks", tracks)
+
+
+def pixel(x: float, y: float, um_px: float, height: int) -> tuple[float, float]:
+    """Return column and row, whose whole numbers are the middles of pixels, of a place [um]."""
+    return x / um_px - 0.5, height - 0.5 - y / um_px

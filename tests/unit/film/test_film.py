@@ -9,10 +9,10 @@ from support.needs_opencv import cv2, video
 
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
-from tetractl.film.film_files import CROP_PX, cropped
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import _paths, follow
+from tetractl.film.kinematics import velocities
 from tetractl.film.pictures import open_film
 
 
@@ -41,7 +41,7 @@ def test_without_a_field_there_is_no_a():
     seen = followed(made, known=False)
     cells = summarise(seen, None)
     assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
-    assert as_items(seen, cells)["cells"][0]["a_rad_s"] is None
+    assert as_items("reel", seen, cells)["cells"][0]["a_rad_s"] is None
 
 
 def test_the_scale_is_guessed_from_bodies(tmp_path):
@@ -128,14 +128,19 @@ def test_a_wrong_field_is_one_clear_error(tmp_path, text, says):
         read_field(path)
 
 
-def test_a_crop_has_its_cell_in_the_middle():
-    picture = np.random.default_rng(1).integers(0, 256, (600, 800)).astype(np.uint8)
-    half = CROP_PX // 2
-    inside = cropped(picture, SimpleNamespace(x=2.0 * 300.5, y=2.0 * (600 - 200.5)), 2.0)
-    assert np.array_equal(inside, picture[200 - half : 200 + half, 300 - half : 300 + half])
-    corner = cropped(picture, SimpleNamespace(x=1.0, y=2.0 * 600 - 1.0), 2.0)
-    assert np.array_equal(corner[half:, half:], picture[:half, :half])
-    assert not corner[:half].any()
+def test_velocities_are_those_of_casa():
+    times = np.arange(91) / 30.0
+    wave = 20 * np.sin(2 * np.pi * 2.5 * times)  # um; a turn takes 12 pictures
+    line = velocities(times, np.column_stack([300 * times, wave]), 2.5)
+    assert line["vsl_um_s"] == pytest.approx(300)
+    assert line["vap_um_s"] == pytest.approx(300, rel=0.03)
+    assert line["vcl_um_s"] == pytest.approx(374, rel=0.02)  # the mean of sqrt(300^2 + wave'^2)
+    assert line["lin"] == pytest.approx(line["vsl_um_s"] / line["vcl_um_s"])
+    angle = np.pi * times  # half a turn of 100 um in each part of one second
+    circle = velocities(times, 100 * np.column_stack([np.cos(angle), np.sin(angle)]), np.nan)
+    assert circle["vcl_um_s"] == pytest.approx(100 * np.pi, rel=0.01)
+    assert circle["vsl_um_s"] == pytest.approx(200)
+    assert velocities(times[:2], np.zeros((2, 2)), np.nan)["lin"] is None
 
 
 def test_what_is_seen_too_briefly_or_does_not_move_is_no_cell():

@@ -75,7 +75,7 @@ def overview(path: Path) -> Overview:
         events=trial.events,
         estimate=last.plan.estimate if last else None,
         estimate_step=last.k if last else None,
-        channels=_channels(contents),
+        channels=channel_counts(contents),
         attachments={name: len(item.data) for name, item in contents.attachments.items()},
         host={key: value for key, value in trial.facts.items() if not is_version(key)},
         provenance={key: value for key, value in trial.facts.items() if is_version(key)},
@@ -85,8 +85,10 @@ def overview(path: Path) -> Overview:
     )
 
 
-def _channels(contents: RawLog) -> tuple[ChannelCount, ...]:
+def channel_counts(contents: RawLog) -> tuple[ChannelCount, ...]:
+    """Return the channels that have messages, sorted by topic."""
     schemas = {topic: message.DESCRIPTOR.full_name for topic, message in CHANNELS.items()}
+    schemas |= {topic: schema.name for topic, (_, schema) in contents.channels.items() if schema}
     return tuple(
         ChannelCount(
             topic=topic,

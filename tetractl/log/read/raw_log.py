@@ -13,7 +13,7 @@ from typing import Any
 from google.protobuf.message import DecodeError
 from mcap.records import Attachment, Channel, Schema
 
-from tetractl.core.errors import LogError, printable
+from tetractl.core.errors import LogError, UsageError, printable
 from tetractl.core.trial import Result
 from tetractl.log.format import channels
 from tetractl.log.format.channels import Entry
@@ -89,6 +89,9 @@ class RawLog:
     @cached_property
     def run(self) -> Run:
         """What identifies the trial; LogError if it is lost, unreadable or of another format."""
+        if channels.TRACK in self.attachments:
+            said = f"{self.path}: holds the cells of a film, not a trial"
+            raise UsageError(said, "tetractl plot, report, stats and info take such a log")
         if not self.by_topic[channels.RUN]:
             lost = "damaged: the record of the run is lost"
             other = f"an MCAP file, but not a log of tetractl in format {channels.FORMAT_VERSION}"

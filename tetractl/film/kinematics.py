@@ -1,0 +1,60 @@
+"""The velocities of computer-assisted sperm analysis (CASA), by which swimmers are compared.
+
+Definitions: WHO laboratory manual for the examination and processing of human semen, 6th edition
+(2021), section 3.5.2; Mortimer, "A critical assessment of methods used to study sperm kinematics",
+in Computer-Aided Sperm Analysis (1990). CASA averages the path over a fixed number of pictures;
+here it is one turn of the cell's helix, whatever the film's rate.
+"""
+
+import math
+
+import numpy as np
+
+from tetractl.core.poses import Floats
+
+WINDOW_S = 1.0  # length of the parts of a track, whose velocities are averaged [s]
+TURN_S = 0.4  # length of a turn of a helix of unknown frequency [s]
+
+
+def velocities(times: Floats, places: Floats, helix_hz: float) -> dict[str, float | None]:
+    """Return VCL, VAP, VSL [um/s] and LIN of a track: its times (K,) [s] and places (K, 2) [um].
+
+    VCL is the velocity along the path from picture to picture, VAP along the average path, which is
+    the running mean over a turn of the helix, and VSL along the straight line from the first place
+    to the last one; LIN = VSL / VCL. They are the means over successive parts of WINDOW_S, so that
+    long and short tracks can be compared; a shorter track is one part. VCL grows with the noise of
+    the places and with the film's rate.
+    """
+    step = float(np.median(np.diff(times)))
+    turn = 1 / helix_hz if math.isfinite(helix_hz) and helix_hz > 1 else TURN_S
+    average = _smoothed(places, max(1, round(turn / step)))
+    count = min(round(WINDOW_S / step), len(times) - 1)
+    parts = []
+    for first in range(0, len(times) - count, count):
+        last = first + count
+        lengths = (
+            _length(places[first : last + 1]),
+            _length(average[first : last + 1]),
+            _length(places[[first, last]]),
+        )
+        parts.append(np.array(lengths) / (times[last] - times[first]))
+    vcl, vap, vsl = np.mean(parts, axis=0).tolist()
+    return {
+        "vcl_um_s": vcl,
+        "vap_um_s": vap,
+        "vsl_um_s": vsl,
+        "lin": vsl / vcl if vcl > 0 else None,
+    }
+
+
+def _smoothed(places: Floats, width: int) -> Floats:
+    """Return the running mean over `width` places; towards the ends over fewer of them."""
+    half = min(width // 2, (len(places) - 1) // 2)
+    sums = np.vstack([np.zeros((1, 2)), np.cumsum(places, axis=0)])
+    index = np.arange(len(places))
+    reach = np.minimum(half, np.minimum(index, index[::-1]))
+    return (sums[index + reach + 1] - sums[index - reach]) / (2 * reach + 1)[:, None]
+
+
+def _length(places: Floats) -> float:
+    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())

@@ -1,0 +1,137 @@
+"""Reads the log that `tetractl track` writes of a film: its cells, their poses, and a picture."""
+
+import io
+import json
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError
+from PIL import Image
+
+from tetractl.core.clock import SECOND
+from tetractl.core.errors import LogError, UsageError
+from tetractl.core.poses import Floats, Grey
+from tetractl.core.setup import METRES
+from tetractl.log.format.channels import TRACK, TRANSFORMS
+from tetractl.log.read.limits import TooMuchError
+from tetractl.log.read.raw_log import RawLog
+from tetractl.log.read.salvage import scan
+
+PROFILE = "tetractl.track"  # of the MCAP file, in its header
+PICTURE = "/picture"
+CELL = "cell "  # begins the name of a cell's coordinate frame, which its number ends
+UM = METRES["um"]
+PIXELS_MAX = 4096 * 4096
+FILM = ("pictures", "rate_hz", "um_per_px", "width", "height")  # what must be known of a film
+
+
+@dataclass(frozen=True, slots=True)
+class TrackLog:
+    """The cells of a film.
+
+    `record` is what `tetractl track --json` prints: the film, and `cells`. Row i of `poses` (R, 3)
+    is x, y [um] and heading [rad] of the cell with the number `cell[i]` at the time `time[i]` [s].
+    `picture` is the first whole picture. `damage` says what is wrong with the file.
+    """
+
+    path: str
+    record: dict[str, Any]
+    time: Floats
+    cell: Floats
+    poses: Floats
+    picture: Grey
+    contents: RawLog
+    damage: tuple[str, ...]
+
+    @property
+    def tracks(self) -> Iterator[tuple[int, Floats, Floats]]:
+        """Yield number, times (K,) and poses (K, 3) of each cell that has any."""
+        for each in self.record["cells"]:
+            (rows,) = np.nonzero(self.cell == each["cell"])
+            if len(rows):
+                yield each["cell"], self.time[rows], self.poses[rows]
+
+    def values(self, key: str) -> Floats:
+        """Return the known values of one quantity of the cells."""
+        found = (value_of(each.get(key)) for each in self.record["cells"])
+        return np.array([value for value in found if value is not None])
+
+
+def value_of(entry: Any) -> float | None:
+    """Return the value of an entry of a cell, with or without an interval; None if unknown."""
+    return entry["value"] if isinstance(entry, dict) else entry
+
+
+def is_track(path: Path) -> bool:
+    """Return whether a file is the log of a film."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return PROFILE.encode() in file.read(64)
+
+
+def tracks_of(logs: Sequence[Path]) -> list[TrackLog]:
+    """Return the logs of films; none if all logs are of trials. UsageError if there are both."""
+    films = [path for path in logs if is_track(path)]
+    if films and len(films) < len(logs):
+        raise UsageError(f"{films[0]}: is of a film, the others are of trials", "give either")
+    return [read_track(path) for path in films]
+
+
+def read_track(path: Path) -> TrackLog:
+    """Read the log of a film; LogError if its cells are lost or cannot be read."""
+    contents = scan(path)
+    try:
+        record = _checked(json.loads(contents.text(TRACK) or "null"))
+        rows = np.array(list(_rows(contents))).reshape(-1, 5)
+        picture = _picture(contents, (record["height"], record["width"]))
+    except TooMuchError as error:
+        raise LogError(f"{path}: {error}") from None
+    except (DecodeError, OSError, LookupError, RecursionError, TypeError, ValueError) as error:
+        said = f"{type(error).__name__}: {error}"
+        raise LogError(f"{path}: the cells of the film cannot be read: {said}") from None
+    time, cell, poses = rows[:, 0], rows[:, 1], rows[:, 2:]
+    problems = (*contents.problems, *(f"lost: {lost}" for lost in contents.lost))
+    return TrackLog(str(path), record, time, cell, poses, picture, contents, problems)
+
+
+def _checked(record: Any) -> dict[str, Any]:
+    """Return a record whose entries have the types that tetractl writes; else ValueError."""
+    for key in FILM:
+        if not 0 < float(record[key]) < math.inf:
+            raise ValueError(key)
+    for each in record["cells"]:
+        if not isinstance(each["cell"], int):
+            raise ValueError("cell")
+        for key, entry in each.items():
+            ends = entry["ci95"] if isinstance(entry, dict) else ()
+            for number in (value_of(entry), *ends):
+                if number is not None and not isinstance(number, bool | int | float):
+                    raise ValueError(key)
+    return record
+
+
+def _rows(contents: RawLog) -> Iterator[tuple[float, ...]]:
+    """Yield time [s], cell, x, y [um] and heading [rad] of each pose."""
+    for message in contents.messages(TRANSFORMS):
+        for one in message.transforms:
+            time = one.timestamp.seconds + one.timestamp.nanos / SECOND
+            number = float(one.child_frame_id.removeprefix(CELL))
+            heading = 2 * math.atan2(one.rotation.z, one.rotation.w)
+            yield time, number, one.translation.x / UM, one.translation.y / UM, heading
+
+
+def _picture(contents: RawLog, shape: tuple[int, int]) -> Grey:
+    """Return the first whole picture; a grey one if it is lost."""
+    if not contents.by_topic[PICTURE] or shape[0] * shape[1] > PIXELS_MAX:
+        return np.full((1, 1), 200, np.uint8)
+    message = CompressedImage.FromString(contents.by_topic[PICTURE][0].data)
+    with Image.open(io.BytesIO(message.data)) as image:
+        if image.size != shape[::-1]:
+            raise ValueError("picture")
+        return np.array(image.convert("L"))

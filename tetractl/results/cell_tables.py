@@ -1,0 +1,110 @@
+"""The tables of a film's cells, made from the record that `tetractl track --json` prints."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tetractl.core.table.table import NONE, Column, Table, fixed
+from tetractl.results.estimate import distributions
+
+Record = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity of each cell: its `name` in data files, heading and decimals in printed tables.
+
+    One without a heading is only in data files; of one that is `averaged`, the mean over the cells
+    is printed. One with an `interval` is {"value": ..., "ci95": [low, high]} in the record.
+    """
+
+    name: str
+    unit: str = ""
+    heading: str = ""
+    decimals: int = 0
+    averaged: bool = True
+    interval: bool = False
+
+    @property
+    def key(self) -> str:
+        """The name of the quantity in JSON, which ends in the unit."""
+        return Column(self.name, (), self.unit).key.lower()
+
+
+QUANTITIES = (
+    Quantity("since", "s", "from", 1, averaged=False),
+    Quantity("duration", "s", "for", 1, averaged=False),
+    Quantity("pictures", averaged=False),
+    Quantity("speed", "um/s", "speed", interval=True),
+    Quantity("vcl", "um/s", "VCL"),
+    Quantity("vap", "um/s", "VAP"),
+    Quantity("vsl", "um/s", "VSL"),
+    Quantity("lin", "", "LIN", 2),
+    Quantity("path", "um", averaged=False),
+    Quantity("sway", "rad", "sway", 2),
+    Quantity("helix", "Hz", "helix", 1),
+    Quantity("helix", "um"),
+    Quantity("a", "rad/s", "a", 2, interval=True),
+    Quantity("bias", "rad", "bias", 2, interval=True),
+    Quantity("magnetised", "", "magnet", averaged=False),
+    Quantity("identity_probability", "", "identity", 2, averaged=False),
+)
+"""The quantities of a cell, in the order of the columns; each is a key of a cell in the record."""
+
+
+def cell_tables(record: Record) -> list[Table]:
+    """Return the tables to print: a row per cell, and the mean over the cells of each quantity."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for one in QUANTITIES:
+        texts = [_text(cell.get(one.key), one.decimals) for cell in cells]
+        certain = one.key == "identity_probability" and {"1.00"}.issuperset(texts)
+        if one.heading and not certain and any(text != NONE for text in texts):
+            columns.append(Column(one.heading, texts, one.unit))
+    note = "\n".join(record["notes"])
+    return [Table("Cells, with 95 % intervals", tuple(columns), note), *_means(cells)]
+
+
+def _text(entry: Any, decimals: int) -> str:
+    if isinstance(entry, bool):
+        return "yes" if entry else "no"
+    if isinstance(entry, Mapping):
+        low, high = (fixed(decimals)(end) for end in entry["ci95"])
+        return f"{fixed(decimals)(entry['value'])} [{low}, {high}]"
+    return fixed(decimals)(entry)
+
+
+def _means(cells: list[Record]) -> list[Table]:
+    """Return the table of means, none for fewer than two cells."""
+    rows = []
+    for one in QUANTITIES if len(cells) > 1 else ():
+        entries = (cell.get(one.key) for cell in cells)
+        known = [e["value"] if isinstance(e, Mapping) else e for e in entries if e is not None]
+        if one.averaged and one.heading and known:
+            (found,) = distributions(np.array([known], dtype=float))
+            show = fixed(one.decimals)
+            name = f"{one.heading} [{one.unit}]" if one.unit else one.heading
+            spread = show(found.std)
+            rows.append((name, str(found.n), show(found.mean), found.ci95.text(show), spread))
+    header = ("mean over cells", "n", "mean", "95 % interval", "standard deviation")
+    columns = zip(header, zip(*rows, strict=True), strict=True) if rows else ()
+    table = Table("Means over cells", tuple(Column(name, values) for name, values in columns))
+    return [table] if rows else []
+
+
+def cell_data(record: Record) -> Table:
+    """Return the data table of the cells: a row per cell, intervals as columns of their ends."""
+    cells = record["cells"]
+    columns = [Column("cell", [cell["cell"] for cell in cells])]
+    for one in QUANTITIES:
+        entries = [cell.get(one.key) for cell in cells]
+        ends = [each["ci95"] if isinstance(each, Mapping) else None for each in entries]
+        values = [e["value"] if isinstance(e, Mapping) else e for e in entries]
+        columns.append(Column(one.key, values))
+        if one.interval:
+            for k, end in enumerate(("low", "high")):
+                key = Quantity(f"{one.name}_{end}", one.unit).key
+                columns.append(Column(key, [None if e is None else e[k] for e in ends]))
+    return Table("Cells", tuple(columns))

@@ -57,15 +57,16 @@ class Conditions:
         plain, haloed = names[2:4], [*names[:2], names[4]]
         look = str(random.choice(haloed if random.random() < share else plain))
         body, halo, edge = looks[look]
-        light = random.uniform(60, 110) if look.startswith("bright") else random.uniform(120, 190)
+        dark_field = look in ("bright", "bright, dark halo")
+        light = random.uniform(60, 110) if dark_field else random.uniform(120, 190)
         angle, size = random.uniform(-np.pi, np.pi), float(level == "hard") * 18.0
         contrast = {
             "easy": random.uniform(40, 80) / light,
             "normal": random.uniform(30, 70) / light,
-            "hard": random.uniform(0.17, 0.28),
+            "hard": random.uniform(0.17, 0.24),
         }[level]
         contrast = min(contrast, 0.75)
-        noise = {"easy": (2.0, 4.0), "normal": (3.0, 6.0), "hard": (6.0, 8.0)}[level]
+        noise = {"easy": (2.0, 4.0), "normal": (3.0, 6.0), "hard": (7.0, 8.0)}[level]
         noise = random.uniform(*noise)
         if level == "hard" and random.random() < 0.4:
             contrast, noise = 0.17, 8.0
@@ -92,13 +93,13 @@ class Conditions:
             drift=0.0 if easy else random.uniform(-0.01, 0.01),
             exposure_s=random.uniform(0.003, 0.012),
             specks=int(random.integers(2, 6)) if easy else int(random.integers(25, 46)),
-            lookalikes=0 if easy else int(random.integers(2, 5)) * (3 if hard else 1),
+            lookalikes=0 if easy else int(random.integers(3, 6)) * (4 if hard else 1),
             speck_um_s={"easy": 0.0, "normal": 15.0, "hard": 40.0}[level],
             bubbles=0 if easy else 1,
-            wander={"easy": 2.0, "normal": 12.0, "hard": 22.0}[level],
+            wander={"easy": 2.0, "normal": 12.0, "hard": 25.0}[level],
             texture=random.uniform(0.2, 0.8),
-            spread=0.05 if easy else 0.12,
-            pulse={"easy": (0.02, 0.05), "normal": (0.04, 0.07), "hard": (0.06, 0.1)}[level],
+            spread=0.05 if easy else 0.15,
+            pulse={"easy": (0.04, 0.06), "normal": (0.05, 0.07), "hard": (0.06, 0.1)}[level],
             backs={"easy": 0.0, "normal": 0.005, "hard": 0.015}[level],
             knock_um=(size * math.cos(angle), size * math.sin(angle)),
             knock_s=seconds * random.uniform(0.35, 0.65),

@@ -106,7 +106,7 @@ class WideFilm(SyntheticFilm):
         cells = PulsingSwimmers(
             **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
             base=np.zeros(0),
-            pulse=random.uniform(*((0.02, 0.05), (0.04, 0.07), (0.06, 0.1))[at], 24),
+            pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[at], 24),
             pulse_hz=random.uniform(0.4, 3.0, 24),
             age=random.uniform(0, 10, 24),
         )
@@ -122,7 +122,7 @@ class WideFilm(SyntheticFilm):
             level=level,
             halo=halo,
             hollow=hollow,
-            wander_um=(0.0, 20.0, 60.0)[at],
+            wander_um=(0.0, 20.0, 70.0)[at],
             knock_um=(18 * math.cos(angle), 18 * math.sin(angle)) if hard else (0.0, 0.0),
             knock_s=seconds * random.uniform(0.35, 0.65) if hard else math.inf,
             late_s=0.0 if easy else random.uniform(0, 0.02 if hard else 0.01),
@@ -133,7 +133,7 @@ class WideFilm(SyntheticFilm):
         # the JPEG comes later, at the quality of the whole film
         painter = WidePainter(replace(self.look, quality=None), self.seed)
         painter.halo, painter.hollow = self.halo, self.hollow
-        painter.own = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.1, 64))
+        painter.own = np.exp(random.normal(0, 0.0 if self.level == "easy" else 0.15, 64))
         spread = (np.arange(SUB_EXPOSURES) + 0.5) / SUB_EXPOSURES - 0.5
         focus, knocked = 0.0, False
         for t in self.times:
@@ -194,13 +194,13 @@ def _look(random: np.random.Generator, level: str) -> PictureLook:
     at = ("easy", "normal", "hard").index(level)
     span, bright = SIDE_PX * UM_PX, bool(random.random() < 0.5)
     light = random.uniform(60, 110) if bright else random.uniform(120, 190)
-    contrast = (random.uniform(40, 80), random.uniform(30, 70), random.uniform(0.17, 0.24) * light)
-    noise = (random.uniform(2, 4), random.uniform(3, 6), random.uniform(6, 8))
+    contrast = (random.uniform(40, 80), random.uniform(30, 70), random.uniform(0.17, 0.2) * light)
+    noise = (random.uniform(2, 4), random.uniform(3, 6), random.uniform(7, 8))
     contrast, noise = contrast[at], noise[at]
     if level == "hard" and random.random() < 0.5:
         contrast, noise = 0.17 * light, 8.0
     specks = [_speck(random, span, at) for _ in range((4, 30, 36)[at])]
-    specks += [_lookalike(random, span, at) for _ in range((0, 3, 10)[at])]
+    specks += [_lookalike(random, span, at) for _ in range((0, 3, 16)[at])]
     if at:
         x, y = random.uniform(0, span, 2).tolist()
         size = float(random.uniform(100, 250))

@@ -52,8 +52,8 @@ class Crowd:
             bias=random.normal(0, 0.12, count),
             walk=random.uniform(0.03, 0.15, count),
             length=length,
-            width=length * random.uniform(0.42, 0.58, count),
-            steady=random.uniform(0.0, 0.8) + random.normal(0, 0.1, count),
+            width=length * random.uniform(0.42, 0.66, count),
+            steady=random.uniform(-0.1, 1.0) + random.normal(0, 0.1, count),
             slant=random.normal(0, 0.05, count),
         )
 

@@ -1,0 +1,109 @@
+"""trackpy and laptrack on plain detections: median background, threshold, connected components.
+
+Both are tuned as a user would, on films of seeds 1 and 2: how far a cell swims between pictures,
+how long it may be missed, how large it is; what does not move away from where it began is dropped.
+"""
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pandas as pd
+
+from .ours import cpu_s
+from .scores import Shown
+
+BACKGROUND = 41  # pictures
+BLUR_PX = 1.2
+SIGMAS = 5.0  # threshold over the robust noise of the blurred difference
+AREA_UM2 = 250.0, 6000.0  # of a detection
+RANGE_UM = 32.0  # way between two pictures: 960 um/s at 30 Hz
+MISSED = 5  # pictures for which a cell may be missed
+SHORTEST, MOVED_UM = 15, 80.0  # pictures and way of a track that is kept
+
+
+def detections(film: Path, um_px: float) -> pd.DataFrame:
+    """Return frame, x, y (down) [px] of what differs from the film's median."""
+    pictures = []
+    reader = cv2.VideoCapture(str(film))
+    while (read := reader.read())[0]:
+        pictures.append(cv2.cvtColor(read[1], cv2.COLOR_BGR2GRAY))
+    light = np.array([np.median(picture[::8, ::8]) for picture in pictures])
+    every = max(1, len(pictures) // BACKGROUND)
+    scaled = [pictures[k] * np.float32(light[0] / light[k]) for k in range(0, len(pictures), every)]
+    background = cv2.GaussianBlur(np.median(scaled, axis=0).astype(np.float32), (0, 0), BLUR_PX)
+    low, high = (area / um_px**2 for area in AREA_UM2)
+    rows = []
+    for k, picture in enumerate(pictures):
+        grey = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), BLUR_PX)
+        off = np.abs(grey * np.float32(light[0] / light[k]) - background)
+        noise = 1.4826 * np.median(off[::4, ::4])
+        mask = (off > SIGMAS * noise).astype(np.uint8)
+        mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
+        count, _, stats, middles = cv2.connectedComponentsWithStats(mask)
+        for i in range(1, count):
+            if low <= stats[i, cv2.CC_STAT_AREA] <= high:
+                rows.append((k, *middles[i]))
+    return pd.DataFrame(rows, columns=["frame", "x", "y"])
+
+
+def trackpy_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
+    import trackpy
+
+    trackpy.quiet()
+    way = RANGE_UM / um_px
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        predict = trackpy.predict.NearestVelocityPredict()
+        return predict.link_df(found, way, memory=MISSED, adaptive_stop=way / 4, adaptive_step=0.9)
+
+
+def laptrack_rows(found: pd.DataFrame, um_px: float) -> pd.DataFrame:
+    from laptrack import LapTrack
+
+    way = (RANGE_UM / um_px) ** 2
+    linker = LapTrack(
+        cutoff=way,
+        gap_closing_cutoff=4 * way,
+        gap_closing_max_frame_count=MISSED,
+        splitting_cutoff=False,
+        merging_cutoff=False,
+    )
+    tracks, _, _ = linker.predict_dataframe(
+        found, coordinate_cols=["x", "y"], frame_col="frame", only_coordinate_cols=False
+    )
+    tracks = tracks.reset_index(drop=True).rename(columns={"track_id": "particle"})
+    return tracks if "frame" in tracks else tracks.rename(columns={"frame_y": "frame"})
+
+
+def _linked(link: Callable[[pd.DataFrame, float], pd.DataFrame], folder: Path, um_px: float):
+    began = cpu_s()
+    found = detections(folder / "film.avi", um_px)
+    tracks = link(found, um_px) if len(found) else found.assign(particle=[])
+    spent = cpu_s() - began
+    kept = []
+    for _, track in tracks.groupby("particle"):
+        way = np.hypot(track.x - track.x.iloc[0], track.y - track.y.iloc[0]).max() * um_px
+        if len(track) >= SHORTEST and way >= MOVED_UM:
+            kept.append(track)
+    table = pd.concat(kept).sort_values("frame") if kept else tracks.iloc[:0]
+    height = cv2.VideoCapture(str(folder / "film.avi")).get(cv2.CAP_PROP_FRAME_HEIGHT)
+    none = np.full(len(table), np.nan)
+    return Shown(
+        frame=table.frame.to_numpy(int),
+        name=table.particle.to_numpy(int),
+        x=(table.x.to_numpy(float) + 0.5) * um_px,
+        y=(height - 0.5 - table.y.to_numpy(float)) * um_px,
+        axis=none,
+        heading=none,
+        probability=none,
+        cpu_s=spent,
+    )
+
+
+PEERS = {
+    "trackpy": lambda folder, um_px: _linked(trackpy_rows, folder, um_px),
+    "laptrack": lambda folder, um_px: _linked(laptrack_rows, folder, um_px),
+}

@@ -43,9 +43,9 @@ def detections(film: Path, um_px: float) -> pd.DataFrame:
         mask = (off > SIGMAS * noise).astype(np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         count, _, stats, middles = cv2.connectedComponentsWithStats(mask)
-        for i in range(1, count):
-            if low <= stats[i, cv2.CC_STAT_AREA] <= high:
-                rows.append((k, *middles[i]))
+        area = stats[:, cv2.CC_STAT_AREA]
+        fit = [i for i in range(1, count) if low <= area[i] <= high]
+        rows += [(k, *middles[i]) for i in fit]
     return pd.DataFrame(rows, columns=["frame", "x", "y"])
 
 

@@ -3,17 +3,20 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, islice
 
-from tetractl.analysis.closed_loop import Noise
-from tetractl.analysis.steering import planner, steering
+import numpy as np
+
+from tetractl.analysis.closed_loop import Noise, end_covariance, linearise, mean_errors
+from tetractl.analysis.steering import planner, plans
 from tetractl.experiment.choice import FoundCell
 from tetractl.experiment.choosing import settled, worth
 from tetractl.experiment.experiment import Experiment
 
 COMPARED = 40  # number of choices whose errors are predicted: those with the most different a
 # for each round, the fraction of the choices that are compared, and of the plans that are used
-ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 3), (0.1, 1.0))
+ROUNDS = ((1.0, 1 / 12), (0.3, 1 / 4), (0.1, 1.0))
+PLANS_MAX = 1000  # largest number of plans of a choice
 # difference of log(a) below which cells cannot be distinguished in time after they meet
 ALIKE = 0.08
 
@@ -25,6 +28,41 @@ class RankedChoice:
 
     cells: tuple[FoundCell, ...]
     error: float
+
+
+class _Candidate:
+    """A choice of cells, and the errors predicted for it along the plans of its first trials."""
+
+    def __init__(self, experiment: Experiment, cells: Sequence[FoundCell], noise: Noise) -> None:
+        self.cells = tuple(cells)
+        self._errors: list[float] = []  # of plans that reach the targets
+        self._more = self._predictions(settled(experiment, cells), noise)
+        self._tried = 0
+
+    @staticmethod
+    def _predictions(trial: Experiment, noise: Noise) -> Iterator[float | None]:
+        """Yield the mean total error along each plan, None if it does not reach the targets."""
+        section = planner(trial)
+        for planned in plans(section, trial.setup, trial.trials.seed, PLANS_MAX):
+            if not planned.reaches:
+                yield None
+                continue
+            linear = linearise(planned.problem, planned.plan.signals)
+            covariance = end_covariance(linear, noise, True, section.estimate)
+            yield float(mean_errors(covariance, linear.miss).sum())
+
+    def along(self, count: int) -> "_Candidate":
+        """Return this choice with errors along its first `count` plans."""
+        for error in islice(self._more, max(0, count - self._tried)):
+            self._tried += 1
+            if error is not None:
+                self._errors.append(error)
+        return self
+
+    @property
+    def error(self) -> float:
+        """The median of the errors so far, inf if no plan reaches the targets."""
+        return float(np.median(self._errors)) if self._errors else math.inf
 
 
 def ranked(
@@ -39,27 +77,26 @@ def ranked(
     Errors are predicted as by `tetractl analyze`, from the cells' poses: first along a few plans
     for the COMPARED choices of greatest `worth`, then along more, up to `plans`, for the best of
     them (successive halving), with the same random numbers. If no plan reaches the targets in the
-    first round, there are no further ones. Only cells with a magnet count; [] if
-    there are too few.
+    first round, there are no further ones. Only cells with a magnet count, and no choice has two
+    that are `alike`; [] if no choice is left.
     """
     choice = experiment.chosen
     assert choice is not None, "the spec must have robots: {choose: N}"
     able = sorted((cell for cell in cells if cell.magnetised), key=lambda cell: -cell.a)
-    every = sorted(combinations(able, choice.choose), key=lambda some: worth(some, experiment))
-    found = [RankedChoice(some, math.inf) for some in every[: -COMPARED - 1 : -1]]
+    told_apart = [some for some in combinations(able, choice.choose) if not any(alike(some))]
+    every = sorted(told_apart, key=lambda some: worth(some, experiment))
+    found = [_Candidate(experiment, some, noise) for some in every[: -COMPARED - 1 : -1]]
     counts = [min(max(5, round(share * len(found))), len(found)) for share, _ in ROUNDS]
     done = 0
     for count, (_, share) in zip(counts, ROUNDS, strict=True):
-        for i in range(count):
-            some = found[i].cells
-            error = predicted(experiment, some, noise, math.ceil(share * plans))
-            found[i] = RankedChoice(some, error)
+        for one in found[:count]:
+            one.along(math.ceil(share * plans))
             done += 1
             on_done(done, sum(counts))
         found[:count] = sorted(found[:count], key=lambda one: one.error)
         if found and math.isinf(found[0].error):
             break  # no plan reaches the targets, and more plans of the same choices would not
-    return found[: counts[-1]]
+    return [RankedChoice(one.cells, one.error) for one in found[: counts[-1]]]
 
 
 def predicted(
@@ -67,9 +104,7 @@ def predicted(
 ) -> float:
     """Return the mean total error [length unit] predicted for a choice of cells, inf if no plan
     reaches the targets."""
-    trial = settled(experiment, cells)
-    result = steering(planner(trial), trial.setup, noise, trial.trials.seed, plans)
-    return math.inf if result is None else result.error
+    return _Candidate(experiment, cells, noise).along(plans).error
 
 
 def alike(cells: Sequence[FoundCell]) -> Iterator[tuple[FoundCell, FoundCell]]:

@@ -21,7 +21,7 @@ def survey(
     spec: ui.Spec,
     sets: ui.Sets = None,
     out: Path | None = None,
-    plans: Annotated[int, ui.ValueRange(1, 1000)] = 48,
+    plans: Annotated[int, ui.ValueRange(1, 1000)] = 96,
     plant: ui.LabChoice = "lab",
     yes: ui.Yes = False,
     as_json: ui.AsJson = False,
@@ -29,9 +29,9 @@ def survey(
     """Find the cells in a dish, measure how each responds to the field, and propose which to steer.
 
     The field rotates for the time `robots.seconds` of the spec. Every cell with a magnet is listed
-    with 95 % intervals; choices of cells are ranked by the error that `tetractl analyze` predicts,
-    with the noise of the spec's simulation. -o writes a spec with which a trial finds the best
-    cells again, by their turning rates a and speeds.
+    with 95 % intervals; choices of cells that are distinguishable are ranked by the error that
+    `tetractl analyze` predicts, with the noise of the spec's simulation. -o writes a spec with
+    which a trial finds the best cells again, by their turning rates a and speeds.
 
     Example: tetractl lab survey experiments/tetrahymena_dish.yaml -o dish.yaml
 
@@ -85,13 +85,20 @@ def survey(
     if not found or not np.isfinite(found[0].error):
         control, able = planner(experiment), sum(cell.magnetised for cell in cells)
         horizon_s = control.horizon_max * control.signal_periods * control.period
-        why = (
-            f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
-            f"{tolerance(control):g} {unit} of the targets"
-            if found
-            else f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
-        )
+        if found:
+            why = (
+                f"no plan of up to {horizon_s:g} s (controller.horizon_max) ends within "
+                f"{tolerance(control):g} {unit} of the targets"
+            )
+        elif able < choice.choose:
+            why = f"{able} of {len(cells)} cells respond to the field, {choice.choose} are needed"
+        else:
+            why = f"among any {choice.choose} are two that cannot be distinguished after they meet"
         ui.tell(f"no choice of these cells can be steered to the targets: {why}")
+        if not able:
+            ui.tell(
+                "hint: if the field does act, `tetractl lab check --turn` finds a mirrored picture"
+            )
         return Exit.FAILED
     if out is not None:
         data = document_of(loaded.text, str(spec), sets or []).data

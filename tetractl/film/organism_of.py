@@ -14,7 +14,8 @@ from tetractl.film.pictures import FilmPictures
 from tetractl.lab.cameras.cells.detect_cells import Blob, BlobFinder
 from tetractl.model.organisms import Organism
 
-LOOK_S, LOOKED = 1.5, 40  # duration [s] and number of the pictures that are searched, at most
+LOOK_S, LOOKED = 1.5, 40  # duration [s] and greatest number of the pictures that are searched,
+LATEST_S, ENOUGH = 9.0, 3  # or until this time if fewer objects than these were seen
 LEAST_PX, MOST_SHARE = 30.0, 0.02  # areas of objects: in pixels, and as a share of the picture
 REACH = 1.5  # way from one picture to the next, in lengths of the object, up to which it is itself
 SEEN = 6  # fewest pictures of an object whose speed is known
@@ -53,7 +54,7 @@ def recognised(
     if um_px is None:
         if not len(moving):
             raise TetractlError(
-                f"{film.path}: nothing swims in the first {LOOK_S:g} s, so the scale is not known",
+                f"{film.path}: nothing swims in the first {LATEST_S:g} s: the scale is unknown",
                 "give the scale: --scale UM_PER_PIXEL",
             )
         taken = organism or known[0]
@@ -71,7 +72,7 @@ def recognised(
         taken = known[int(np.argmax(ways))]  # the first if nothing moves
         fits = _fits(moving, taken, um_px)
         few = f"{fits.sum()} of {len(moving)} objects that swim have its size and speed"
-        none = f"nothing that swims in the first {LOOK_S:g} s has a known size and speed"
+        none = "nothing that swims in the first pictures has a known size and speed"
         why = [f"cells are taken for {taken.name}: {few if fits.any() else none}"]
     return Recognised(taken, um_px, False, (*why, *_others(moving, taken, known, um_px)))
 
@@ -86,7 +87,8 @@ def _moving(film: FilmPictures, sample: Sequence[Grey]) -> Floats:
     going: list[list[tuple[float, Blob]]] = []
     ended: list[list[tuple[float, Blob]]] = []
     for number, picture in film:
-        if film.seconds(number) > LOOK_S and number > 2 * SEEN:
+        seen = sum(len(path) >= SEEN for path in (*ended, *going))
+        if film.seconds(number) > (LOOK_S if seen >= ENOUGH else LATEST_S) and number > 2 * SEEN:
             break
         if number % step or picture.shape != sample[0].shape:
             continue
@@ -148,19 +150,22 @@ def _shares(moving: Floats, kinds: Sequence[Organism], um_px: float) -> Floats:
 def _others(
     moving: Floats, taken: Organism, kinds: Sequence[Organism], um_px: float
 ) -> tuple[str, ...]:
-    """Return a line on objects that swim but cannot be of the kind `taken`, if there are two."""
+    """Return a line on objects that move but cannot be of the kind `taken`, if there are two."""
     swims = moving[:, 3] > moving[:, 0]
     left = moving[swims & ~_fits(moving, taken, um_px)]
     if len(left) < 2:
         return ()
     low, usual, high = np.quantile(left[:, :3] * um_px, [0.1, 0.5, 0.9], axis=0)
     better = kinds[int(np.argmax(_shares(left, kinds, um_px)))]
-    fits = _fits(left, better, um_px).any()
+    unlike = _difference(usual, taken)
+    hint = f"--organism {better.name} follows them"
+    if not _fits(left, better, um_px).any():
+        hint = "no known organism is like that"
+    elif unlike == "slower":
+        hint += ", if they swim and do not drift"
     return (
-        f"warning: {len(left)} objects that swim are {_difference(usual, taken)} than "
-        f"{taken.name}, {low[0]:.0f} to {high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} "
-        "um/s, and not followed: "
-        + (f"--organism {better.name} follows them" if fits else "no known organism is like that"),
+        f"warning: {len(left)} objects that move are {unlike} than {taken.name}, {low[0]:.0f} to "
+        f"{high[0]:.0f} um long at {low[2]:.0f} to {high[2]:.0f} um/s, and not followed: {hint}",
     )
 
 

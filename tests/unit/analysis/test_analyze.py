@@ -7,7 +7,7 @@ from support.trials import THREE_M3PI, experiment
 
 from tetractl.analysis.analysis_text import NO_PLAN, advice, as_json, tables
 from tetractl.analysis.analyze import Change, analyze, best_change, respaced, smallest_gap
-from tetractl.analysis.choices import ranked
+from tetractl.analysis.choices import predicted, ranked
 from tetractl.analysis.closed_loop import Noise
 from tetractl.analysis.steering import planner
 from tetractl.control.optimizers.multistart import Multistart
@@ -145,3 +145,26 @@ def test_where_no_choice_of_cells_has_a_plan_the_ranking_ends_with_its_first_rou
     )
     assert not np.isfinite([one.error for one in found]).any()
     assert len(counted) == 4  # one prediction for each three of four cells
+
+
+def found_cell(number, a):
+    return FoundCell(number, Pose(1000 + 300 * number, 900, 0.0), a, 0.1, 400, 4)
+
+
+def test_no_choice_has_cells_that_cannot_be_distinguished():
+    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    cells = [found_cell(i, a) for i, a in enumerate((4.0, 4.2, 5.5))]
+    noise = Noise.of(spec.experiment.plant)
+    chosen = {
+        frozenset(c.number for c in one.cells) for one in ranked(spec.experiment, cells, noise, 12)
+    }
+    assert chosen == {frozenset((0, 2)), frozenset((1, 2))}
+    assert ranked(spec.experiment, cells[:2], noise, 12) == []
+
+
+def test_a_choice_is_predicted_along_the_same_plans_however_many_rounds_there_are():
+    spec = load_spec(ROOT / "experiments" / "tetrahymena_dish.yaml", ["robots.choose=2"])
+    cells = [found_cell(i, a) for i, a in enumerate((4.5, 3.0))]
+    noise = Noise.of(spec.experiment.plant)
+    (one,) = ranked(spec.experiment, cells, noise, 12)
+    assert one.error == predicted(spec.experiment, one.cells, noise, 12)

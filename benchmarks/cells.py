@@ -1,14 +1,11 @@
-"""How well cells are found, followed and distinguished in synthetic films.
+"""How well cells are distinguished after a merge, and how large and safe a log of them is.
 
-    python benchmarks/cells.py films       position, axis, heading, F1, wrong identities, ms
     python benchmarks/cells.py identity    identities after a full merge, by the difference of a
-    python benchmarks/cells.py intervals   how often 95 % intervals of `tetractl track` hold
-    python benchmarks/cells.py time        ms a picture of 1024 and of 2048 px
     python benchmarks/cells.py log         MB/s of a log with crops, share of its changes noticed
 
-Every picture is synthetic, by `tetractl.emulate.dish`, which the same hands wrote. Seeds from 9000
-on are those of the published figures; smaller ones were used in development. --count says how many
-films, pairs of cells or changes; --seconds how long each film is.
+How well cells are found and followed in films is measured by benchmarks/films.py. Every picture is
+synthetic. Seeds from 9000 on are those of the published figures; smaller ones were used in
+development. --count says how many pairs of cells or changes; --seconds how long each film is.
 """
 
 import argparse
@@ -16,7 +13,6 @@ import math
 import random
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 import cv2
@@ -24,17 +20,13 @@ import numpy as np
 from scipy.stats import beta
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))
-from support.dish_films import Reel, Score, record, who
 from support.film_logs import write_film
 from support.synthetic_film import FilmScript, SyntheticFilm
 from support.tampering import noticed, tamperings
 
 from tetractl.emulate.dish.picture import PictureLook
-from tetractl.film.fit_cell import summarise
-from tetractl.film.follow import follow
 from tetractl.lab.cameras.cells.helix import HelixFilter
 from tetractl.lab.cameras.cells.identity import opened
-from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.log.format import channels
 from tetractl.log.read.salvage import scan
 from tetractl.model.swimmers import Swimmers, bodies
@@ -48,73 +40,6 @@ def share(hits: int, count: int) -> str:
     low = beta.ppf(0.025, hits, count - hits + 1) if hits else 0.0
     high = beta.ppf(0.975, hits + 1, count - hits) if hits < count else 1.0
     return f"{hits}/{count} = {hits / max(count, 1):.4f} [{low:.4f}, {high:.4f}]"
-
-
-def film(
-    seed: int, seconds: float, side: int, um_px: float | None, **script: object
-) -> SyntheticFilm:
-    look = PictureLook.drawn(np.random.default_rng(seed), side, um_px)
-    return SyntheticFilm(FilmScript(seconds=seconds, **script), look, seed)
-
-
-def films(count: int, seconds: float) -> None:
-    """Once with as many crossings as the bar has, and once with six times as many."""
-    for crossings in (1.0, 6.0):
-        films_of(count, seconds, crossings)
-
-
-def films_of(count: int, seconds: float, crossings: float) -> None:
-    score, times = Score(), []
-    for seed in range(FIRST_SEED, FIRST_SEED + count):
-        made = film(seed, seconds, 1024, 2.3, strangers=seed % 11, crossings=crossings)
-        score.add(made, follow(reel := Reel(made), made.look.um_px, record(made)))
-        times += timed(made, reel)
-        print(f"seed {seed}: F1 {score.f1:.4f}, {len(score.changed)} wrong so far", flush=True)
-
-    def rms(values: list) -> float:
-        return float(np.sqrt(np.mean(np.square(values))))
-
-    quiet = float(np.quantile(np.abs(score.axis), 0.95))
-    print(f"{count} synthetic films of {seconds:g} s, 20 cells and 0 to 10 strangers, 2.3 um/px")
-    print(f"each pair of cells is made to cross {crossings:g} times a minute")
-    print(f"position RMSE {rms(score.position):.2f} um a coordinate, n {len(score.position)}")
-    print(f"axis RMSE {rms(score.axis):.3f} rad, 95 % within {quiet:.3f}")
-    middle = np.median(np.abs(score.heading))
-    print(f"heading of the helix RMSE {rms(score.heading):.3f} rad, median {middle:.3f}")
-    print(f"F1 {score.f1:.4f}: {score.found} found, {score.missed} not, {score.extra} extra")
-    hours, stated = score.found / made.script.rate / 3600, np.round(score.changed, 2).tolist()
-    print(f"changed numbers {len(stated)} in {hours:.3f} cell-hours; stated {stated}")
-    stated = np.round(score.taken, 2).tolist()
-    print(f"numbers that were another cell's {len(stated)}; stated {stated}")
-    p50, p99 = np.quantile(times, (0.5, 0.99))
-    print(f"picture to pose: median {p50:.1f}, p99 {p99:.1f} ms of CPU")
-
-
-def timed(made: SyntheticFilm, reel: Reel, jpeg: bool = False) -> list[float]:
-    """CPU time of one thread a picture [ms], as a live camera has it."""
-    tracker = CellTracker(made.look.um_px, known=True)
-    tracker.learn(reel.pictures[:: max(1, len(reel.pictures) // 20)])
-    field, found = record(made), []
-    for t, picture in zip(made.times, reel.pictures, strict=True):
-        data = cv2.imencode(".jpg", picture)[1] if jpeg else None
-        began = time.thread_time()
-        shot = picture if data is None else cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
-        tracker.see(shot, float(t), field.pieces)
-        found.append(1e3 * (time.thread_time() - began))
-    return found
-
-
-def times(count: int, seconds: float) -> None:
-    for side in (1024, 2048):
-        plain, coded = [], []
-        for seed in range(FIRST_SEED, FIRST_SEED + count):
-            made = film(seed, seconds, side, 2.3)
-            reel = Reel(made)
-            plain += timed(made, reel)
-            coded += timed(made, reel, jpeg=True)
-        for name, values in (("grey", plain), ("JPEG", coded)):
-            p50, p99 = np.quantile(values, (0.5, 0.99))
-            print(f"{side} px, {name}: median {p50:.1f}, p99 {p99:.1f} ms of CPU, n {len(values)}")
 
 
 def identity(count: int, seconds: float) -> None:
@@ -184,32 +109,12 @@ def after_merge(seed: int, apart: float, limit: float) -> tuple[tuple[int, ...],
     return question.best()
 
 
-def intervals(count: int, seconds: float) -> None:
-    inside, found = [], 0
-    for seed in range(FIRST_SEED, FIRST_SEED + count):
-        made = film(seed, seconds, 768, 3.0, cells=12, strangers=1, events=False)
-        seen = follow(Reel(made), made.look.um_px, record(made))
-        for path, cell in zip(seen.paths, summarise(seen, record(made)), strict=True):
-            i = who(made, path)
-            if i is None or cell.a is None or cell.speed is None:
-                continue
-            found += 1
-            truth = made.cells.a[i], made.cells.speed[i]
-            inside.append(
-                [e.low < v < e.high for e, v in zip((cell.a, cell.speed), truth, strict=True)]
-            )
-        print(f"seed {seed}: {found} cells, inside {np.mean(inside, axis=0).round(3)}", flush=True)
-    a, speed = np.sum(inside, axis=0)
-    print(f"{count} synthetic films of {seconds:g} s, cells seen for 2 s or more")
-    print(f"95 % interval of a holds: {share(int(a), found)}")
-    print(f"95 % interval of the speed holds: {share(int(speed), found)}")
-
-
 def logs(count: int, seconds: float) -> None:
     with tempfile.TemporaryDirectory() as folder:
         for seed in range(FIRST_SEED, FIRST_SEED + 3):
             path = Path(folder) / f"{seed}.mcap"
-            made = film(seed, seconds, 1024, 2.3)
+            look = PictureLook.drawn(np.random.default_rng(seed), 1024, 2.3)
+            made = SyntheticFilm(FilmScript(seconds=seconds), look, seed)
             samples = write_film(made, path, robots=3)
             crops = np.mean([len(sample.film.crops) for sample in samples])
             rate = path.stat().st_size * made.script.rate / len(samples) / 1e6
@@ -224,16 +129,13 @@ def logs(count: int, seconds: float) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("films", "identity", "intervals", "time", "log"))
+    parser.add_argument("part", choices=("identity", "log"))
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=10.0)
     chosen = parser.parse_args()
     cv2.setNumThreads(1)
     parts = {
-        "films": films,
         "identity": identity,
-        "intervals": intervals,
-        "time": times,
         "log": logs,
     }
     parts[chosen.part](chosen.count, chosen.seconds)

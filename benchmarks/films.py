@@ -111,9 +111,27 @@ def render(chosen: argparse.Namespace) -> None:
                 print(f"{folder}: {size:.0f} MB", flush=True)
 
 
+def times(chosen: argparse.Namespace) -> None:
+    """Print the processor time a picture of 1024 px, alone on one core."""
+    from filmworld.ours import parts
+
+    cv2.setNumThreads(1)
+    for renderer in chosen.renderer:
+        for level in chosen.level:
+            found: dict[str, list[float]] = {}
+            for folder in each(chosen, partial(rendered, chosen.cache, renderer, level)):
+                for name, values in parts(folder, 2.3).items():
+                    found.setdefault(name, []).extend(values)
+            print(f"\n## {renderer}, {level}: ms of processor time a picture\n")
+            for name, values in found.items():
+                p50, p99 = np.quantile(values, (0.5, 0.99))
+                print(f"| {name} | median {p50:.1f}, p99 {p99:.1f}, n {len(values)} |", flush=True)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("render", "score", "peers"))
+    parser.add_argument("part", choices=("render", "score", "peers", "time", "real"))
+    parser.add_argument("film", type=Path, nargs="?", help="the film of `real`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
     parser.add_argument("--count", type=int, default=15, help="films of each kind")
@@ -121,11 +139,21 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, help="folder of the films; else a temporary one")
     parser.add_argument("--keep", default="", help="folder in each film's for what is said of it")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--scale", type=float, nargs="+", default=[0.0], help="of `real`; 0: none")
+    parser.add_argument("--rate", type=float, help="of `real`, if it states none")
     chosen = parser.parse_args()
     chosen.renderer = RENDERERS if chosen.renderer == "both" else (chosen.renderer,)
+    if chosen.part == "real":
+        from filmworld.real import report
+
+        if chosen.film is None:
+            parser.error("real needs a film")
+        report(chosen.film, chosen.scale, chosen.rate)
+        return
+    parts = {"render": render, "score": score, "peers": peers, "time": times}
     with tempfile.TemporaryDirectory() as folder:
         chosen.cache = chosen.cache or Path(folder)
-        {"render": render, "score": score, "peers": peers}[chosen.part](chosen)
+        parts[chosen.part](chosen)
 
 
 if __name__ == "__main__":

@@ -107,7 +107,7 @@ class WideFilm(SyntheticFilm):
             **vars(Swimmers.drawn(random, CELLS + STRANGERS, STRANGERS)),
             base=np.zeros(0),
             pulse=random.uniform(*((0.04, 0.06), (0.05, 0.07), (0.06, 0.1))[at], 24),
-            pulse_hz=random.uniform(0.4, 3.0, 24),
+            pulse_hz=np.exp(random.uniform(math.log(0.15), math.log(3.0), 24)),
             age=random.uniform(0, 10, 24),
         )
         cells.base = cells.speed.copy()

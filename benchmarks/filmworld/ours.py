@@ -1,6 +1,7 @@
-"""What `tetractl track` says of a film, as rows to be scored."""
+"""What `tetractl track` says of a film, as rows to be scored; the processor time of its parts."""
 
 import os
+import time
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ from tetractl.film.field_file import read_field
 from tetractl.film.fit_cell import summarise
 from tetractl.film.follow import follow
 from tetractl.film.pictures import open_film
+from tetractl.lab.cameras.cells.tracking import CellTracker
 
 from .scores import Shown
 
@@ -34,6 +36,29 @@ def track(folder: Path, um_px: float) -> Shown:
         }
     frame, name = table[:, 0].astype(int), table[:, 1].astype(int)
     return Shown(frame, name, *table[:, 2:].T, numbers=numbers, cpu_s=spent)
+
+
+def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
+    """Return processor times a picture [ms]: those of `track`'s parts on average, and that of each
+    picture from grey levels to poses in a live camera.
+    """
+    field = read_field(folder / "field.csv")
+    marks = [cpu_s()]
+    pictures = [picture for _, picture in open_film(folder / "film.avi", None, um_px)]
+    marks.append(cpu_s())
+    followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)
+    marks.append(cpu_s())
+    summarise(followed, field)
+    marks.append(cpu_s())
+    decode, both, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
+    tracker = CellTracker(um_px, known=True)
+    tracker.learn(pictures[:: max(1, len(pictures) // 20)])
+    live = []
+    for number, picture in enumerate(pictures):
+        began = time.thread_time()
+        tracker.see(picture, number / followed.rate_hz, field.pieces)
+        live.append(1e3 * (time.thread_time() - began))
+    return {"decode": [decode], "decode and follow": [both], "summarise": [fit], "live": live}
 
 
 def cpu_s() -> float:

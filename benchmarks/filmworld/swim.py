@@ -47,14 +47,14 @@ class Crowd:
             radius=random.uniform(4.0, 12.0, count),
             hertz=random.uniform(1.7, 3.4, count) * random.choice([-1, 1], count),
             pulse=random.uniform(*pulse, count),
-            pulse_hz=random.uniform(0.6, 3.0, count),
+            pulse_hz=np.exp(random.uniform(math.log(0.15), math.log(3.0), count)),
             a=a,
             bias=random.normal(0, 0.12, count),
             walk=random.uniform(0.03, 0.15, count),
             length=length,
             width=length * random.uniform(0.42, 0.66, count),
             steady=random.uniform(-0.1, 1.0) + random.normal(0, 0.1, count),
-            slant=random.normal(0, 0.05, count),
+            slant=random.normal(0, 0.15, count),
         )
 
 

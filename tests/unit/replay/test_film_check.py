@@ -12,7 +12,7 @@ from support.mutate import rewrite
 from support.tampering import noticed, tamperings
 
 from tetractl.core.cell_film import cut
-from tetractl.lab.cameras.cells.detect_cells import PART_LOW
+from tetractl.lab.cameras.cells.detect_cells import blobs_of
 from tetractl.log.format import channels
 from tetractl.log.format.crop_images import checksums, encode_film
 from tetractl.log.format.tetractl_pb2 import CellCrops, Run
@@ -69,9 +69,10 @@ def test_a_crop_of_another_blob_is_noticed_though_its_checksum_fits(shown, tmp_p
     ):
         seen = sample.film
         crops_changed = seen.crops.copy()
-        least = max(seen.limits[1], PART_LOW * crops_changed[0].max())
-        body = np.argwhere(crops_changed[0] > least)
-        row, column = body[rng.randrange(len(body))]
+        left, top = seen.corners[0].tolist()
+        blobs = blobs_of(seen.crops[0], seen.limits, (left, top))
+        body = min(blobs, key=lambda blob: np.hypot(*(blob.x, blob.y) - seen.blobs[0, :2])).pixels
+        column, row = (body[rng.randrange(len(body))] - (left, top)).astype(int)
         crops_changed[0, row, column] += 1 if crops_changed[0, row, column] < 255 else -1
         forged = replace(seen, crops=crops_changed)
         made = encode_film(forged, sample.observation, begin)

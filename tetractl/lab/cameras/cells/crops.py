@@ -10,12 +10,11 @@ from tetractl.core.cell_film import CellFilm, cut
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Grey
 from tetractl.lab.cameras.cells.cell import SeenCell
-from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of
+from tetractl.lab.cameras.cells.detect_cells import Blob, blobs_of, box_px
 from tetractl.lab.cameras.cells.tracking import CellTracker
 
 STEP, LEAST, MOST = 16, 32, 160  # step, smallest and largest side of crops [px]
-ROOM = 1.8  # ratio of a crop's side to the length of the longest cell
-RIM = 2  # margin around a blob [px], so that its contour is the same in the crop
+ROOM = 2.0  # ratio of a crop's side to the length of the longest cell
 HERE_UM = 15.0  # largest distance of a robot's filtered position from its blob
 WHOLE_NS = SECOND  # interval between whole pictures
 BACKGROUND_NS = 10 * SECOND  # interval between backgrounds
@@ -41,7 +40,9 @@ class FilmCutter:
         assert searched is not None
         longest = max((cell.long_um for cell in cells), default=0.0) / tracker.um_px
         side = int(np.clip(STEP * np.ceil(ROOM * longest / STEP), LEAST, MOST))
-        kept = [(c, b) for c in cells if (b := tracker.blob(c.track)) and fits(b, side)]
+        rim = box_px(tracker.finder.least_px2)  # the margin around a blob on which it depends
+        blobs = [(cell, tracker.blob(cell.track)) for cell in cells]
+        kept = [(c, b) for c, b in blobs if b and not b.at_edge and fits(b, side - rim)]
         corners = [corner(blob, side) for _, blob in kept]
         crops = [cut(searched, column, row, side) for column, row in corners]
         tracks = [-1 if cell is None else cell.track for cell in robots]
@@ -77,8 +78,8 @@ def _off(cell: SeenCell, blob: Blob, height: int, um_px: float) -> float:
 
 
 def fits(blob: Blob, side: int) -> bool:
-    """Return whether a blob with its margin fits into a crop of `side` by `side` pixels."""
-    return max(blob.body.shape) + 2 * RIM <= side
+    """Return whether a blob fits into a square of `side` by `side` pixels."""
+    return max(blob.body.shape) <= side
 
 
 def corner(blob: Blob, side: int) -> tuple[int, int]:

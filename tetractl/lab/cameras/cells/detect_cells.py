@@ -1,12 +1,13 @@
 """Finds blobs in a grey picture: regions that differ from a slowly updated background.
 
-Steps: blur; subtract the background, scaled to the picture's light; threshold with hysteresis; find
-contours; compute the moments inside each.
+Steps: blur; subtract the background, scaled to the picture's light; average the difference, of
+either sign, over a square as small as the smallest cell, so that a body and its halo are one; take
+what exceeds the noise of these averages; compute the moments of each body.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -16,13 +17,24 @@ from tetractl.core.poses import Floats, Grey
 
 STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
+RELEARNING = 0.5  # the weight where the picture keeps differing from the background
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
-LOW, HIGH = 5.0, 9.0  # thresholds in standard deviations of the noise
-LEAST_LOW, LEAST_HIGH = 3.0, 8.0  # grey levels, for pictures without noise
+LOW, HIGH = 5.0, 8.0  # thresholds of averaged differences, in standard deviations of their noise
+LEAST_LOW, LEAST_HIGH = 1.5, 4.0  # the same at least, above the mean [grey levels]
+NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
-CONTOURS = 4000  # a picture with more contours does not show a dish
+REGIONS = 4000  # a picture with more regions does not show a dish
 CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
-PART_LOW = 0.35  # threshold of a cell's body, as a fraction of the blob's greatest difference
+EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
+GHOST = 2.5  # least ratio of grey levels' deviations where a body is only in the background
+RAMP = 0.2, 0.8  # differences with the weights 0 and 1, relative to the body's mean difference
+RIM = np.ones((5, 5), np.uint8)  # pixels around a body that count by their difference
+BODIES, NEXT = 4, 0.5  # bodies in a region; least peak of each, relative to the first's
+KNOCK = 1.3, 0.002  # factor and fraction by which a knock makes more of the picture change
+KNOCK_PX = 512  # largest side of the pictures whose shift is computed
+KNOCK_LEAST = 0.5  # least shift that counts, in pixels of these pictures
+KNOCK_LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shifted
+LOST, EVERY, AGAIN = 15, 3, 9  # pictures lost until learning begins again, of every third, from 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +76,8 @@ class Light:
 
     `contrast` [grey levels] is the median strength of the blobs, None without blobs. `changed` is
     the fraction of pixels that differ from the background; `lost` is True if cells cannot explain
-    that fraction.
+    that fraction. `shift_px` is by how much the stage was moved since the picture before: columns
+    to the right, rows down. `limit` [grey levels] is the least contrast of a cell that is found.
     """
 
     gain: float
@@ -72,32 +85,45 @@ class Light:
     contrast: float | None
     changed: float
     lost: bool
+    shift_px: tuple[float, float] = (0.0, 0.0)
+    limit: float = 0.0
 
 
 @dataclass(slots=True)
 class BlobFinder:
     """Finds blobs of `least_px2` to `most_px2` pixels; `bright` says whether cells are brighter
-    than the background, None to determine it.
+    than the background. If it is None, cells of either sign are found, and `learn` determines what
+    most are.
 
     `learn` computes the background from pictures taken over a second or more. `follow` updates it
-    by later pictures, except around the cells, so that the background shows no resting cells.
+    by later pictures, except around the cells, so that the background shows no resting cells. After
+    a knock the background is moved by the picture's shift; where a cell rested while the background
+    was learned, it is mended once the cell has left; it is learned again if it does not apply.
     """
 
     least_px2: float
     most_px2: float
     bright: bool | None = None
     light: Light = field(default=Light(1.0, 0.0, None, 0.0, False), init=False)
-    _background: NDArray[np.float32] | None = field(default=None, init=False)
-    _flat: Grey | None = field(default=None, init=False)
-    _stripe: int = field(default=0, init=False)
-    _smooth: Grey | None = field(default=None, init=False)
-    _room: list[Grey] = field(default_factory=list, init=False)  # buffers, reused for speed
     searched: Grey | None = field(default=None, init=False)
     """The newest picture minus its background; blobs are searched for in this difference."""
     limits: tuple[float, ...] = field(default=(), init=False)
     """Limits of the newest search: low and high threshold [grey levels], least and most area
     [px^2].
     """
+    _signed: bool = field(init=False)  # whether only cells of one sign are searched for
+    _background: NDArray[np.float32] | None = field(default=None, init=False)
+    _flat: Grey | None = field(default=None, init=False)
+    _stripe: int = field(default=0, init=False)
+    _smooth: Grey | None = field(default=None, init=False)
+    _room: list[Grey] = field(default_factory=list, init=False)  # buffers, reused for speed
+    _usual: float | None = field(default=None, init=False)  # usual fraction of changed pixels
+    _was: Grey = field(init=False)  # pixels that differed when their stripe was updated last
+    _lost: int = field(default=0, init=False)  # successive pictures that were lost
+    _again: list[Grey] = field(default_factory=list, init=False)  # of them, for a new background
+
+    def __post_init__(self) -> None:
+        self._signed = self.bright is not None
 
     @property
     def size(self) -> tuple[int, ...] | None:
@@ -110,17 +136,22 @@ class BlobFinder:
         return self._flat
 
     def learn(self, pictures: Sequence[Grey]) -> None:
-        """Compute the background as the median of pictures (height, width); unless `bright` is
-        given, determine whether cells are brighter or darker than the background.
+        """Compute the background as the median of pictures (height, width), each shifted and scaled
+        to fit the middle one; unless `bright` is given, determine whether most cells are brighter
+        or darker than the background.
         """
         smooth = [_smoothed(each, np.empty_like(each), np.empty_like(each)) for each in pictures]
         levels = [max(float(np.median(_sparse(each))), 1.0) for each in smooth]
         middle = float(np.median(levels))
         even = [cv2.convertScaleAbs(s, s, middle / v) for s, v in zip(smooth, levels, strict=True)]
-        rows = (np.median([e[row] for e in even], axis=0) for row in _chunks(even[0].shape[0]))
-        self._background = np.concatenate([row.astype(np.float32) for row in rows])
+        half = len(even) // 2
+        usual = _grey(_median(even[max(0, half - 2) : half + 3]))
+        even = [_moved(each, _shift(each, usual)) for each in even]
+        self._background = _median(even)
         self._flat = flat = _grey(cv2.convertScaleAbs(self._background))
-        if self.bright is None:
+        self._usual, self._lost, self._again = None, 0, []
+        self._was = np.zeros_like(flat)
+        if not self._signed:
             up = sum(float(_excess(e, flat).sum()) for e in even)
             down = sum(float(_excess(flat, e).sum()) for e in even)
             self.bright = up > down
@@ -129,32 +160,77 @@ class BlobFinder:
         """Return the blobs of a picture (height, width), largest first."""
         assert self._flat is not None, "learn() comes first"
         if len(self._room) == 0 or self._room[0].shape != picture.shape:
-            self._room = [np.empty(picture.shape, np.uint8) for _ in range(4)]
-        smooth, expected, searched, mask = self._room
-        _smoothed(picture, mask, smooth)
-        self._smooth, self.searched = smooth, searched
-        seen, known = _sparse(smooth), np.maximum(_sparse(self._flat), 1)
+            self._room = [np.empty(picture.shape, np.uint8) for _ in range(5)]
+        self._smooth, self.searched = self._room[:2]
+        _smoothed(picture, self._room[2], self._smooth)
+        light, shift = self._compare(), (0.0, 0.0)
+        first, usual = self._usual is None, self._usual or 0.0
+        if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
+            shift = _shift(self._room[2], self._smooth)
+            if shift != (0.0, 0.0):
+                assert self._background is not None
+                self._background = _moved(self._background, shift)
+                cv2.convertScaleAbs(self._background, self._flat)
+                light = self._compare()
+            usual = light.changed
+        self._usual = usual + 0.05 * (light.changed - usual)
+        lost = light.lost or light.changed > CHANGED
+        found = None if lost else _blobs(self.searched, self._room[4], self.limits)
+        lost, blobs = found is None, found or []
+        if not self._signed:
+            blobs = [blob for blob in blobs if not self._mended(blob, light.gain)]
+        contrast = float(np.median([each.strength for each in blobs])) if blobs else None
+        self.light = replace(
+            light, contrast=contrast, lost=lost, shift_px=(0.0, 0.0) if first else shift
+        )
+        self._lost = self._lost + 1 if lost else 0
+        return blobs
+
+    def _compare(self) -> Light:
+        """Compute the difference of the newest picture from the background, its limits, the mean
+        differences and the mask of those above the lower limit.
+        """
+        assert self._flat is not None and self._smooth is not None and self.searched is not None
+        expected, mask, mean = self._room[2:]
+        seen, known = _sparse(self._smooth), np.maximum(_sparse(self._flat), 1)
         gain = float(np.median(seen / known))
         gain = gain if 0.05 < gain < 20 else 1.0
         cv2.convertScaleAbs(self._flat, alpha=gain, dst=expected)
-        above, below = (smooth, expected) if self.bright else (expected, smooth)
-        cv2.subtract(above, below, dst=searched)
-        # differences of the other sign are noise
-        other = (seen.astype(np.float32) - gain * known) * (-1 if self.bright else 1)
-        noise = float(np.sqrt(np.mean(np.square(other[other >= 0])))) if (other >= 0).any() else 0.0
-        noise = min(noise, 20.0)
-        low, high = max(LOW * noise, LEAST_LOW), max(HIGH * noise, LEAST_HIGH)
+        if not self._signed:
+            cv2.absdiff(self._smooth, expected, dst=self.searched)
+        else:
+            pair = (self._smooth, expected) if self.bright else (expected, self._smooth)
+            cv2.subtract(*pair, dst=self.searched)
+        # medians, and averages of what is near them: cells and debris do not count
+        noise = min(1.48 * float(np.median(np.abs(seen - gain * known))), NOISE_MAX)
+        _averaged(self.searched, self.least_px2, mean)
+        sample = _sparse(mean).astype(float)
+        usual = sample[sample <= np.median(sample) + max(2.0, noise)]
+        level, spread = min(float(usual.mean()), NOISE_MAX), float(usual.std())
+        low = level + max(LOW * spread, LEAST_LOW)
+        high = level + max(HIGH * spread, LEAST_HIGH)
         self.limits = (low, high, self.least_px2, self.most_px2)
-        cv2.threshold(searched, low, 255, cv2.THRESH_BINARY, dst=mask)
-        changed = cv2.countNonZero(mask) / mask.size
-        contours: Sequence = ()
-        if changed <= CHANGED:
-            contours = _contours(mask)
-        lost = changed > CHANGED or len(contours) > CONTOURS
-        blobs = [] if lost else _blobs(contours, searched, self.limits)
-        contrast = float(np.median([each.strength for each in blobs])) if blobs else None
-        self.light = Light(gain, noise, contrast, changed, lost)
-        return blobs
+        cv2.threshold(mean, low, 255, cv2.THRESH_BINARY, dst=mask)
+        # a saturated or noisy picture differs little from one expected to be as bright or noisy
+        lost = noise == NOISE_MAX or float(np.median(seen)) == 255 > float(np.median(known))
+        return Light(gain, noise, None, cv2.countNonZero(mask) / mask.size, lost, limit=high)
+
+    def _mended(self, blob: Blob, gain: float) -> bool:
+        """Return whether a blob is not in the picture but only in the background, which is then
+        corrected.
+        """
+        assert self._flat is not None and self._smooth is not None and self._background is not None
+        (left, top), (tall, wide) = blob.corner, blob.body.shape
+        here = slice(top, top + tall), slice(left, left + wide)
+        seen, known = (
+            cv2.meanStdDev(each[here])[1].item() for each in (self._smooth, self._room[2])
+        )
+        if known < GHOST * max(seen, 1.0):
+            return False
+        wrong = cv2.dilate(blob.body, RIM) > 0
+        self._background[here][wrong] = self._smooth[here][wrong] / gain
+        self._flat[here][wrong] = np.clip(self._background[here][wrong], 0, 255)
+        return True
 
     def follow(self, keep: Sequence[tuple[int, int, int, int]]) -> None:
         """Update the next stripe of the background by the last picture, except in the rectangles
@@ -166,14 +242,23 @@ class BlobFinder:
         top = self._stripe * height // STRIPES
         bottom = (self._stripe + 1) * height // STRIPES
         self._stripe = (self._stripe + 1) % STRIPES
-        old = self._background[top:bottom]
-        new = self._smooth[top:bottom]
-        mask = np.full(new.shape, 255, np.uint8)
+        here = slice(top, bottom)
+        old, mask, was = self._background[here], self._room[3][here], self._was[here]
+        still = cv2.bitwise_and(mask, was)
+        calm = cv2.bitwise_not(mask)
+        was[:] = mask
         for left, upper, right, lower in keep:
-            mask[max(0, upper - top) : max(0, lower - top), max(0, left) : max(0, right)] = 0
-        scaled = new.astype(np.float32) / max(self.light.gain, 0.05)
-        cv2.accumulateWeighted(scaled, old, LEARNING, mask)
-        self._flat[top:bottom] = cv2.convertScaleAbs(old)
+            rows = slice(max(0, upper - top), max(0, lower - top))
+            for each in (still, calm):
+                each[rows, max(0, left) : max(0, right)] = 0
+        scaled = self._smooth[here].astype(np.float32) / max(self.light.gain, 0.05)
+        cv2.accumulateWeighted(scaled, old, LEARNING, calm)
+        cv2.accumulateWeighted(scaled, old, RELEARNING, still)
+        self._flat[here] = cv2.convertScaleAbs(old)
+        if self._lost > LOST and self._lost % EVERY == 0:
+            self._again.append(self._smooth.copy())
+            if len(self._again) == AGAIN:
+                self.learn(self._again)
 
 
 def blobs_of(
@@ -184,62 +269,139 @@ def blobs_of(
     `limits` are low and high threshold [grey levels], least and most area [px^2]; `corner` is
     column and row of the part's upper left pixel.
     """
-    mask = _grey(cv2.threshold(searched, limits[0], 255, cv2.THRESH_BINARY)[1])
-    return _blobs(_contours(mask), searched, limits, corner)
+    mean = _averaged(searched, limits[2], np.empty_like(searched))
+    return _blobs(searched, mean, limits, corner) or []
 
 
-def _contours(mask: Grey) -> Sequence:
-    return cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+def box_px(least_px2: float) -> int:
+    """Return the side of the square over which differences are averaged [px]: odd, and about that
+    of the smallest cell.
+    """
+    return 2 * int(math.sqrt(least_px2) / 2) + 1
+
+
+def _averaged(difference: Grey, least_px2: float, into: Grey) -> Grey:
+    side = box_px(least_px2)
+    cv2.blur(difference, (side, side), dst=into, borderType=cv2.BORDER_CONSTANT)
+    return into
 
 
 def _blobs(
-    contours: Sequence, difference: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
-) -> list[Blob]:
-    boxes = [cv2.boundingRect(contour) for contour in contours]
-    floor = 0.3 * limits[2]
-    large = [(b, c) for b, c in zip(boxes, contours, strict=True) if b[2] * b[3] >= floor]
+    difference: Grey, mean: Grey, limits: Sequence[float], corner: tuple[int, int] = (0, 0)
+) -> list[Blob] | None:
+    """Return the blobs of a difference averaged to `mean`, largest first; None if there are too
+    many.
+    """
+    mask = _grey(cv2.threshold(mean, limits[0], 255, cv2.THRESH_BINARY)[1])
+    regions = cv2.findContours(mask, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)[0]
+    if len(regions) > REGIONS:
+        return None
+    boxes = [cv2.boundingRect(region) for region in regions]
+    large = [(b, r) for b, r in zip(boxes, regions, strict=True) if b[2] * b[3] >= limits[2]]
     large.sort(key=lambda each: -each[0][2] * each[0][3])
-    found = (_blob(box, c, difference, limits, corner) for box, c in large[:BLOBS])
-    return [blob for blob in found if blob is not None]
+    found: list[Blob] = []
+    for box, region in large[:BLOBS]:
+        found += _bodies(box, region, difference, mean, limits, corner)
+    return found[:BLOBS]
 
 
-def _blob(
+def _bodies(
     box: Sequence[int],
-    contour: Grey,
+    region: np.ndarray,
     difference: Grey,
+    mean: Grey,
     limits: Sequence[float],
     corner: tuple[int, int],
-) -> Blob | None:
+) -> Iterator[Blob]:
+    """Yield the bodies in a region, given by its contour and the box around it; that with the
+    greatest difference comes first.
+    """
     left, top, wide, tall = box
-    _, high, least, most = limits
+    low, high, least, most = limits
+    here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
     inside = np.zeros((tall, wide), np.uint8)
-    cv2.drawContours(inside, [contour], -1, 1, -1, offset=(-left, -top))
-    part = difference[top : top + tall, left : left + wide] * inside
-    peak = float(part.max())
-    if peak < high:
-        return None
-    kept = cv2.threshold(part, PART_LOW * peak, 1, cv2.THRESH_BINARY)[1]
-    moments = cv2.moments(kept, binaryImage=True)
+    cv2.drawContours(inside, [region], -1, 255, -1, offset=(-left, -top))
+    rest = cv2.bitwise_and(mean[here], inside, dst=inside)
+    at_edge = left == 0 or top == 0 or left + wide == width or top + tall == height
+    for _ in range(BODIES):
+        _, peak, _, at = cv2.minMaxLoc(rest)
+        if peak <= high:
+            return
+        high = max(high, NEXT * peak)
+        mask = cv2.threshold(rest, max(low, EDGE * peak), 1, cv2.THRESH_BINARY)[1]
+        cv2.floodFill(mask, None, at, 2)
+        body = _grey(cv2.threshold(mask, 1, 1, cv2.THRESH_BINARY)[1])
+        rest[cv2.dilate(body, RIM) > 0] = 0
+        if least <= cv2.countNonZero(body) <= most:
+            yield _blob(body, difference[here], (left + corner[0], top + corner[1]), at_edge)
+
+
+def _blob(body: Grey, difference: Grey, corner: tuple[int, int], at_edge: bool) -> Blob:
+    """Return the blob of a body; the weights of its moments rise from 0 to 1 with the difference,
+    so that neither a pixel at its edge nor what is inside moves them much.
+    """
+    strength = cv2.mean(difference, body)[0]
+    weights = difference.astype(np.float32) / max(strength, 1.0)
+    weights = (np.clip(weights, *RAMP) - RAMP[0]) * cv2.dilate(body, RIM)
+    moments = cv2.moments(weights)
     mass = moments["m00"]
-    if not least <= mass <= most:
-        return None
     x, y = moments["m10"] / mass, moments["m01"] / mass
     xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
     xy = moments["mu11"] / mass
     spread = math.hypot((xx - yy) / 2, xy)
     mean = (xx + yy) / 2
-    height, width = difference.shape
     return Blob(
-        x=left + corner[0] + x,
-        y=top + corner[1] + y,
+        x=corner[0] + x,
+        y=corner[1] + y,
         axis=0.5 * math.atan2(2 * xy, xx - yy),
         long=4 * math.sqrt(mean + spread),
         wide=4 * math.sqrt(max(mean - spread, 1e-3)),
-        strength=cv2.mean(part, kept)[0],
-        body=_grey(kept),
-        corner=(left + corner[0], top + corner[1]),
-        at_edge=left == 0 or top == 0 or left + wide == width or top + tall == height,
+        strength=strength,
+        body=body,
+        corner=corner,
+        at_edge=at_edge,
     )
+
+
+def _shift(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+    """Return by how many columns and rows the content of a picture was shifted; (0, 0) unless most
+    of the difference between the two pictures is due to it.
+    """
+    scale = min(1.0, KNOCK_PX / max(now.shape))
+    one, two = (
+        cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        for each in (before, now)
+    )
+    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
+    (x, y), _ = cv2.phaseCorrelate(_features(one), _features(two), window)
+    if math.hypot(x, y) < KNOCK_LEAST or max(abs(x), abs(y)) > 0.25 * min(one.shape):
+        return 0.0, 0.0
+    apart = cv2.absdiff(one, two)
+    changed = max(6.0 * float(np.median(apart)), 8.0)
+    by = math.ceil(max(abs(x), abs(y)))
+    inner = slice(by, one.shape[0] - by), slice(by, one.shape[1] - by)
+    left = cv2.absdiff(_moved(one, (x, y)), two)
+    counts = [np.count_nonzero(each[inner] > changed) for each in (apart, left)]
+    return (x / scale, y / scale) if counts[1] < KNOCK_LEFT * counts[0] else (0.0, 0.0)
+
+
+def _features(picture: np.ndarray) -> NDArray[np.float32]:
+    """Return what stands out of a picture; noise, also a camera's own pattern, becomes 0."""
+    even = picture.astype(np.float32)
+    even -= cv2.blur(even, (31, 31))
+    least = 6.0 * float(np.median(np.abs(_sparse(even))))
+    return even - np.clip(even, -least, least)
+
+
+def _moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """Return a picture with its content shifted by columns and rows; new pixels at an edge are like
+    their neighbours.
+    """
+    if shift == (0.0, 0.0):
+        return picture
+    by = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    size = picture.shape[1], picture.shape[0]
+    return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:
@@ -258,9 +420,11 @@ def _sparse(picture: np.ndarray) -> np.ndarray:
     return picture[::step, ::step]
 
 
-def _chunks(height: int, rows: int = 64) -> list[slice]:
-    """Return slices of at most `rows` rows each, so that medians of pictures need little memory."""
-    return [slice(top, min(top + rows, height)) for top in range(0, height, rows)]
+def _median(pictures: Sequence[np.ndarray], rows: int = 64) -> NDArray[np.float32]:
+    """Return the median of pictures; it is computed for some rows at a time to save memory."""
+    height = len(pictures[0])
+    parts = ([each[top : top + rows] for each in pictures] for top in range(0, height, rows))
+    return np.concatenate([np.median(part, axis=0).astype(np.float32) for part in parts])
 
 
 def _excess(above: np.ndarray, below: np.ndarray) -> np.ndarray:

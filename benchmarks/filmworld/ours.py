@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from tetractl.film.field_file import read_field
-from tetractl.film.fit_cell import summarise
+from tetractl.film.fit_cell import fit_cells
 from tetractl.film.follow import follow
 from tetractl.film.pictures import open_film
 from tetractl.lab.cameras.cells.tracking import CellTracker
@@ -16,11 +16,11 @@ from .scores import Shown
 
 
 def track(folder: Path, um_px: float) -> Shown:
-    """Run the pipeline of cli/track.py on the film in a folder: decode, follow, summarise."""
+    """Run the pipeline of cli/track.py on the film in a folder: decode, follow, fit."""
     began = cpu_s()
     field = read_field(folder / "field.csv")
     followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)
-    cells = summarise(followed, field)
+    followed, cells = fit_cells(followed, field)
     spent = cpu_s() - began
     rows = [
         (frame, path.identity, c.x, c.y, c.axis, c.heading, c.probability)
@@ -48,7 +48,7 @@ def parts(folder: Path, um_px: float) -> dict[str, list[float]]:
     marks.append(cpu_s())
     followed = follow(open_film(folder / "film.avi", None, um_px), um_px, field)
     marks.append(cpu_s())
-    summarise(followed, field)
+    fit_cells(followed, field)
     marks.append(cpu_s())
     decode, both, fit = (1e3 * np.diff(marks) / len(pictures)).tolist()
     tracker = CellTracker(um_px, known=True)

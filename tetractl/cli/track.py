@@ -39,7 +39,7 @@ def track(
     from tetractl.film.field_file import read_field
     from tetractl.film.film_files import write_films
     from tetractl.film.film_tables import as_items, pose_tables
-    from tetractl.film.fit_cell import summarise
+    from tetractl.film.fit_cell import fit_cells
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
     from tetractl.log.read.track_log import read_track
@@ -60,7 +60,7 @@ def track(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
     with ui.progress("Fitting"):
-        cells = summarise(found, directions)
+        found, cells = fit_cells(found, directions)
     record = as_items(film.name, found, cells, directions)
     if out is not None:
         with (

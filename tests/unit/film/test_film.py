@@ -10,7 +10,7 @@ from support.needs_opencv import cv2, video
 from tetractl.core.errors import TetractlError, UsageError
 from tetractl.film.field_file import read_field
 from tetractl.film.film_tables import as_items
-from tetractl.film.fit_cell import summarise
+from tetractl.film.fit_cell import fit_cells
 from tetractl.film.follow import _paths, follow
 from tetractl.film.kinematics import velocities
 from tetractl.film.pictures import open_film
@@ -20,8 +20,8 @@ def test_a_speeds_and_biases_are_within_their_intervals():
     inside, found = [], 0
     for seed in (31, 33):
         made = film(seed=seed, side=512, cells=5, strangers=1, seconds=5.0, crossings=False)
-        seen = followed(made)
-        for path, cell in zip(seen.paths, summarise(seen, record(made)), strict=True):
+        seen, cells = fit_cells(followed(made), record(made))
+        for path, cell in zip(seen.paths, cells, strict=True):
             i = who(made, path)
             if cell.a is None or cell.seconds < 3 or i is None:
                 continue
@@ -39,7 +39,7 @@ def test_a_speeds_and_biases_are_within_their_intervals():
 def test_without_a_field_there_is_no_a():
     made = film(seed=34, side=512, cells=3, crossings=False)
     seen = followed(made, known=False)
-    cells = summarise(seen, None)
+    seen, cells = fit_cells(seen, None)
     assert cells and all(c.a is None and c.bias is None and c.magnetised is None for c in cells)
     assert as_items("reel", seen, cells)["cells"][0]["a_rad_s"] is None
 

@@ -10,6 +10,7 @@ small arrays.
 A kernel is compiled once for each class of constants of a motion (`tetractl.model.motion`).
 Obstacles are numbers: every shape runs the same code.
 
-A kernel depends on all files of this folder and of motions. Each version of these files has a
-separate cache (`cache`), so that no outdated code runs after an edit or an upgrade.
+A kernel depends on all files of folders named `kernels` and of motions. Each version of these
+files has a separate cache (`core.kernels.cache`), so that no outdated code runs after an edit or an
+upgrade.
 """

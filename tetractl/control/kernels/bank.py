@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from tetractl.control.kernels import filter_state as at
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.filter import likeliest
 from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, GRID, MISFIT, SLOTS, STUCK
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**ENTRY_FAST)

@@ -4,7 +4,6 @@ asks at every control step. Obstacles are `rows` and `walls` of `tetractl.model.
 
 import math
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.obstacles import (
     BOTTOM,
     CORNERS,
@@ -15,7 +14,8 @@ from tetractl.control.kernels.obstacles import (
     TOP,
     touches,
 )
-from tetractl.control.kernels.options import ENTRY, INLINE_EXACT
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import ENTRY, INLINE_EXACT
 
 ROOM = 0.98  # fraction of the available distance that a margin takes
 

@@ -6,10 +6,10 @@ import math
 import numpy as np
 
 from tetractl.control.kernels import filter_state as at
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.filter_motion import advance
 from tetractl.control.kernels.filter_state import ASSUMED, FOLLOWS, MOVED, SIZE, SLOTS
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.model.motion.polynomials import wrap
 
 _wrap = inlined(wrap)

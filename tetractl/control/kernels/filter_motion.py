@@ -3,7 +3,6 @@ is of it."""
 
 import math
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.filter_state import (
     ASSUMED,
     BIAS,
@@ -22,7 +21,8 @@ from tetractl.control.kernels.filter_state import (
     X,
     Y,
 )
-from tetractl.control.kernels.options import INLINE_FAST
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import INLINE_FAST
 
 
 @compiled(**INLINE_FAST)

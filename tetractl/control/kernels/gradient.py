@@ -19,9 +19,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.motion import derivatives, turned
-from tetractl.control.kernels.options import INLINE_FAST, inlined
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import INLINE_FAST, inlined
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos, wrap
 

@@ -19,12 +19,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import Trace, backward, trace, width, workspace
 from tetractl.control.kernels.motion import flat
 from tetractl.control.kernels.obstacles import count_hits, find_deepest, outward
-from tetractl.control.kernels.options import INLINE_FAST, inlined
 from tetractl.control.kernels.rollout import count_meetings
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion import polynomials

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.clearance import crosses
 from tetractl.control.kernels.motion import derivatives
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST
 
 
 @compiled(**INLINE_FAST)

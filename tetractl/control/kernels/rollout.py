@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.gradient import VECTOR
 from tetractl.control.kernels.motion import advance, flat
 from tetractl.control.kernels.obstacles import count_hits
-from tetractl.control.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
+from tetractl.core.kernels.cache import compiled
+from tetractl.core.kernels.options import ENTRY_FAST, INLINE_FAST, inlined
 from tetractl.core.plan import Problem
 from tetractl.core.poses import Floats
 from tetractl.model.motion.polynomials import sincos

@@ -9,8 +9,8 @@ from support import problems
 
 from tetractl.control.cost import predict
 from tetractl.control.kernels import gradient
-from tetractl.control.kernels.cache import compiled
 from tetractl.control.kernels.levenberg import lay_out_polish
+from tetractl.core.kernels.cache import compiled
 
 
 @compiled()

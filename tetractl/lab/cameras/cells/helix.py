@@ -11,10 +11,12 @@ State of one cell, in um, s and rad:
     bias      the dipole's angle from the axis
     turn      turning rate that the field does not explain [rad/s]
     flow      velocity of the medium, x and y
+    delay     time after which the field acts on the cell [s]
+    way       length of the way along the helix's axis since the row was added [um]
 
 The measurements are the body's middle, which is at (x, y) plus c to the left of the heading, and
 the body's axis mod pi, heading - atan(rate s / speed): the projection of Crenshaw's helix into the
-picture.
+picture. The steps for one cell are compiled (`kernels.helix_steps`).
 """
 
 import math
@@ -24,29 +26,33 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from tetractl.core.poses import Bools, Floats
-
-X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y = range(12)
-STATES = 12
+from tetractl.lab.cameras.cells.kernels import helix_steps
+from tetractl.lab.cameras.cells.kernels.helix_path import LOOSE
+from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    HEADING,
+    HELIX_UM,
+    RATE,
+    SPEED,
+    STATES,
+    A,
+    C,
+    S,
+    X,
+    Y,
+)
 
 HELIX = 2 * math.pi * 2.5, 2.0  # mean and standard deviation of the rate among cells [rad/s]
-HELIX_UM = 6.0  # standard deviation of c and s among cells
 NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
 FLOW_UM_S = 4.0
-SLOWEST_UM_S = 60.0  # below this speed a cell rests, and its helix does not give its axis
-BACKWARDS_UM_S = -60.0  # speed along the heading below which the heading is reversed
 # growth of standard deviations per sqrt(s): x, y, heading, speed, c, s, rate, a, bias
 GROWTH = (2.0, 2.0, 0.07, 12.0, 2.0, 2.0, 0.3, 0.02, 0.005)
-# additional growth at rest, since a cell may go on in any direction
-RESTING = ((HEADING, 0.5), (SPEED, 150.0))
 WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a cell
-WALL_TURN = 1.0  # additional growth of the heading's deviation there [rad/sqrt(s)]
-TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
-TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
-ODD = 25.0  # squared distance, in standard deviations, above which a measurement gets less weight
+DELAY_S = 0.015  # standard deviation of the delay
+RESPONDS = 3.5  # standard deviations above 0 from which a states that a cell responds
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
@@ -60,9 +66,21 @@ def open_water(x: Floats, y: Floats) -> Bools:
     return np.zeros(len(x), bool)
 
 
+def new_cell(pose: tuple[float, float, float, float], known: bool) -> tuple[Floats, Floats]:
+    """Return the state (n,) and covariance (n, n) of a new cell: x, y [um], heading [rad] and speed
+    [um/s] are `pose`; `known` as in `HelixFilter`.
+    """
+    turn = TURN_KNOWN if known else TURN_UNKNOWN
+    a, a_sd = A_PRIOR if known else (0.0, 1e-6)
+    mean = np.zeros(STATES)
+    mean[[X, Y, HEADING, SPEED]], mean[RATE], mean[A] = pose, HELIX[0], a
+    deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0)
+    return mean, np.diag(np.square(deviations))
+
+
 @dataclass(slots=True)
 class HelixFilter:
-    """A filter with one row per cell: `mean` (R, 12) and `covariance` (R, 12, 12); `used` is False
+    """A filter with one row per cell: `mean` (R, n) and `covariance` (R, n, n); `used` is False
     for free rows.
 
     `known`: whether the field is known, so that little turning is unexplained. `growth` (R, 9) is
@@ -76,15 +94,22 @@ class HelixFilter:
     mean: Floats = field(default_factory=lambda: np.zeros((0, STATES)))
     covariance: Floats = field(default_factory=lambda: np.zeros((0, STATES, STATES)))
     used: Bools = field(default_factory=lambda: np.zeros(0, bool))
+    _field: Floats | None = None  # the last piece's x, y
+
+    def __post_init__(self) -> None:
+        """Compile the steps now, and not while pictures wait."""
+        self.add(0.0, 0.0, 0.0, 0.0)
+        self.predict([(1.0, 0.0, 0.0)])
+        self.update(np.zeros(1, int), np.zeros((1, 3)), np.ones((1, 3)))
+        self.seen(np.zeros(1, int))
+        self.drop(0)
+        self._field = None
 
     def add(self, x: float, y: float, heading: float, speed: float) -> int:
         """Add a new cell by its position [um], heading [rad] and speed [um/s]; return its row."""
         row = self._free()
-        turn = TURN_KNOWN if self.known else TURN_UNKNOWN
-        a, a_sd = A_PRIOR if self.known else (0.0, 1e-6)
-        self.mean[row] = (x, y, heading, speed, 0, 0, HELIX[0], a, 0, 0, 0, 0)
-        deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S)
-        self.covariance[row] = np.diag(np.square(deviations))
+        pose = x, y, heading, speed
+        self.mean[row], self.covariance[row] = new_cell(pose, self.known)
         return row
 
     def copied(self, row: int) -> int:
@@ -111,38 +136,29 @@ class HelixFilter:
 
     def predict(self, pieces: Sequence[Piece]) -> None:
         """Predict every row over successive pieces of constant field."""
-        for seconds, ux, uy in pieces:
-            if seconds > 0:
-                self._move(seconds, ux, uy)
+        turn_sd = TURN_KNOWN if self.known else TURN_UNKNOWN
+        for piece in np.array(pieces, np.float64).reshape(-1, 3):
+            if piece[0] > 0:
+                walled = self.near_wall(self.mean[:, X], self.mean[:, Y])
+                before = piece[1:] if self._field is None else self._field
+                rows = self.mean, self.covariance, self.used, self.growth
+                helix_steps.predict(*rows, turn_sd, walled, before, piece)
+                self._field = piece[1:]
 
     def loosen(self, rows: Sequence[int]) -> None:
         """Increase the uncertainty of position, heading, speed, c and s of cells that move
         unexpectedly.
         """
-        for state, deviation in ((X, 5), (Y, 5), (HEADING, 0.3), (SPEED, 120), (C, 4), (S, 4)):
+        for state, deviation in enumerate(LOOSE):
             self.covariance[rows, state, state] += deviation**2
 
     def seen(self, rows: np.ndarray) -> tuple[Floats, Floats]:
         """Return the predicted x, y and axis of the body (M, 3) for rows (M,), and their
-        derivatives with respect to the states (M, 3, 12).
+        derivatives with respect to the states (M, 3, n).
         """
-        m = self.mean[rows]
-        cos, sin = np.cos(m[:, HEADING]), np.sin(m[:, HEADING])
-        speed = np.maximum(m[:, SPEED], SLOWEST_UM_S)
-        across = m[:, RATE] * m[:, S]
-        tilt = np.arctan2(across, speed)
-        found = np.column_stack(
-            [m[:, X] - m[:, C] * sin, m[:, Y] + m[:, C] * cos, m[:, HEADING] - tilt]
-        )
-        slopes = np.zeros((len(m), 3, STATES))
-        slopes[:, 0, X] = slopes[:, 1, Y] = slopes[:, 2, HEADING] = 1
-        slopes[:, 0, HEADING], slopes[:, 1, HEADING] = -m[:, C] * cos, -m[:, C] * sin
-        slopes[:, 0, C], slopes[:, 1, C] = -sin, cos
-        squared = speed**2 + across**2
-        slopes[:, 2, S] = -m[:, RATE] * speed / squared
-        slopes[:, 2, RATE] = -m[:, S] * speed / squared
-        slopes[:, 2, SPEED] = np.where(m[:, SPEED] > SLOWEST_UM_S, across / squared, 0.0)
-        return found, slopes
+        expected, slopes = np.empty((len(rows), 3)), np.empty((len(rows), 3, STATES))
+        helix_steps.seen(self.mean, rows, expected, slopes)
+        return expected, slopes
 
     def update(
         self, rows: np.ndarray, measured: Floats, deviation: Floats
@@ -153,40 +169,10 @@ class HelixFilter:
         Returns the measurements' log-likelihoods (M,) by Student's distribution, and their squared
         Mahalanobis distances (M,) from the prediction.
         """
-        if len(rows) == 0:
-            return np.zeros(0), np.zeros(0)
-        expected, slopes = self.seen(rows)
-        off = measured - expected
-        off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
-        covariance = self.covariance[rows]
-        cross = covariance @ slopes.transpose(0, 2, 1)
-        spread = slopes @ cross
-        noise = np.square(deviation)
-        index = np.arange(3)
-        spread[:, index, index] += noise
-        distance = np.einsum("ri,rij,rj->r", off, np.linalg.inv(spread), off)
-        likelihood = -(TAIL + 3) / 2 * np.log1p(distance / TAIL)
-        likelihood -= 0.5 * np.linalg.slogdet(spread)[1]
-        excess = np.maximum(distance / ODD, 1.0) - 1
-        spread[:, index, index] += excess[:, None] * spread[:, index, index]
-        gain = cross @ np.linalg.inv(spread)
-        self.mean[rows] += np.einsum("rij,rj->ri", gain, off)
-        updated = covariance - gain @ cross.transpose(0, 2, 1)
-        self.covariance[rows] = (updated + updated.transpose(0, 2, 1)) / 2
-        self._turn_round(rows)
+        likelihood, distance = np.empty(len(rows)), np.empty(len(rows))
+        given = rows, np.ascontiguousarray(measured), np.ascontiguousarray(deviation)
+        helix_steps.update(self.mean, self.covariance, *given, likelihood, distance)
         return likelihood, distance
-
-    def _turn_round(self, rows: np.ndarray) -> None:
-        """Reverse the heading of cells that seem to swim backwards: it points to the wrong end of
-        the axis.
-        """
-        wrong = rows[self.mean[rows, SPEED] < BACKWARDS_UM_S]
-        if len(wrong):
-            signs = np.ones(STATES)
-            signs[[SPEED, C, S]] = -1
-            self.mean[wrong] *= signs
-            self.mean[wrong, HEADING] += math.pi
-            self.covariance[wrong] *= signs[:, None] * signs
 
     def _free(self) -> int:
         if self.used.all():
@@ -197,61 +183,3 @@ class HelixFilter:
         row = int(np.argmin(self.used))
         self.used[row], self.growth[row] = True, GROWTH
         return row
-
-    def _move(self, seconds: float, ux: float, uy: float) -> None:
-        rows = np.flatnonzero(self.used)
-        m = self.mean[rows]
-        half = seconds / 2
-        towards, slope = _field(m[:, HEADING] + m[:, BIAS], ux, uy)
-        resting, walled = m[:, SPEED] < SLOWEST_UM_S, self.near_wall(m[:, X], m[:, Y])
-        towards, a = np.where(resting, 0.0, towards), np.where(resting, 0.0, m[:, A])
-        rate, bend = a * towards + m[:, TURN], a * slope
-        middle = m[:, HEADING] + rate * half
-        towards_2, slope_2 = _field(middle + m[:, BIAS], ux, uy)
-        towards_2, bend_2 = np.where(resting, 0.0, towards_2), a * slope_2
-        f = np.zeros((len(rows), STATES, STATES))
-        f[:, range(STATES), range(STATES)] = 1
-        # derivatives of the headings halfway, along which the cell moves, and at the end
-        to_middle = {HEADING: 1 + bend * half, A: towards * half, BIAS: bend * half, TURN: half}
-        direct = {A: towards_2, BIAS: bend_2, TURN: 1.0}
-        for state in (A, BIAS):
-            to_middle[state] = np.where(walled, 0.0, to_middle[state])
-            direct[state] = np.where(walled, 0.0, direct[state])
-        cos, sin = np.cos(middle), np.sin(middle)
-        for state, part in to_middle.items():
-            f[:, X, state] = -m[:, SPEED] * sin * seconds * part
-            f[:, Y, state] = m[:, SPEED] * cos * seconds * part
-            f[:, HEADING, state] += seconds * (direct.get(state, 0.0) + bend_2 * part)
-        f[:, X, SPEED], f[:, Y, SPEED] = cos * seconds, sin * seconds
-        f[:, X, FLOW_X] = f[:, Y, FLOW_Y] = seconds
-        angle = m[:, RATE] * seconds
-        cos_h, sin_h = np.cos(angle), np.sin(angle)
-        c, s = m[:, C] * cos_h - m[:, S] * sin_h, m[:, C] * sin_h + m[:, S] * cos_h
-        f[:, C, C], f[:, C, S], f[:, C, RATE] = cos_h, -sin_h, -s * seconds
-        f[:, S, C], f[:, S, S], f[:, S, RATE] = sin_h, cos_h, c * seconds
-        forget = math.exp(-seconds / TURN_S)
-        f[:, TURN, TURN] = forget
-        m[:, X] += (m[:, SPEED] * cos + m[:, FLOW_X]) * seconds
-        m[:, Y] += (m[:, SPEED] * sin + m[:, FLOW_Y]) * seconds
-        m[:, HEADING] += (a * towards_2 + m[:, TURN]) * seconds
-        m[:, C], m[:, S] = c, s
-        m[:, TURN] *= forget
-        noise = np.zeros((len(rows), STATES))
-        noise[:, : len(GROWTH)] = np.square(self.growth[rows]) * seconds
-        for state, deviation in RESTING:
-            noise[:, state] += deviation**2 * seconds * resting
-        noise[:, HEADING] += WALL_TURN**2 * seconds * walled
-        noise[:, TURN] = (TURN_KNOWN if self.known else TURN_UNKNOWN) ** 2 * (1 - forget**2)
-        if not self.known:
-            noise[:, A] = 0.0
-        covariance = f @ self.covariance[rows] @ f.transpose(0, 2, 1)
-        covariance[:, range(STATES), range(STATES)] += noise
-        self.mean[rows], self.covariance[rows] = m, covariance
-
-
-def _field(dipole: Floats, ux: float, uy: float) -> tuple[Floats, Floats]:
-    """Return the turning rate (R,) for a = 1 by equation (3), for dipoles with directions (R,)
-    [rad] in the field (ux, uy), and its derivative with respect to the direction.
-    """
-    cos, sin = np.cos(dipole), np.sin(dipole)
-    return uy * cos - ux * sin, -(uy * sin + ux * cos)

@@ -4,17 +4,27 @@ import math
 
 import numpy as np
 import pytest
+from oracles import helix_steps as oracle
 from support.dish_films import film, record
 
 from tetractl.core.setup import Bounds
 from tetractl.lab.cameras.cells.helix import (
+    GROWTH,
+    TURN_KNOWN,
+    WALL_UM,
+    HelixFilter,
+    open_water,
+)
+from tetractl.lab.cameras.cells.kernels.helix_path import smooth
+from tetractl.lab.cameras.cells.kernels.helix_steps import (
+    DELAY,
     HEADING,
     SPEED,
     STATES,
-    WALL_UM,
+    TURN,
     A,
-    HelixFilter,
-    open_water,
+    C,
+    S,
 )
 from tetractl.model.swimmers import Swimmers, bodies
 
@@ -64,33 +74,6 @@ def test_turning_rates_and_speeds_are_within_their_intervals():
             errors.append((bank.mean[rows, state] - truth) / deviation[:, state])
             assert np.all(deviation[:, state] < 0.1 * np.abs(truth))
     assert np.mean(np.abs(errors) < 1.96) >= 0.92
-
-
-def test_slopes_are_those_of_what_is_seen_and_of_the_motion():
-    """Numerical differentiation of both: one state at a time is moved by a little."""
-    _, bank, rows = followed(1, seconds=2.0, cells=3)
-    pieces = [(0.01, 0.6, 0.8)]
-    base, slopes = bank.seen(rows)
-    before, covariance = bank.mean.copy(), bank.covariance.copy()
-    moved = np.zeros((len(rows), STATES, STATES))
-    for state in range(STATES):
-        small = 1e-5 * max(1.0, abs(float(before[rows[0], state])))
-        ends = []
-        for sign in (1, -1):
-            bank.mean, bank.covariance = before.copy(), covariance.copy()
-            bank.mean[rows, state] += sign * small
-            if sign == 1:
-                seen = (bank.seen(rows)[0] - base) / small
-                assert seen == pytest.approx(slopes[:, :, state], abs=1e-3)
-            bank.predict(pieces)
-            ends.append(bank.mean[rows].copy())
-        moved[:, :, state] = (ends[0] - ends[1]) / (2 * small)
-    bank.mean, bank.covariance = before.copy(), np.zeros_like(covariance)
-    bank.covariance[rows] = np.eye(STATES)
-    bank.predict(pieces)
-    noise = bank.covariance[rows] - moved @ moved.transpose(0, 2, 1)
-    off = noise - np.einsum("rii,ij->rij", noise, np.eye(STATES))
-    assert np.abs(off).max() < 1e-3  # what is left is the noise of each state by itself
 
 
 def test_a_heading_that_was_the_wrong_way_round_is_turned():
@@ -143,3 +126,54 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
 
     assert np.abs(learned(open_water)).max() > 5
     assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 1.5
+
+
+@pytest.mark.parametrize(("speed", "walled"), [(300.0, False), (300.0, True), (20.0, False)])
+def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
+    random = np.random.default_rng(5)
+    bank = HelixFilter(near_wall=lambda x, y: np.full(len(x), walled))
+    row = bank.add(3.0, -2.0, 0.4, speed)
+    pieces = [(0.02, 0.6, 0.8), (0.013, -0.8, 0.6)]
+    bank.mean[row, [C, S, TURN, DELAY]] = 4.0, -3.0, 0.1, 0.01
+    root = random.normal(0, 0.3, (STATES, STATES))
+    bank.covariance[row] += root @ root.T
+    m, p = bank.mean[row].copy(), bank.covariance[row].copy()
+    bank.predict(pieces)
+    for k, (seconds, *field) in enumerate(pieces):
+        if k and not walled:
+            f = oracle.slopes(lambda state: oracle.switched(state, (0.6, 0.8), (-0.8, 0.6)), m)
+            m, p = oracle.switched(m, (0.6, 0.8), (-0.8, 0.6)), f @ p @ f.T
+        m, p, _ = oracle.move(m, p, np.array(GROWTH), TURN_KNOWN, walled, seconds, field)
+    assert bank.mean[row] == pytest.approx(m, rel=1e-9)
+    assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
+    for near in (1.0, 60.0):  # and an outlier
+        bank.mean[row], bank.covariance[row] = m, p
+        measured = oracle.body(m) + np.array([near, 0.5, 0.1])
+        deviation = np.array([1.0, 1.0, 0.05])
+        *found, likelihood, distance = oracle.correct(m, p, measured, deviation)
+        ours = bank.update(np.array([row]), measured[None], deviation[None])
+        assert np.ravel(ours) == pytest.approx([likelihood, distance], rel=1e-6)
+        assert bank.mean[row] == pytest.approx(found[0], rel=1e-6, abs=1e-6)
+        assert bank.covariance[row] == pytest.approx(found[1], rel=1e-5, abs=1e-4)
+
+
+def test_the_smoother_is_that_of_rauch_tung_and_striebel():
+    _, bank, rows = followed(2, seconds=1.5, cells=1)
+    random, count = np.random.default_rng(1), 30
+    pieces = [(1 / 30, 0.6, 0.8)] * 15 + [(1 / 30, -0.8, 0.6)] * 14
+    m, p = bank.mean[rows[0]].copy(), bank.covariance[rows[0]].copy()
+    truth, measured = m.copy(), []
+    for k in range(count):
+        if k:
+            truth = oracle.moved(
+                truth, 0 * p, np.array(GROWTH), pieces[k - 1][0], pieces[k - 1][1:]
+            )
+        measured.append(oracle.body(truth) + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
+    measured, deviation = np.array(measured), np.tile((POSITION, POSITION, AXIS), (count, 1))
+    measured[12:16] = np.nan
+    wanted = oracle.smooth(m, p, measured, deviation, pieces, np.array(GROWTH), TURN_KNOWN)
+    found, first = np.empty((count, STATES)), np.maximum(np.arange(count + 1) - 1, 0)
+    given = measured, deviation, np.array(pieces), first, np.array(GROWTH), TURN_KNOWN, 1.0
+    smooth(m.copy(), p.copy(), *given, found)
+    assert found[:, :SPEED] == pytest.approx(wanted[:, :SPEED], abs=2e-3)
+    assert found[:, A] == pytest.approx(wanted[:, A], abs=2e-3)

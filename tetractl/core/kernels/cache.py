@@ -29,12 +29,12 @@ _SUM = hashlib.sha256().digest_size
 
 
 def sources() -> Iterator[Path]:
-    """Yield the source files of kernels.
+    """Yield the source files of kernels: those in folders named `kernels`, and motions.
 
     For a motion of another package these are all modules in its folder, or only its file if the
     module is in no package.
     """
-    yield from Path(__file__).parent.glob("*.py")
+    yield from Path(__file__).parents[2].rglob("kernels/*.py")
     for file in MOTIONS.files():
         yield from file.parent.glob("*.py") if (file.parent / "__init__.py").exists() else [file]
 

@@ -46,7 +46,7 @@ def track(
     from tetractl.model.organisms import named
     from tetractl.results.cell_tables import cell_data, cell_tables
     from tetractl.view.figures.draw import draw_cells
-    from tetractl.view.style import save
+    from tetractl.view.style import SCREEN_DPI, save
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
@@ -74,7 +74,9 @@ def track(
                 add(name, table, "")
             write_films(out, pictures, found, record)
         if found.paths:
-            save(draw_cells("cells", [read_track(out / "track.mcap")]), out / "cells.png")
+            save(
+                draw_cells("cells", [read_track(out / "track.mcap")]), out / "cells.png", SCREEN_DPI
+            )
     ui.show(as_json, record, cell_tables(record))
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
 
 from tetractl.core.errors import AbortError, UsageError
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 RATES_HZ = (0.1, 2000.0)
 SCALES_UM = (0.05, 100.0)
 DIFFERENT = 0.01  # relative difference of a given value from the film's own that is said
+KEPT_MAX = 2**30  # largest file in which a film's pictures are kept [B]
 EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
 TIMES_FILE, TIME = "times.csv", "time_s"
 
@@ -42,12 +44,24 @@ class FilmPictures:
     levels: tuple[float, float] = (0.0, 1.0)
     remarks: list[str] = field(default_factory=list)
     damaged: int = 0
+    _kept: tuple[IO[bytes], list[int], tuple[int, int]] | None = None
 
     def __iter__(self) -> Iterator[tuple[int, "Grey"]]:
-        """Yield number and grey levels (height, width) of each picture that can be read."""
+        """Yield number and grey levels (height, width) of each picture that can be read.
+
+        A film is decoded once: its pictures are kept in a file, unless they exceed KEPT_MAX.
+        """
         import numpy as np
 
-        self.damaged, size, number = 0, None, 0
+        if self._kept is not None:
+            file, numbers, shape = self._kept
+            size = shape[0] * shape[1]
+            for k, number in enumerate(numbers):
+                pixels = os.pread(file.fileno(), size, k * size)
+                yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
+            return
+        self.damaged, size, number, numbers = 0, None, 0, list[int]()
+        keeping = TemporaryFile(buffering=0)
         with _decoder(self.path, *self.levels) as (_, stream):
             while head := stream.read(8):
                 shape = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
@@ -56,8 +70,13 @@ class FilmPictures:
                     self.damaged += 1
                 else:
                     size = shape
+                    numbers.append(number)
+                    if len(numbers) * len(pixels) <= KEPT_MAX:
+                        keeping.write(pixels)
                     yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
                 number += 1
+        if size is not None and len(numbers) * size[0] * size[1] == keeping.tell():
+            self._kept = keeping, numbers, size
 
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""

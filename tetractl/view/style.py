@@ -23,6 +23,7 @@ ALARM = "#B00020"
 
 COLUMN_IN, PAGE_IN = 3.5, 7.16  # widths of one and two columns of an IEEE page
 FORMATS = ("png", "svg", "pdf")
+PRINT_DPI, SCREEN_DPI = 300, 200  # dots per inch of pictures for paper, and for slides
 
 RC: dict[str, Any] = {
     "font.family": "sans-serif",
@@ -49,7 +50,6 @@ RC: dict[str, Any] = {
     "legend.handlelength": 1.6,
     "lines.linewidth": 1.2,
     "lines.solid_capstyle": "round",
-    "savefig.dpi": 300,
     "pdf.fonttype": 42,  # embeds fonts, so that text can be searched
     "svg.fonttype": "none",
     "svg.hashsalt": "tetractl",  # the same log gives the same file
@@ -149,16 +149,16 @@ def file_format(path: Path, formats: Iterable[str] = FORMATS, what: str = "pictu
     return wanted
 
 
-def save(drawing: Figure, path: Path) -> None:
+def save(drawing: Figure, path: Path, dpi: float = PRINT_DPI) -> None:
     """Write a figure; the same figure gives the same bytes."""
-    save_whole(path, picture(drawing, file_format(path)))
+    save_whole(path, picture(drawing, file_format(path), dpi))
 
 
-def picture(drawing: Figure, wanted: str) -> bytes:
+def picture(drawing: Figure, wanted: str, dpi: float = PRINT_DPI) -> bytes:
     """Return a figure as a file of format `wanted`; the same figure gives the same bytes."""
     file = io.BytesIO()
     with styled():
-        drawing.savefig(file, format=wanted, metadata=_METADATA[wanted])
+        drawing.savefig(file, format=wanted, metadata=_METADATA[wanted], dpi=dpi)
     return file.getvalue()
 
 

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from support.cli import tetractl
 from support.dish_films import film
 from support.film_containers import UM_PX, folder, stack
 from support.needs_opencv import cv2, video
+
+from tetractl.film.geff_file import _edges
 
 
 @pytest.fixture(scope="module")
@@ -35,6 +38,7 @@ def test_tables_a_log_and_a_film_are_written(dish):
         "poses.csv",
         "track.mcap",
         "tracks.csv",
+        *(["tracks.geff"] if find_spec("geff") else []),
     ]
     with (out / "cells.csv").open() as stream:
         cells = list(csv.DictReader(stream))
@@ -104,6 +108,35 @@ def test_a_log_that_is_cut_short_says_what_is_lost(tracks, tmp_path):
     assert cut.returncode == 1 and "breaks off" in cut.stdout
     stub = tetractl(tmp_path, "stats", "stub.mcap")
     assert stub.returncode == 1 and "cells of the film cannot be read" in stub.stderr
+
+
+def test_tracks_are_read_by_geff_as_they_are_in_the_table(tracks):
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff.validate.data import ValidationConfig
+
+    graph = core_io.read_to_memory(
+        tracks[0] / "tracks.geff", data_validation=ValidationConfig(graph=True)
+    )
+    with (tracks[0] / "tracks.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    nodes = {name: prop["values"] for name, prop in graph["node_props"].items()}
+    assert set(nodes) == {"t", "y", "x", "cell", "heading", "axis", "probability"}
+    for name, column in {"t": "t", "y": "y", "x": "x", "cell": "id"}.items():
+        assert nodes[name].tolist() == [float(row[column]) for row in rows]
+    t, y, x = graph["metadata"].axes
+    assert (t.scale, y.scale) == pytest.approx((1 / 30, 2.3)) and x.scaled_unit == "micrometer"
+    first, second = graph["edge_ids"].astype(int).T
+    assert (nodes["cell"][first] == nodes["cell"][second]).all()
+    assert len(first) == len(rows) - len(set(nodes["cell"]))
+    ahead = (nodes["x"][second] - nodes["x"][first]) * np.cos(nodes["heading"][first])
+    ahead += (nodes["y"][second] - nodes["y"][first]) * np.sin(nodes["heading"][first])
+    assert np.mean(ahead > 0) > 0.9
+
+
+def test_a_division_is_an_edge_from_mother_to_daughter():
+    cell, frame = np.array([1, 1, 2, 1, 2]), np.array([0, 1, 2, 2, 3])
+    edges = _edges(cell, frame, [(1, 2), (1, 7)]).tolist()
+    assert sorted(edges) == [[0, 1], [1, 2], [1, 3], [2, 4]]
 
 
 def test_tracks_are_read_by_pandas_as_trackpy_and_napari_have_them(tracks):

@@ -5,7 +5,6 @@ from typing import Annotated
 
 from tetractl.cli import ui
 from tetractl.core.errors import Exit, UsageError
-from tetractl.core.table.table_files import table_files
 
 
 def track(
@@ -37,16 +36,13 @@ def track(
       out DIR: Folder for the tables, a log, figures, and the film with the tracks drawn in.
     """
     from tetractl.film.field_file import read_field
-    from tetractl.film.film_files import write_films
-    from tetractl.film.film_tables import as_items, pose_tables
+    from tetractl.film.film_files import write_results
+    from tetractl.film.film_tables import as_items
     from tetractl.film.fit_cell import fit_cells
     from tetractl.film.follow import follow
     from tetractl.film.pictures import open_film
-    from tetractl.log.read.track_log import read_track
     from tetractl.model.organisms import named
-    from tetractl.results.cell_tables import cell_data, cell_tables
-    from tetractl.view.figures.draw import draw_cells
-    from tetractl.view.style import SCREEN_DPI, save
+    from tetractl.results.cell_tables import cell_tables
 
     if y_down and field is None:
         raise UsageError("--y-down needs --field")
@@ -63,20 +59,8 @@ def track(
         found, cells = fit_cells(found, directions)
     record = as_items(film.name, found, cells, directions)
     if out is not None:
-        with (
-            ui.progress("Writing"),
-            table_files(
-                {name: out / f"{name}.csv" for name in ("cells", "poses", "tracks")}, "csv"
-            ) as add,
-        ):
-            add("cells", cell_data(record), "")
-            for name, table in zip(("poses", "tracks"), pose_tables(found), strict=True):
-                add(name, table, "")
-            write_films(out, pictures, found, record)
-        if found.paths:
-            save(
-                draw_cells("cells", [read_track(out / "track.mcap")]), out / "cells.png", SCREEN_DPI
-            )
+        with ui.progress("Writing"):
+            write_results(out, pictures, found, record)
     ui.show(as_json, record, cell_tables(record))
     if out is not None and not as_json:
         print(f"wrote {out}: {', '.join(sorted(path.name for path in out.iterdir()))}")

@@ -1,9 +1,10 @@
-"""Writes the results of a film as a log, and as a film with the tracks drawn in."""
+"""Writes the results of a film: tables, a log, a figure, and a film with the tracks drawn in."""
 
 import math
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,18 @@ from tetractl.core.clock import SECOND
 from tetractl.core.colors import PALETTE
 from tetractl.core.errors import TetractlError
 from tetractl.core.poses import Grey
-from tetractl.core.table.table_files import json_text
-from tetractl.film.film_tables import pixel
+from tetractl.core.table.table_files import json_text, table_files
+from tetractl.film.film_tables import pixel, pose_tables
 from tetractl.film.follow import Followed
+from tetractl.film.geff_file import write_geff
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
-from tetractl.log.read.track_log import CELL, PICTURE, PROFILE, UM
+from tetractl.log.read.track_log import CELL, PICTURE, PROFILE, UM, read_track
+from tetractl.results.cell_tables import cell_data
+from tetractl.view.figures.draw import draw_cells
+from tetractl.view.style import SCREEN_DPI, save
 
 PICTURES_S = 1.0  # interval of whole pictures in the log [s]
 QUALITY = 85  # of their JPEG
@@ -34,19 +39,30 @@ TRAIL = 45  # length of a trail [pictures]
 Cells = list[SeenCell]
 
 
-def write_films(folder: Path, film: FilmPictures, followed: Followed, record: Any) -> None:
-    """Write `track.mcap` and `overlay.mp4` into a folder, reading the film once."""
-    cells: Mapping[int, Cells] = defaultdict(list)
+def write_results(folder: Path, film: FilmPictures, followed: Followed, record: Any) -> None:
+    """Write all results of a film into a folder; GEFF only if its package is installed."""
+    poses, tracks = pose_tables(followed)
+    tables = {"cells": cell_data(record), "poses": poses, "tracks": tracks}
+    with table_files({name: folder / f"{name}.csv" for name in tables}, "csv") as add:
+        for name, table in tables.items():
+            add(name, table, "")
+    cells: dict[int, Cells] = defaultdict(list)
     for path in followed.paths:
         for number, cell in zip(path.frames.tolist(), path.seen, strict=True):
             cells[number].append(cell)
     with (
-        _log(folder / "track.mcap", film, followed, record) as add,
+        _log(folder / "track.mcap", film, followed, record) as add_picture,
         _overlay(folder / "overlay.mp4", followed) as draw,
     ):
         for number, picture in film:
-            add(number, picture, cells[number])
+            add_picture(number, picture, cells[number])
             draw(picture, cells[number])
+    if followed.paths:
+        log = read_track(folder / "track.mcap")
+        save(draw_cells("cells", [log]), folder / "cells.png", SCREEN_DPI)
+        if find_spec("geff") is not None:
+            scale = followed.rate_hz, followed.um_px
+            write_geff(folder / "tracks.geff", poses, tracks, followed.divisions, *scale)
 
 
 @contextmanager

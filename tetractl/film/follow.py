@@ -48,7 +48,7 @@ class Followed:
 
     `remarks` say which `organism` was looked for, at which scale, and why. `doubtful` lists cells
     that could not be distinguished after they met, with the probability that their numbers were
-    then assigned correctly.
+    then assigned correctly. `divisions` lists mother and daughter of each division that was seen.
     """
 
     paths: tuple[CellPath, ...]
@@ -65,6 +65,7 @@ class Followed:
     noise: float
     background: Grey
     doubtful: tuple[tuple[tuple[int, ...], float], ...]
+    divisions: tuple[tuple[int, int], ...] = ()
 
     @property
     def seconds(self) -> float:
@@ -94,12 +95,14 @@ def follow(
     frames: list[int] = []
     times: list[float] = []
     doubtful: list[tuple[tuple[int, ...], float]] = []
+    divisions: list[tuple[int, int]] = []
     lights = []
     for number, picture in film:
         seconds = film.seconds(number)
         cells = tracker.see(picture, seconds, pieces)
         for born in tracker.born:
             _fill_back(shown, times, born)
+            divisions += [] if born.divided is None else [(born.divided, born.identity)]
         shown.append({cell.track: cell for cell in cells})
         frames.append(number)
         times.append(seconds)
@@ -134,6 +137,7 @@ def follow(
         noise=float(noise),
         background=background,
         doubtful=tuple(doubtful),
+        divisions=tuple(divisions),
     )
 
 

@@ -6,11 +6,12 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryFile
 from typing import IO, TYPE_CHECKING, Any
+from weakref import finalize
 
 from tetractl.core.errors import AbortError, UsageError
 from tetractl.core.table.table_files import read_csv
@@ -26,7 +27,7 @@ EVEN = 1e-3  # deviation from an even rate that is rounding [pictures]
 TIMES_FILE, TIME = "times.csv", "time_s"
 
 
-@dataclass(slots=True)
+@dataclass(slots=True, weakref_slot=True)
 class FilmPictures:
     """The pictures at a path, which can be iterated over repeatedly. `rate_hz` is the rate given,
     or the film's own; so is the scale `um_px`, None if it is unknown.
@@ -44,7 +45,7 @@ class FilmPictures:
     levels: tuple[float, float] = (0.0, 1.0)
     remarks: list[str] = field(default_factory=list)
     damaged: int = 0
-    _kept: tuple[IO[bytes], list[int], tuple[int, int]] | None = None
+    _kept: tuple[int, list[int], tuple[int, int]] | None = None  # file, numbers and shape
 
     def __iter__(self) -> Iterator[tuple[int, "Grey"]]:
         """Yield number and grey levels (height, width) of each picture that can be read.
@@ -57,26 +58,31 @@ class FilmPictures:
             file, numbers, shape = self._kept
             size = shape[0] * shape[1]
             for k, number in enumerate(numbers):
-                pixels = os.pread(file.fileno(), size, k * size)
+                pixels = os.pread(file, size, k * size)
                 yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
             return
-        self.damaged, size, number, numbers = 0, None, 0, list[int]()
-        keeping = TemporaryFile(buffering=0)
-        with _decoder(self.path, *self.levels) as (_, stream):
+        self.damaged, shape, number, numbers, room = 0, None, 0, list[int](), KEPT_MAX
+        with (
+            _decoder(self.path, *self.levels) as (_, stream),
+            TemporaryFile(buffering=0) as kept,
+        ):
             while head := stream.read(8):
-                shape = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
-                pixels = stream.read(shape[0] * shape[1])
-                if not shape[0] or shape != (size or shape) or len(pixels) < shape[0] * shape[1]:
+                sides = int.from_bytes(head[:4], "little"), int.from_bytes(head[4:], "little")
+                pixels = stream.read(sides[0] * sides[1])
+                if not sides[0] or sides != (shape or sides) or len(pixels) < sides[0] * sides[1]:
                     self.damaged += 1
                 else:
-                    size = shape
+                    shape, room = sides, room - len(pixels)
                     numbers.append(number)
-                    if len(numbers) * len(pixels) <= KEPT_MAX:
-                        keeping.write(pixels)
+                    if room >= 0:
+                        with suppress(OSError):  # the disk may be full
+                            kept.write(pixels)
                     yield number, np.frombuffer(pixels, np.uint8).reshape(shape)
                 number += 1
-        if size is not None and len(numbers) * size[0] * size[1] == keeping.tell():
-            self._kept = keeping, numbers, size
+            size = os.fstat(kept.fileno()).st_size
+            if shape is not None and size == len(numbers) * shape[0] * shape[1]:
+                self._kept = os.dup(kept.fileno()), numbers, shape
+                finalize(self, os.close, self._kept[0])
 
     def seconds(self, number: int) -> float:
         """Return the time of a picture [s]."""

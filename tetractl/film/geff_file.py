@@ -1,0 +1,78 @@
+"""Writes the tracks of a film in GEFF, the graph exchange file format for tracks
+(live-image-tracking-tools.github.io/geff), which TrackMate, napari, ultrack and traccuracy read.
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+
+from tetractl.core.table.table import Table
+
+ABOUT = {
+    "cell": "number of the cell",
+    "heading": "direction of swimming, from +x towards +y, which points down [rad]",
+    "axis": "direction of the body, likewise [rad]",
+    "probability": "probability that the node is the cell of this number",
+}
+
+
+def write_geff(
+    path: Path,
+    poses: Table,
+    tracks: Table,
+    divisions: Iterable[tuple[int, int]],
+    rate_hz: float,
+    um_px: float,
+) -> None:
+    """Write a node for each row of the tables that `pose_tables` returns: t [pictures], y and x
+    [pixels], and what ABOUT lists; an edge between successive nodes of a cell, and one from the
+    mother to the daughter of each of `divisions`.
+    """
+    from geff import GeffMetadata
+    from geff.core_io import write_arrays
+    from geff_spec import Axis, PropMetadata
+
+    pixels, um = tracks.as_dict(), poses.as_dict()
+    cell, frame = np.array(pixels["id"], np.int64), np.array(pixels["t"], np.int64)
+    values = {
+        "t": frame,
+        "y": np.array(pixels["y"], float),
+        "x": np.array(pixels["x"], float),
+        "cell": cell,
+        "heading": -np.array(um["heading_rad"], float),
+        "axis": -np.array(um["axis_rad"], float),
+        "probability": np.array(um["identity_probability"], float),
+    }
+    space = {"type": "space", "unit": "pixel", "scale": um_px, "scaled_unit": "micrometer"}
+    time = {"type": "time", "unit": "frame", "scale": 1 / rate_hz, "scaled_unit": "second"}
+    about = {
+        name: PropMetadata(identifier=name, dtype=str(values[name].dtype), description=text)
+        for name, text in ABOUT.items()
+    }
+    write_arrays(
+        path,
+        np.arange(len(cell), dtype=np.uint64),
+        {name: {"values": array, "missing": None} for name, array in values.items()},
+        _edges(cell, frame, divisions),
+        {},
+        GeffMetadata(
+            directed=True,
+            axes=[Axis(name="t", **time), Axis(name="y", **space), Axis(name="x", **space)],
+            node_props_metadata=about,
+            edge_props_metadata={},
+        ),
+    )
+
+
+def _edges(cell: np.ndarray, frame: np.ndarray, divisions: Iterable[tuple[int, int]]) -> np.ndarray:
+    """Return the edges (E, 2) between nodes that are given by their cells and pictures."""
+    order = np.lexsort((frame, cell))
+    same = np.diff(cell[order]) == 0
+    found = [np.column_stack([order[:-1], order[1:]])[same]]
+    for mother, daughter in divisions:
+        (born,) = np.nonzero(cell == daughter)
+        (before,) = np.nonzero((cell == mother) & (frame < frame[born[:1]].sum()))
+        if len(before):  # else one of them is not among the tracks
+            found.append(np.array([[before[-1], born[0]]]))
+    return np.concatenate(found).astype(np.uint64)

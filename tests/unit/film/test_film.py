@@ -97,7 +97,7 @@ def test_what_is_no_film_is_one_clear_error(tmp_path, content):
 def test_a_film_without_cells_has_no_scale(tmp_path):
     for k in range(40):
         cv2.imwrite(str(tmp_path / f"{k}.png"), np.full((64, 64), 100, np.uint8))
-    with pytest.raises(TetractlError, match="scale is not known"):
+    with pytest.raises(TetractlError, match="the scale is unknown"):
         follow(open_film(tmp_path, 30.0), None, None)
 
 

@@ -3,6 +3,7 @@
     python benchmarks/films.py render    write films with their truth
     python benchmarks/films.py score     F1, positions, names, intervals of `tetractl track`
     python benchmarks/films.py peers     the same of trackpy and laptrack on plain detections
+    python benchmarks/films.py kept      the rows of earlier runs with --keep NAME
     python benchmarks/films.py time      processor time a picture, of each part
     python benchmarks/films.py real      what is said of a given film, at several scales
 
@@ -82,19 +83,44 @@ def each(chosen: argparse.Namespace, work) -> Iterator:
 
 
 def score(chosen: argparse.Namespace, trackers: tuple[str, ...] = ("tetractl",)) -> None:
-    for renderer in chosen.renderer:
-        for level in chosen.level:
-            for tracker in trackers:
+    """Print the rows of each renderer and level, and of each level over both renderers."""
+    for level in chosen.level:
+        for tracker in trackers:
+            films: dict[str, list[FilmScore]] = {}
+            for renderer in chosen.renderer:
                 work = partial(scored, chosen.cache, renderer, level, tracker, chosen.keep)
-                films = []
                 for one in each(chosen, work):
-                    films.append(one)
+                    films.setdefault(renderer, []).append(one)
                     wrong = f"{len(one.wrong)} wrong names" if one.wrong else ""
                     print(f"  {one.film}: {tracker} F1 {one.f1:.4f} {wrong}", flush=True)
-                print(f"\n## {renderer}, {level}, {tracker}\n")
-                for what, figure in table(films, tracker == "tetractl"):
-                    print(f"| {what} | {figure} |", flush=True)
-                print(flush=True)
+            show(films, level, tracker)
+
+
+def show(films: dict[str, list[FilmScore]], level: str, tracker: str) -> None:
+    """Print the rows of a level, for each renderer and over all."""
+    if len(films) > 1:
+        films = films | {"both renderers": [one for some in films.values() for one in some]}
+    for renderer, some in films.items():
+        print(f"\n## {renderer}, {level}, {tracker}\n")
+        for what, figure in table(some, tracker == "tetractl"):
+            print(f"| {what} | {figure} |")
+    print(flush=True)
+
+
+def kept(chosen: argparse.Namespace) -> None:
+    """Print the rows of what earlier runs kept under the name --keep."""
+    for level in chosen.level:
+        for tracker in ("tetractl", "trackpy", "laptrack"):
+            films: dict[str, list[FilmScore]] = {}
+            for renderer in chosen.renderer:
+                for seed in range(chosen.first_seed, chosen.first_seed + chosen.count):
+                    folder = chosen.cache / f"{renderer}-{level}-{seed}"
+                    path = folder / chosen.keep / f"{tracker}.json"
+                    if chosen.keep and path.exists():
+                        one = FilmScore(**json.loads(path.read_text())["score"])
+                        films.setdefault(renderer, []).append(one)
+            if films:
+                show(films, level, tracker)
 
 
 def peers(chosen: argparse.Namespace) -> None:
@@ -130,7 +156,7 @@ def times(chosen: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("part", choices=("render", "score", "peers", "time", "real"))
+    parser.add_argument("part", choices=("render", "score", "peers", "kept", "time", "real"))
     parser.add_argument("film", type=Path, nargs="?", help="the film of `real`")
     parser.add_argument("--renderer", choices=(*RENDERERS, "both"), default="both")
     parser.add_argument("--level", nargs="+", choices=LEVELS, default=list(LEVELS))
@@ -150,7 +176,7 @@ def main() -> None:
             parser.error("real needs a film")
         report(chosen.film, chosen.scale, chosen.rate)
         return
-    parts = {"render": render, "score": score, "peers": peers, "time": times}
+    parts = {"render": render, "score": score, "peers": peers, "kept": kept, "time": times}
     with tempfile.TemporaryDirectory() as folder:
         chosen.cache = chosen.cache or Path(folder)
         parts[chosen.part](chosen)

@@ -1,5 +1,6 @@
 """`tetractl track`: follows the cells of a film."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -35,7 +36,9 @@ def track(
       y_down: Directions in the --field file run clockwise.
       out DIR: Folder for the tables, a log, figures, and the film with the tracks drawn in.
     """
-    from tetractl.film.field_file import read_field
+    import numpy as np
+
+    from tetractl.film.field_file import read_field, side_remarks
     from tetractl.film.film_files import write_results
     from tetractl.film.film_tables import as_items
     from tetractl.film.fit_cell import fit_cells
@@ -55,6 +58,9 @@ def track(
         found = follow(
             pictures, pictures.um_px, directions, kind, lambda number: on_picture(number, None)
         )
+    if directions is not None:
+        paths = [np.column_stack([path.times, path.places]) for path in found.paths]
+        found = replace(found, remarks=(*found.remarks, *side_remarks(directions, paths)))
     with ui.progress("Fitting"):
         found, cells = fit_cells(found, directions)
     record = as_items(film.name, found, cells, directions)

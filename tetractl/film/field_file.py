@@ -6,11 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Floats
 from tetractl.core.table.table_files import read_csv
 from tetractl.lab.cameras.cells.helix import Piece
+from tetractl.lab.handedness import EXPLAINED, handedness
+from tetractl.replay.identification.fit import NORMAL
 
 TIME, DIRECTION, STRENGTH = "time_s", "direction_rad", "strength"
 
@@ -26,6 +29,11 @@ class FieldRecord:
     x: Floats
     y: Floats
 
+    def at(self, times: Floats) -> NDArray[np.complex128]:
+        """Return the field at times (K,) [s] as x + iy."""
+        now = np.searchsorted(self.times, times, side="right") - 1
+        return np.where(now < 0, 0.0, (self.x + 1j * self.y)[now])
+
     def pieces(self, start: float, end: float) -> Sequence[Piece]:
         """Return the field between two times [s] as constant pieces, each with its duration [s], x
         and y.
@@ -38,6 +46,22 @@ class FieldRecord:
             x, y = (0.0, 0.0) if now < 0 else (float(self.x[now]), float(self.y[now]))
             found.append((cuts[i + 1] - cuts[i], x, y))
         return found
+
+
+def side_remarks(field: FieldRecord, paths: Sequence[Floats]) -> tuple[str, ...]:
+    """Return a warning if the cells turn as if the field's directions were of the other sense, or
+    rotated; `paths` (K, 3) are the cells' times [s] and positions x, y.
+    """
+    found = handedness(paths, field.at)
+    if found is None or found.explained < EXPLAINED or not (found.mirrored or found.rotated):
+        return ()
+    if found.mirrored:
+        return (
+            "warning: cells turn right where the field turns left: the directions run clockwise "
+            "(--y-down), or the picture is mirrored; do not use a, bias and magnet",
+        )
+    off = f"{found.turned:+.2f} +- {NORMAL * found.turned_sd:.2f} rad"
+    return (f"warning: cells turn to a direction {off} off the field's: is it rotated?",)
 
 
 def no_field(start: float, end: float) -> Sequence[Piece]:

@@ -1,9 +1,9 @@
 """Checks by the cells' turning how picture and field lie to each other: mirrored, or rotated.
 
 A cell turns towards the field: its heading h and the field's direction u obey dh/dt = a sin(u - h).
-If the picture is mirrored, h obeys dh/dt = a sin(-u + f - h) for some angle f, and if it is rotated
-by f, dh/dt = a sin(u + f - h). With s = +1 or -1 for the side, both are linear in a cos f and
-a sin f,
+If the picture is rotated by f, h obeys dh/dt = a sin(u + f - h), and if it is mirrored,
+dh/dt = a sin(-u + f - h) for some angle f. With s = +1 or -1 for the side, both are linear in
+a cos f and a sin f,
 
     dh/dt = a cos f sin(s u - h) + a sin f cos(s u - h),
 
@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tetractl.core.clock import SECOND
 from tetractl.core.poses import Floats
@@ -26,10 +27,14 @@ from tetractl.lab.rig import Rig
 GRID_S = 0.05  # time step of the analysis
 SMOOTH = 8  # steps over which a course is measured: a turn of a cell's helix takes about as long
 LONGEST_GAP_S = 0.25  # a longer gap between two positions of a cell separates its path
+STILL = 0.1  # turning rate [rad/s] that counts as unexplained in any case
 EXPLAINED = 0.4  # least share of the turning that a response to the field explains
 LEAST_CELLS = 3  # fewest cells that show a rotation
 SURE = 3.0  # standard deviations by which a rotation must differ from 0
 ALLOWED = 0.15  # rotation below which nothing is said [rad]
+
+FieldAt = Callable[[Floats], NDArray[np.complex128]]
+"""Function that returns the field at times [s] as x + iy, relative to the reference field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +49,11 @@ class Handedness:
     turned: float
     turned_sd: float
     explained: float
+
+    @property
+    def rotated(self) -> bool:
+        """Whether the cells turn to a direction that is certainly not the field's."""
+        return abs(self.turned) > max(ALLOWED, SURE * self.turned_sd)
 
 
 def with_handedness(
@@ -75,27 +85,28 @@ def watch_turning(
     turn_field(rig, choice, seed, supervision, on_look)
     rig.loop.stop()
     direction = manoeuvre(choice.turn, seed)
-    return handedness([np.array(path) for path in seen.values()], direction)
+
+    def field(times: Floats) -> NDArray[np.complex128]:
+        return np.exp(1j * np.array([direction(round(at * SECOND)) for at in times]))
+
+    return handedness([np.array(path) for path in seen.values()], field)
 
 
-def handedness(paths: Sequence[Floats], direction: Callable[[int], float]) -> Handedness | None:
-    """Return how cells turned: `paths` (K, 3) are their times [s] and positions x, y, `direction`
-    gives the field's direction [rad] at a time [ns]; None for fewer than LEAST_CELLS cells.
+def handedness(paths: Sequence[Floats], field: FieldAt) -> Handedness | None:
+    """Return how cells turned in a field; `paths` (K, 3) are their times [s] and positions x, y.
+    None for fewer than LEAST_CELLS cells.
     """
     pieces = [piece for path in paths for piece in _pieces(path)]
-    turns = [_turns(piece, direction) for piece in pieces]
-    if len(turns) < LEAST_CELLS:
+    if len(pieces) < LEAST_CELLS:
         return None
-    total = sum(float(way @ way) for way, _ in turns)
+    turns = [_turns(piece, field) for piece in pieces]
+    total = sum(float(way @ way) + STILL**2 * len(way) for way, _ in turns)
     sides = []
     for side in (0, 1):
-        vectors, left = [], 0.0
-        for way, bases in turns:
-            base = bases[side]
-            vector = np.linalg.lstsq(base, way, rcond=None)[0]
-            left += float(np.sum(np.square(way - base @ vector)))
-            vectors.append(complex(*vector))
-        sides.append((1 - left / total, np.array(vectors)))
+        fits = [np.linalg.lstsq(bases[side], way, rcond=None)[0] for way, bases in turns]
+        off = [way - bases[side] @ fit for (way, bases), fit in zip(turns, fits, strict=True)]
+        left = sum(float(each @ each) + STILL**2 * len(each) for each in off)
+        sides.append((1 - left / total, np.array([complex(*fit) for fit in fits])))
     mirrored = sides[1][0] > sides[0][0]
     explained, vectors = sides[mirrored]
     turned = float(np.angle(vectors.sum()))
@@ -120,7 +131,7 @@ def handedness_lines(found: Handedness | None) -> tuple[list[str], str]:
             "cells turn right where the field turns left: the picture is mirrored (change "
             "lab.camera.mirrored), or one coil pair's current is reversed (the sign of gain_mt_a)"
         ], text
-    if abs(found.turned) < max(ALLOWED, SURE * found.turned_sd):
+    if not found.rotated:
         return [], text
     return [
         f"cells turn to a direction {found.turned:+.2f} rad off the field's: subtract this from "
@@ -136,24 +147,20 @@ def _pieces(path: Floats) -> list[Floats]:
     return [piece for piece in np.split(path, cuts) if np.ptp(piece[:, 0]) > 2.0]
 
 
-def _turns(
-    piece: Floats, direction: Callable[[int], float]
-) -> tuple[Floats, tuple[Floats, Floats]]:
+def _turns(piece: Floats, field: FieldAt) -> tuple[Floats, tuple[Floats, Floats]]:
     """Return the turning of a cell's course (M,) [rad/s], and for either side the rates (M, 2) that
     a = 1 gives with f = 0 and with f = pi / 2.
     """
     times = np.arange(piece[0, 0], piece[-1, 0], GRID_S)
-    places = np.interp(times, piece[:, 0], piece[:, 1]) + 1j * np.interp(
-        times, piece[:, 0], piece[:, 2]
-    )
+    x, y = (np.interp(times, piece[:, 0], piece[:, k]) for k in (1, 2))
+    places = x + 1j * y
     course = np.unwrap(np.angle(places[SMOOTH:] - places[:-SMOOTH]))
-    middle = times[SMOOTH // 2 : SMOOTH // 2 + len(course)]
-    field = np.array([direction(round(at * SECOND)) for at in middle])
-    box = np.ones(SMOOTH) / SMOOTH
+    acts = field(times[SMOOTH // 2 : SMOOTH // 2 + len(course)])
+    box = np.ones(SMOOTH) / SMOOTH  # a course is a mean, and so is what turns it
 
-    def rates(side: int) -> Floats:
-        off = side * field - course
-        each = [np.convolve(one, box, "same") for one in (np.sin(off), np.cos(off))]
-        return np.array(each).T[SMOOTH:-SMOOTH]
+    def rates(acting: NDArray[np.complex128]) -> Floats:
+        mean = np.convolve(acting * np.exp(-1j * course), box, "same")[SMOOTH:-SMOOTH]
+        return np.stack([mean.imag, mean.real], axis=1)
 
-    return np.gradient(course, GRID_S)[SMOOTH:-SMOOTH], (rates(1), rates(-1))
+    way = np.gradient(course, GRID_S)[SMOOTH:-SMOOTH]
+    return way, (rates(acts), rates(acts.conj()))

@@ -27,11 +27,15 @@ def paths(direction, mirrored=False, rotated=0.0, seed=1):
     return found
 
 
+def field_of(direction):
+    return lambda times: np.exp(1j * np.array([direction(round(t * SECOND)) for t in times]))
+
+
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("rotated", [0.0, 0.5, -2.0])
 def test_side_and_rotation_are_found(mirrored, rotated):
     direction = manoeuvre(3.2, 5)
-    found = handedness(paths(direction, mirrored, rotated), direction)
+    found = handedness(paths(direction, mirrored, rotated), field_of(direction))
     assert found.mirrored is mirrored and found.explained > 0.9
     turned = math.pi - rotated if mirrored else rotated
     assert abs(math.remainder(found.turned - turned, math.tau)) < 0.05 + 3 * found.turned_sd
@@ -43,7 +47,7 @@ def test_side_and_rotation_are_found(mirrored, rotated):
 
 
 def test_cells_that_do_not_follow_the_field_are_a_problem_and_so_are_too_few():
-    found = handedness(paths(manoeuvre(3.2, 6)), manoeuvre(2.3, 9))
+    found = handedness(paths(manoeuvre(3.2, 6)), field_of(manoeuvre(2.3, 9)))
     assert handedness_lines(found)[0][0].startswith("the cells do not turn with the field")
-    few = handedness(paths(manoeuvre(3.2, 6))[:2], manoeuvre(3.2, 6))
+    few = handedness(paths(manoeuvre(3.2, 6))[:2], field_of(manoeuvre(3.2, 6)))
     assert few is None and "fewer than 3 cells" in handedness_lines(few)[0][0]

@@ -16,6 +16,7 @@ from .truth import FilmTruth
 
 CELLS, STRANGERS = 20, 4
 NOISE_SPARE_PX = 64
+FOCUS_UM = 4.0  # step of the focus in which debris at rest is drawn
 TRIES = 60  # attempts to let two neighbours cross in view
 
 
@@ -165,7 +166,7 @@ class _World:
         grain = random.standard_normal((side + NOISE_SPARE_PX,) * 2).astype(np.float32) * made.noise
         focus, flicker = 0.0, 0.0
         debris = _Debris.drawn(random, made)
-        stills = {}
+        stills = {}  # by the focus, to which a film comes back
         for t in moments.tolist():
             focus += (
                 -focus / (2.0 * RATE_HZ)
@@ -175,10 +176,9 @@ class _World:
                 random.standard_normal()
             )
             knock = np.array(made.knock_um) * (t > made.knock_s)
-            key = t > made.knock_s, round(focus / 4) if made.wander > 5 else 0
+            key = t > made.knock_s, round(focus / FOCUS_UM)
             if key not in stills:
-                stills.clear()
-                stills[key] = debris.still(made, knock, focus)
+                stills[key] = debris.still(made, knock, FOCUS_UM * key[1])
             field = stills[key].copy()
             debris.moving(field, made, t, knock, focus)
             step = round(t * STEPS_S)

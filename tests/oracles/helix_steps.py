@@ -17,6 +17,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     RATE,
     SPEED,
     STATES,
+    SWAY,
     TAIL,
     TURN,
     TURN_S,
@@ -43,7 +44,7 @@ def switched(m, before, field):
     return m
 
 
-def moved(m, p, growth, seconds, field):
+def moved(m, p, seconds, field):
     """The state after a piece of constant field, by the heading halfway, and to second order in its
     error.
     """
@@ -55,8 +56,7 @@ def moved(m, p, growth, seconds, field):
     ahead *= math.exp(-p[HEADING, HEADING] / 2)
     m[[X, Y]] += (m[SPEED] * ahead + m[[FLOW_X, FLOW_Y]]) * seconds
     m[HEADING] += (a * torque(middle, field) + m[TURN]) * seconds
-    damped = (growth[C] / helix_steps.HELIX_UM) ** 2 / 2
-    swing = complex(m[C], m[S]) * np.exp((1j * m[RATE] - damped) * seconds)
+    swing = complex(m[C], m[S]) * np.exp((1j * m[RATE] - 1 / helix_steps.HELIX_S) * seconds)
     m[C], m[S] = swing.real, swing.imag
     m[TURN] *= math.exp(-seconds / TURN_S)
     m[WAY] += m[SPEED] * seconds
@@ -67,7 +67,7 @@ def body(m):
     """The body's x, y and axis of a state."""
     speed = max(m[SPEED], helix_steps.SLOWEST_UM_S)
     left = m[C] * np.array([-math.sin(m[HEADING]), math.cos(m[HEADING])])
-    return np.array([*(m[:2] + left), m[HEADING] - math.atan2(m[RATE] * m[S], speed)])
+    return np.array([*(m[:2] + left), m[HEADING] - m[SWAY] * math.atan2(m[RATE] * m[S], speed)])
 
 
 def slopes(function, m):
@@ -91,11 +91,11 @@ def noise(m, growth, turn_sd, walled, seconds):
 
 def move(m, p, growth, turn_sd, walled, seconds, field):
     """State, covariance and derivatives after a piece of constant field."""
-    f = slopes(lambda state: moved(state, p, growth, seconds, field), m)
+    f = slopes(lambda state: moved(state, p, seconds, field), m)
     if walled:
         f[:, [A, BIAS]] = np.eye(STATES)[:, [A, BIAS]]
     added = noise(m, growth, turn_sd, walled, seconds)
-    return moved(m, p, growth, seconds, field), f @ p @ f.T + np.diag(added), f
+    return moved(m, p, seconds, field), f @ p @ f.T + np.diag(added), f
 
 
 def correct(m, p, measured, deviation):

@@ -14,6 +14,8 @@ from tetractl.core.protocols import Plant
 from tetractl.core.setup import Setup
 from tetractl.experiment.base import Model, Point, Positive, inconsistent
 
+RESPONDS = 3.5  # standard deviations of a above 0: one cell of 4000 is there by chance
+
 
 class Ring(Model):
     """Targets spread evenly on a circle, one for each robot."""
@@ -127,8 +129,8 @@ class FoundCell:
 
     @property
     def magnetised(self) -> bool:
-        """Whether the cell responds to the field: a exceeds 0 by two standard deviations."""
-        return self.a > 2 * self.a_sd
+        """Whether the cell responds to the field: a exceeds 0 by RESPONDS standard deviations."""
+        return self.a > RESPONDS * self.a_sd
 
 
 @dataclass(frozen=True, slots=True)

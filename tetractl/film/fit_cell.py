@@ -14,11 +14,13 @@ from typing import Self
 import numpy as np
 
 from tetractl.core.poses import Floats
+from tetractl.experiment.choice import RESPONDS
 from tetractl.film.field_file import FieldRecord, no_field
 from tetractl.film.follow import CellPath, Followed
 from tetractl.lab.cameras.cells.helix import (
+    A_ERROR,
     HELIX,
-    RESPONDS,
+    SPEED_ERROR,
     TURN_KNOWN,
     TURN_UNKNOWN,
     Piece,
@@ -32,6 +34,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
     RATE,
     SPEED,
     STATES,
+    SWAY,
     WAY,
     A,
     C,
@@ -43,11 +46,12 @@ from tetractl.replay.identification.fit import NORMAL, SampleInterval, newton_st
 
 START_S, START = 0.5, 5  # time, and least number of pictures, that give the first heading
 SHORTEST_S = 2.0  # duration of the shortest path that is fitted [s]
-OWN_UM = 5.0  # deviation from which a blob is cut off or shows other cells, too [um]
-EDGE = 0.55  # distance to the picture's edge, in lengths of the cell, at which it may be cut off
+# deviations of x, y [um], axis [rad] for a cell whose blob shows other cells, too
+SHARED = 8.0, 8.0, 10.0
+EDGE = 0.6  # distance to the picture's edge, in lengths of the cell, at which it may be cut off
 # helices and headings to start from: rates [rad/s], with the deviation among organisms, and angles
 # to the first way [rad]
-RATES, RATES_SD, ASIDE = 2 * math.pi * np.array([0.8, 1.3, 1.8, 2.4, 3.2]), 4.4, (-0.6, 0.0, 0.6)
+RATES, RATES_SD, ASIDE = 2 * math.pi * np.array([1.0, 1.5, 2.1, 2.8, 3.5]), 4.4, (-0.6, 0.0, 0.6)
 # usual noise: walk of the heading [rad/sqrt(s)]; noise of blobs, relative to that stated; walks
 # of the speed [um/s per sqrt(s)], and of position and helix [um per sqrt(s)]; turning that the
 # field does not explain, relative to TURN_KNOWN or TURN_UNKNOWN
@@ -55,7 +59,11 @@ USUAL = np.array([0.07, 1.0, 8.0, 2.0, 1.0])
 SPREAD = 1.0  # standard deviation of ln of the noise among cells
 RATE_WALK = 0.3  # walk of the helix's rate [rad/s per sqrt(s)]
 ROUNDS = 3
-CONSTANT = [RATE, A, BIAS, DELAY]
+CONSTANT = [RATE, A, BIAS, DELAY, SWAY]
+BLOCK_S = 1.5  # duration of the parts of a path that each give a [s]
+USUAL_BLOCKS = 4.0  # weight of the usual misfit of a film's cells, in blocks
+FAR = 3.0  # deviations of a measurement from a smoothed pose at which the measurement is right
+MISFIT_MOST = 5.0  # misfit of a part above which a cell says nothing of the film's others
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,14 +103,19 @@ def fit_cells(
 
     Paths shorter than SHORTEST_S are not smoothed, and have no speed.
     """
+    span, known = np.array(followed.size) * followed.um_px, field is not None
+    counts = [int(path.frames[-1] - path.frames[0]) + 1 for path in followed.paths]
+    fits = [
+        _Fit.of(path, field, span) if count >= round(SHORTEST_S * followed.rate_hz) else None
+        for path, count in zip(followed.paths, counts, strict=True)
+    ]
+    misfits = np.array([fit.misfit for fit in fits if fit is not None] or [(0.0, 0)])
+    squares = np.minimum(misfits[:, 0], MISFIT_MOST * misfits[:, 1])
+    usual = max(1.0, float(squares.sum() / max(misfits[:, 1].sum(), 1)))
     paths, cells = [], []
-    for path in followed.paths:
-        pictures = int(path.frames[-1] - path.frames[0]) + 1
-        fit = None
-        if pictures >= round(SHORTEST_S * followed.rate_hz):
-            fit = _Fit.of(path, field, np.array(followed.size) * followed.um_px)
-        paths.append(path if fit is None else _smoothed(path, fit.states))
-        cells.append(_summary(paths[-1], pictures / followed.rate_hz, fit, field is not None))
+    for path, count, fit in zip(followed.paths, counts, fits, strict=True):
+        paths.append(path if fit is None else fit.smoothed(path))
+        cells.append(_summary(paths[-1], count / followed.rate_hz, fit, known, usual))
     return replace(followed, paths=tuple(paths)), tuple(cells)
 
 
@@ -125,16 +138,19 @@ class _Measured:
     def of(cls, path: CellPath, field: FieldRecord | None, span: Floats) -> Self | None:
         """Return the measurements of a path in a picture of `span` [um]; None if there are too few.
 
-        Blobs that the picture's edge may cut off are left out.
+        Blobs that the picture's edge may cut off are left out; those that show other cells, too,
+        count little.
         """
         measured = np.full((len(path.seen), 6), np.nan)
         for k, cell in enumerate(path.seen):
-            if cell.measured is not None and cell.measured[3] < OWN_UM:
+            if cell.measured is not None:
                 measured[k] = cell.measured
+            elif cell.found:
+                measured[k] = cell.x, cell.y, cell.axis, *SHARED
         edge = np.minimum(measured[:, :2], span - measured[:, :2]).min(axis=1)
         long = np.nan_to_num(np.nanmedian([cell.long_um for cell in path.seen]))
         measured[edge < EDGE * long] = np.nan
-        own = np.flatnonzero(np.isfinite(measured[:, 0]))
+        own = np.flatnonzero(measured[:, 3] < SHARED[0])
         if len(own) < START:
             return None
         times = path.times - path.times[0]
@@ -168,16 +184,34 @@ class _Measured:
         likelihoods(*given, *self._grown(noise), found)
         return found.sum(axis=1)
 
-    def smoothed(self, noise: Floats, mean: Floats) -> tuple[Floats, Floats, Floats]:
+    def smoothed(
+        self, noise: Floats, mean: Floats, start: int = 0, end: int | None = None
+    ) -> tuple[Floats, Floats, Floats]:
         """Return the last state (n,), its covariance (n, n), and all states (K, n) given all
-        pictures, for ln of the noise (5,) over the usual one and a first state (n,).
+        pictures from `start` to `end`, for ln of the noise (5,) over the usual one and a first
+        state (n,).
         """
         growth, turn_sd, exact = (each[0] for each in self._grown(noise[None]))
         last, covariance = mean.copy(), self.covariance.copy()
-        states = np.empty((len(self.values), STATES))
-        field, walks = (self.pieces, self.first), (growth, turn_sd, exact)
-        smooth(last, covariance, self.values, self.deviations, *field, *walks, states)
+        values, first = self.values[start:end], self.first[start : end and end + 1].copy()
+        first[0] = first[1]
+        states = np.empty((len(values), STATES))
+        given = values, self.deviations[start:end], self.pieces, first
+        smooth(last, covariance, *given, growth, turn_sd, exact, states)
         return last, covariance, states
+
+    def misfit(self, noise: Floats, states: Floats, a: float, seconds: float) -> tuple[float, int]:
+        """Return the sum of the squared differences of a in parts of a path from the a of the whole
+        path, in their deviations, and its degrees of freedom.
+        """
+        parts = max(1, int(seconds / BLOCK_S))
+        cuts = np.linspace(0, len(states), parts + 1).astype(int).tolist()
+        found = 0.0
+        for start, end in pairwise(cuts):
+            mean = states[start].copy()
+            last, covariance, _ = self.smoothed(noise, mean, start, end)
+            found += (last[A] - a) ** 2 / covariance[A, A]
+        return found, parts - 1
 
     def _grown(self, noise: Floats) -> tuple[Floats, Floats, Floats]:
         walk, exact, unsteady, place, turn = (USUAL * np.exp(noise)).T
@@ -190,12 +224,15 @@ class _Measured:
 @dataclass(frozen=True, slots=True)
 class _Fit:
     """The fit of one cell: its last state `mean` (n,), standard deviations `sd` (n,) of that, and
-    the smoothed `states` (K, n).
+    the `states` (K, n) given all pictures; `measured` (K, 6) are the measurements and their
+    deviations, `misfit` as in `_Measured.misfit`.
     """
 
     mean: Floats
     sd: Floats
     states: Floats
+    measured: Floats
+    misfit: tuple[float, int]
 
     @classmethod
     def of(cls, path: CellPath, field: FieldRecord | None, span: Floats) -> Self | None:
@@ -218,41 +255,71 @@ class _Fit:
         states = table.smoothed(noise[0], mean)[2]
         mean[CONSTANT] = states[0, CONSTANT]
         last, covariance, states = table.smoothed(noise[0], mean)
-        return cls(last, np.sqrt(np.diagonal(covariance)), states)
+        seconds = float(path.times[-1] - path.times[0])
+        misfit = table.misfit(noise[0], states, float(last[A]), seconds)
+        measured = np.hstack([table.values, table.deviations])
+        return cls(last, np.sqrt(np.diagonal(covariance)), states, measured, misfit)
 
-    def interval(self, state: int, scale: float = 1.0) -> SampleInterval:
-        """Return the last value of a state times a factor, with its 95 % interval."""
-        value, half = scale * float(self.mean[state]), scale * NORMAL * float(self.sd[state])
-        return SampleInterval(value, value - half, value + half)
+    def smoothed(self, path: CellPath) -> CellPath:
+        """Return the path with the smoothed poses, which stay within FAR deviations of what was
+        measured or, without that, shown.
+        """
+        states = self.states
+        cos, sin = np.cos(states[:, HEADING]), np.sin(states[:, HEADING])
+        tilt = np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED])
+        poses = np.column_stack(
+            [
+                states[:, X] - states[:, C] * sin,
+                states[:, Y] + states[:, C] * cos,
+                states[:, HEADING] - states[:, SWAY] * tilt,
+            ]
+        )
+        shown = np.array([(cell.x, cell.y, cell.axis, *SHARED) for cell in path.seen])
+        near = np.where(np.isfinite(self.measured), self.measured, shown)
+        off = near[:, :3] - poses
+        off[:, 2] = (off[:, 2] + math.pi / 2) % math.pi - math.pi / 2
+        reach = FAR * near[:, 3:]
+        poses += off - np.clip(off, -reach, reach)
+        rows = np.column_stack([poses, states[:, HEADING]]).tolist()
+        seen = tuple(
+            replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
+            for cell, (x, y, axis, heading), state in zip(path.seen, rows, states, strict=True)
+        )
+        return replace(path, seen=seen)
 
 
-def _smoothed(path: CellPath, states: Floats) -> CellPath:
-    """Return a path with the smoothed states (K, n)."""
-    cos, sin = np.cos(states[:, HEADING]), np.sin(states[:, HEADING])
-    x, y = states[:, X] - states[:, C] * sin, states[:, Y] + states[:, C] * cos
-    axis = states[:, HEADING] - np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED])
-    poses = zip(x.tolist(), y.tolist(), axis.tolist(), states[:, HEADING].tolist(), strict=True)
-    seen = tuple(
-        replace(cell, x=x, y=y, axis=axis, heading=heading, mean=state)
-        for cell, (x, y, axis, heading), state in zip(path.seen, poses, states, strict=True)
-    )
-    return replace(path, seen=seen)
+def _interval(value: float, sd: float, error: float) -> SampleInterval:
+    """Return a value's 95 % interval for a standard deviation and a relative one."""
+    half = NORMAL * math.hypot(sd, error * value)
+    return SampleInterval(float(value), float(value - half), float(value + half))
 
 
-def _summary(path: CellPath, seconds: float, fit: _Fit | None, known: bool) -> CellSummary:
+def _summary(
+    path: CellPath, seconds: float, fit: _Fit | None, known: bool, usual: float
+) -> CellSummary:
     between = float(path.times[-1] - path.times[0])
     way = float(np.linalg.norm(np.diff(path.places, axis=0), axis=1).sum())
-    speed = a = bias = None
+    speed = a = bias = magnetised = None
     spread = sway = hz = radius = math.nan
     if fit is not None:
         states, way = fit.states, float(fit.mean[WAY])
-        speed, spread = fit.interval(WAY, 1 / between), float(np.std(states[:, SPEED]))
-        across = np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED])
-        sway = math.sqrt(2) * float(np.std(across))
+        squares, parts = fit.misfit
+        wider = math.sqrt(max(1.0, (USUAL_BLOCKS * usual + squares) / (USUAL_BLOCKS + parts)))
+        mean = way / between
+        half = NORMAL * math.hypot(wider * fit.sd[WAY] / between, SPEED_ERROR * mean)
+        speed, spread = (
+            SampleInterval(mean, mean - half, mean + half),
+            float(states[:, SPEED].std()),
+        )
+        sway = math.sqrt(2) * float(
+            np.std(states[:, SWAY] * np.arctan2(states[:, RATE] * states[:, S], states[:, SPEED]))
+        )
         hz = float(np.median(states[:, RATE])) / (2 * math.pi)
         radius = float(np.median(np.hypot(states[:, C], states[:, S])))
         if known:
-            a, bias = fit.interval(A), fit.interval(BIAS)
+            a = _interval(fit.mean[A], wider * fit.sd[A], A_ERROR)
+            bias = _interval(fit.mean[BIAS], wider * fit.sd[BIAS], 0.0)
+            magnetised = bool(fit.mean[A] > RESPONDS * wider * fit.sd[A])
     return CellSummary(
         cell=path.identity,
         since_s=float(path.times[0]),
@@ -266,6 +333,6 @@ def _summary(path: CellPath, seconds: float, fit: _Fit | None, known: bool) -> C
         helix_um=radius,
         a=a,
         bias=bias,
-        magnetised=None if fit is None or not known else bool(fit.mean[A] > RESPONDS * fit.sd[A]),
+        magnetised=magnetised,
         probability=min(cell.probability for cell in path.seen),
     )

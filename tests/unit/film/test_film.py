@@ -1,5 +1,6 @@
 """Films: their pictures, what is found of each cell, and how sure that is."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -34,6 +35,28 @@ def test_a_speeds_and_biases_are_within_their_intervals():
             assert cell.path_um == pytest.approx(truth[1] * cell.seconds, rel=0.05)
     assert found >= 4
     assert np.mean(inside) >= 0.85
+
+
+def test_sixty_pictures_at_30_hz_give_the_mean_speed_and_a_smooth_path():
+    made = film(seed=31, side=512, cells=3, crossings=False, seconds=4.0)
+    before = followed(made)
+    path = max(before.paths, key=lambda path: len(path.seen))
+    path = replace(path, times=path.times[:60], frames=path.frames[:60], seen=path.seen[:60])
+    seen, (cell,) = fit_cells(replace(before, paths=(path,)), record(made))
+    i, (path,) = who(made, path), seen.paths
+    assert cell.pictures == 60
+    assert cell.seconds == pytest.approx(2.0)
+    assert cell.speed.low < made.cells.speed[i] < cell.speed.high
+    assert cell.spread < 0.05 * cell.speed.value  # this film's cells swim steadily
+    assert np.median(np.linalg.norm(path.places - made.body[path.frames, i, :2], axis=1)) < 1.0
+
+
+def test_no_cell_responds_to_a_field_that_was_off():
+    made = film(seed=32, side=512, cells=0, strangers=6, crossings=False, seconds=4.0)
+    cells = fit_cells(followed(made), record(made))[1]
+    fitted = [cell for cell in cells if cell.a is not None]
+    assert fitted and not any(cell.magnetised for cell in fitted)
+    assert all(abs(cell.a.value) < 1 for cell in fitted)
 
 
 def test_without_a_field_there_is_no_a():

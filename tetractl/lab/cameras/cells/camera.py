@@ -21,13 +21,16 @@ from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.lab.cameras.cells.cells_health import SeenDish, cell_count, dish_lines
 from tetractl.lab.cameras.cells.crops import FilmCutter
 from tetractl.lab.cameras.cells.detect_cells import Light
-from tetractl.lab.cameras.cells.helix import SPEED, WALL_UM, A, Piece
+from tetractl.lab.cameras.cells.helix import A_ERROR, SPEED_ERROR, WALL_UM, Piece
+from tetractl.lab.cameras.cells.kernels.helix_steps import SPEED, WAY, A
 from tetractl.lab.cameras.cells.section import CellsSection
 from tetractl.lab.cameras.cells.tracking import CellTracker
 from tetractl.lab.cameras.pictures.picture_camera import Join, PictureCamera
 from tetractl.model.organisms import named
 
 BACKGROUND = 15  # number of pictures from which the background is computed
+WIDER = 1.5  # deviations found in films over those of the filter, which fits no cell's noise
+MEAN_S = 2.0  # time from which a cell's speed is the mean since it was first seen [s]
 # most pictures queued: each has crops of about 50 kB, and one per second is kept whole
 FILMS = 1024
 
@@ -61,6 +64,9 @@ class CellCamera(PictureCamera[SeenDish]):
             organism=self._organism,
         )
         self._cells: Sequence[SeenCell] = ()
+        self._now = 0.0  # time of the newest picture [s]
+        # for each track: time [s] and way [um] from which its mean speed is computed
+        self._since: dict[int, tuple[float, float]] = {}
         self._cutter, self._films = FilmCutter(), deque[CellFilm](maxlen=FILMS)
         self._first: list[Grey] = []
         self._first_ns: int | None = None
@@ -79,7 +85,8 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def found_cells(self) -> list[FoundCell]:
         """Return the cells in the newest picture whose identity is sure, with the filter's
-        estimates. Cells near the arena's edge are not free.
+        estimates of a and of the mean speed since each was first seen. Cells near the arena's edge
+        are not free.
         """
         return [
             self._found(each) for each in self._cells if each.found and each.probability >= SURE
@@ -87,11 +94,18 @@ class CellCamera(PictureCamera[SeenDish]):
 
     def _found(self, cell: SeenCell) -> FoundCell:
         per_um = 1e-6 / self._setup.metres
-        a_sd, speed_sd = (math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
-        a, speed = float(cell.mean[A]), float(cell.mean[SPEED]) * per_um
+        since, before = self._since.get(cell.track, (self._now, 0.0))
+        a, seconds = float(cell.mean[A]), self._now - since
+        a_sd, speed_sd = (WIDER * math.sqrt(cell.covariance[i, i]) for i in (A, SPEED))
+        speed = float(cell.mean[SPEED])
+        if seconds > MEAN_S:
+            speed = float(cell.mean[WAY] - before) / seconds
+            speed_sd = WIDER * math.sqrt(cell.covariance[WAY, WAY]) / seconds
+        speed_sd = math.hypot(speed_sd, SPEED_ERROR * speed) * per_um
         free = not self._near_wall(np.array([cell.x]), np.array([cell.y])).item()
+        a_sd = math.hypot(a_sd, A_ERROR * a)
         pose = self._pose_of(cell)
-        return FoundCell(cell.identity, pose, a, a_sd, speed, speed_sd * per_um, free)
+        return FoundCell(cell.identity, pose, a, a_sd, speed * per_um, speed_sd, free)
 
     def settle(self, setup: Setup, numbers: Sequence[int]) -> None:
         """Track the cells with these numbers as the robots of a setup from now on."""
@@ -144,6 +158,8 @@ class CellCamera(PictureCamera[SeenDish]):
             return None
         cells = self._tracker.see(picture, exposed_ns / SECOND, self._field)
         self._cells = cells
+        self._now, since = exposed_ns / SECOND, self._since
+        self._since = {c.track: since.get(c.track, (self._now, float(c.mean[WAY]))) for c in cells}
         identities = self._bound(cells)
         mothers = {born.divided for born in self._tracker.born}
         self.divided |= {i for i, identity in enumerate(identities) if identity in mothers}

@@ -13,10 +13,11 @@ State of one cell, in um, s and rad:
     flow      velocity of the medium, x and y
     delay     time after which the field acts on the cell [s]
     way       length of the way along the helix's axis since the row was added [um]
+    sway      swing of the body's axis, relative to that of a body that points along its path
 
 The measurements are the body's middle, which is at (x, y) plus c to the left of the heading, and
-the body's axis mod pi, heading - atan(rate s / speed): the projection of Crenshaw's helix into the
-picture. The steps for one cell are compiled (`kernels.helix_steps`).
+the body's axis mod pi, heading - sway atan(rate s / speed): the projection of Crenshaw's helix into
+the picture. The steps for one cell are compiled (`kernels.helix_steps`).
 """
 
 import math
@@ -30,10 +31,10 @@ from tetractl.lab.cameras.cells.kernels import helix_steps
 from tetractl.lab.cameras.cells.kernels.helix_path import LOOSE
 from tetractl.lab.cameras.cells.kernels.helix_steps import (
     HEADING,
-    HELIX_UM,
     RATE,
     SPEED,
     STATES,
+    SWAY,
     A,
     C,
     S,
@@ -42,6 +43,7 @@ from tetractl.lab.cameras.cells.kernels.helix_steps import (
 )
 
 HELIX = 2 * math.pi * 2.5, 2.0  # mean and standard deviation of the rate among cells [rad/s]
+HELIX_UM = 6.0  # standard deviation of c and s among cells
 NEW = 6.0, 6.0, 0.35, 80.0, HELIX_UM, HELIX_UM, HELIX[1]  # deviations of a new cell's first states
 A_PRIOR = 3.0, 3.0
 BIAS_PRIOR = 0.15
@@ -52,7 +54,10 @@ WALL_UM = 60.0  # distance from the arena's edge within which a wall may turn a 
 # standard deviation of unexplained turning [rad/s] with and without a known field
 TURN_KNOWN, TURN_UNKNOWN = 0.1, 3.0
 DELAY_S = 0.015  # standard deviation of the delay
-RESPONDS = 3.5  # standard deviations above 0 from which a states that a cell responds
+SWAY_PRIOR = 0.8, 0.3
+# relative deviations of a mean speed and of a for what a picture does not show, as an axis that
+# leaves the picture's plane
+SPEED_ERROR, A_ERROR = 0.004, 0.02
 
 Piece = tuple[float, float, float]
 """A constant field: duration [s], and x and y components relative to the reference field."""
@@ -73,8 +78,8 @@ def new_cell(pose: tuple[float, float, float, float], known: bool) -> tuple[Floa
     turn = TURN_KNOWN if known else TURN_UNKNOWN
     a, a_sd = A_PRIOR if known else (0.0, 1e-6)
     mean = np.zeros(STATES)
-    mean[[X, Y, HEADING, SPEED]], mean[RATE], mean[A] = pose, HELIX[0], a
-    deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0)
+    mean[[X, Y, HEADING, SPEED]], mean[RATE], mean[A], mean[SWAY] = pose, HELIX[0], a, SWAY_PRIOR[0]
+    deviations = (*NEW, a_sd, BIAS_PRIOR, turn, FLOW_UM_S, FLOW_UM_S, DELAY_S, 0.0, SWAY_PRIOR[1])
     return mean, np.diag(np.square(deviations))
 
 

@@ -125,7 +125,7 @@ def test_sliding_along_a_wall_teaches_nothing_of_the_response_to_the_field():
         return (bank.mean[rows, A] - cells.a) / np.sqrt(bank.covariance[rows, A, A])
 
     assert np.abs(learned(open_water)).max() > 5
-    assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 1.5
+    assert np.sqrt(np.mean(np.square(learned(lambda x, y: x > -WALL_UM)))) < 2.0
 
 
 @pytest.mark.parametrize(("speed", "walled"), [(300.0, False), (300.0, True), (20.0, False)])
@@ -144,7 +144,7 @@ def test_the_compiled_steps_are_those_of_whole_matrices(speed, walled):
             f = oracle.slopes(lambda state: oracle.switched(state, (0.6, 0.8), (-0.8, 0.6)), m)
             m, p = oracle.switched(m, (0.6, 0.8), (-0.8, 0.6)), f @ p @ f.T
         m, p, _ = oracle.move(m, p, np.array(GROWTH), TURN_KNOWN, walled, seconds, field)
-    assert bank.mean[row] == pytest.approx(m, rel=1e-9)
+    assert bank.mean[row] == pytest.approx(m, rel=1e-8)
     assert bank.covariance[row] == pytest.approx(p, rel=1e-5, abs=1e-5)
     for near in (1.0, 60.0):  # and an outlier
         bank.mean[row], bank.covariance[row] = m, p
@@ -165,9 +165,7 @@ def test_the_smoother_is_that_of_rauch_tung_and_striebel():
     truth, measured = m.copy(), []
     for k in range(count):
         if k:
-            truth = oracle.moved(
-                truth, 0 * p, np.array(GROWTH), pieces[k - 1][0], pieces[k - 1][1:]
-            )
+            truth = oracle.moved(truth, 0 * p, pieces[k - 1][0], pieces[k - 1][1:])
         measured.append(oracle.body(truth) + random.normal(0, 1, 3) * (POSITION, POSITION, AXIS))
     measured, deviation = np.array(measured), np.tile((POSITION, POSITION, AXIS), (count, 1))
     measured[12:16] = np.nan

@@ -11,15 +11,15 @@ import numpy as np
 from tetractl.core.kernels.cache import compiled
 from tetractl.core.kernels.options import ENTRY, INLINE_EXACT
 
-X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY = range(14)
-STATES = 14
+X, Y, HEADING, SPEED, C, S, RATE, A, BIAS, TURN, FLOW_X, FLOW_Y, DELAY, WAY, SWAY = range(15)
+STATES = 15
 
 SLOWEST_UM_S = 60.0  # below this speed a cell rests, and its helix does not give its axis
 BACKWARDS_UM_S = -60.0  # speed along the heading below which the heading is reversed
 # additional growth of deviations per sqrt(s) at rest, since a cell may go on in any direction
 RESTING_HEADING, RESTING_SPEED = 0.5, 150.0
 WALL_TURN = 1.0  # additional growth of the heading's deviation near a wall [rad/sqrt(s)]
-HELIX_UM = 6.0  # standard deviation of c and s among cells
+HELIX_S = 5.0  # time constant with which c and s are forgotten, so that a helix stays small
 TURN_S = 0.5  # time constant with which unexplained turning is forgotten
 TAIL = 8.0  # degrees of freedom of Student's distribution, for which outliers cost little
 ODD = 25.0  # squared distance, in standard deviations, above which a measurement gets less weight
@@ -108,7 +108,7 @@ def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
     f[X, SPEED], f[Y, SPEED] = cos * seconds, sin * seconds
     f[X, FLOW_X] = f[Y, FLOW_Y] = f[WAY, SPEED] = seconds
     angle = m[RATE] * seconds
-    keep = math.exp(-((growth[C] / HELIX_UM) ** 2) * half)  # its mean square is HELIX_UM**2
+    keep = math.exp(-seconds / HELIX_S)
     cos_h, sin_h = keep * math.cos(angle), keep * math.sin(angle)
     c, s = m[C] * cos_h - m[S] * sin_h, m[C] * sin_h + m[S] * cos_h
     f[C, C], f[C, S], f[C, RATE] = cos_h, -sin_h, -s * seconds
@@ -142,15 +142,17 @@ def expect(m, expected, h):
     across = m[RATE] * m[S]
     expected[0] = m[X] - m[C] * sin
     expected[1] = m[Y] + m[C] * cos
-    expected[2] = m[HEADING] - math.atan2(across, speed)
+    tilt = math.atan2(across, speed)
+    expected[2] = m[HEADING] - m[SWAY] * tilt
     squared = speed**2 + across**2
     h[:] = 0.0
     h[0, X] = h[1, Y] = h[2, HEADING] = 1.0
     h[0, HEADING], h[1, HEADING] = -m[C] * cos, -m[C] * sin
     h[0, C], h[1, C] = -sin, cos
-    h[2, S] = -m[RATE] * speed / squared
-    h[2, RATE] = -m[S] * speed / squared
-    h[2, SPEED] = across / squared if m[SPEED] > SLOWEST_UM_S else 0.0
+    h[2, SWAY] = -tilt
+    h[2, S] = -m[SWAY] * m[RATE] * speed / squared
+    h[2, RATE] = -m[SWAY] * m[S] * speed / squared
+    h[2, SPEED] = m[SWAY] * across / squared if m[SPEED] > SLOWEST_UM_S else 0.0
 
 
 @compiled(**INLINE_EXACT)

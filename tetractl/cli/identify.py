@@ -112,6 +112,8 @@ def _print_design(loaded: "LoadedSpec", design: "Design", as_json: bool) -> None
 
 def identify(
     logs: list[Path],
+    scale: Annotated[float | None, ui.ValueRange(0.05, 100)] = None,
+    rate: Annotated[float | None, ui.ValueRange(0.1, 2000)] = None,
     out: Path | None = None,
     as_json: ui.AsJson = False,
 ) -> int:
@@ -122,21 +124,35 @@ def identify(
 
     `tetractl design SPEC` proposes a motion from which robots can be identified well.
 
+    Cells of a film are identified from their tracks and the field's direction over time: the
+    poses.csv of `tetractl track`, or tracks of another program in GEFF or in a CSV file with the
+    columns of napari or trackpy (particle or track_id, frame or t, y and x in pixels).
+
     Example: tetractl identify logs/batch -o m3pi.identified.yaml
+
+    Example: tetractl identify tracks.csv field.csv --scale 2.3 --rate 30
 
     Options:
       logs LOG...: Logs of the same robots, folders or globs; or CSV files of poses and commands.
+      scale UM: Micrometres per pixel of tracks of another program.
+      rate HZ: Pictures per second of tracks of another program.
       out FILE: YAML file to write the values to; a spec names it in its field `identified`.
     """
     from tetractl.replay.identification.identify import identify as found_in
-    from tetractl.replay.identification.tracks import csv_tracks, track_of
+    from tetractl.replay.identification.tracks import CELL_S, csv_tracks, track_of
 
     ui.refuse_existing(out)
-    tables = [path for path in logs if path.suffix.lower() == ".csv"]
+    tables = [path for path in logs if path.suffix.lower() in (".csv", ".geff", ".zarr")]
+    if not tables and (scale or rate):
+        raise UsageError("--scale and --rate are for tracks in pixels, in a CSV file or GEFF")
     if tables and len(tables) < len(logs):
         raise UsageError("logs and CSV files cannot be combined; give either logs or CSV files")
     if tables:
-        _show_found(found_in(csv_tracks(tables), None), out, as_json)
+        found = csv_tracks(tables, scale, rate)
+        left_out = [name for track in found for name in track.left_out]
+        if left_out:
+            ui.tell(f"seen for less than {CELL_S:g} s, so left out: {', '.join(left_out)}")
+        _show_found(found_in(found, None), out, as_json)
         return Exit.DONE
     tracks: list[Track] = []
     expected, dead_time, damaged = None, 0.0, False

@@ -47,6 +47,7 @@ WIDER = 10.0  # prior standard deviation of a pass, over the deviation after the
 LOOSE = 5.0  # prior standard deviation of the noise's parameters
 NORMAL = 1.96  # standard deviations to either end of a 95 % interval
 FAR = np.array([3.0, 1.0, 1.5])  # half widths from which ends of ln a, ln speed, bias are unknown
+UNLIKELY = -1e12  # ln of the likelihood of variants for which it cannot be computed
 LAGS, DOUBT = 5, 0.001  # lags of the test of residuals, and its level
 # deviations of residuals below which no camera shows that a model does not fit: of positions over
 # the speed [s], and of headings [rad]
@@ -209,7 +210,8 @@ def newton_step(
 
     def score(change: Floats) -> Floats:
         tried = at[:, None] + change
-        return likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
+        found = likelihood(tried) - np.square(tried).sum(axis=2) / (2 * prior_std**2)
+        return np.where(np.isfinite(found), found, UNLIKELY)
 
     size = at.shape[1]
     one, (i, j) = STEP * np.eye(size), np.triu_indices(size, 1)

@@ -16,10 +16,11 @@ from tetractl.core.clock import SECOND
 from tetractl.core.commands import FieldOff
 from tetractl.core.errors import UsageError
 from tetractl.core.poses import Bools, Floats
-from tetractl.core.table.table_files import read_csv
 from tetractl.log.read.trial_log import TrialLog
 from tetractl.log.read.validate import VALUE_MAX
+from tetractl.replay.identification.foreign_tracks import POSES_MAX, pose_rows
 
+CELL, CELL_S = "cell ", 2.0  # begins the name of a cell; the shortest track that is used [s]
 SETTLED_S = 0.5  # time from the first direction after a pause until all robots drive again
 
 
@@ -31,7 +32,7 @@ class Track:
     [rad], `valid` (M, N) is False if a robot was not tracked. `sent` (C,) is when each command was
     sent and `u` (C,) its direction [rad]. Data after `until` [s], when the robots receive a stop,
     are not used. `frame_age` is the median time [s] from a frame's exposure to the sending of the
-    command decided on it, None if unknown.
+    command decided on it, None if unknown. `left_out` are cells that were seen too briefly.
     """
 
     source: str
@@ -45,6 +46,7 @@ class Track:
     u: Floats
     until: float
     frame_age: float | None = None
+    left_out: tuple[str, ...] = ()
 
 
 def track_of(log: TrialLog) -> Track:
@@ -121,8 +123,8 @@ POSE_COLUMNS = ("time_s", "robot", "heading_rad")
 COMMAND_COLUMNS = ("time_s", "direction_rad")
 _POSITION = re.compile(r"x_(um|mm|cm|m)$")
 
-ROBOTS_MAX, TRIALS_MAX, POSES_MAX = 1000, 10_000, 2_000_000
-"""Largest numbers of robots and trials in CSV files, and of robots times frames in a trial."""
+ROBOTS_MAX, TRIALS_MAX = 1000, 10_000
+"""Largest numbers of robots and trials in CSV files."""
 
 Row = dict[str, str]
 Trial = tuple[str, str]
@@ -140,17 +142,20 @@ class _Numbers:
     commands: "array[float]" = field(default_factory=lambda: array("d"))
 
 
-def csv_tracks(paths: list[Path]) -> list[Track]:
-    """Return the tracks in some CSV files, each of poses or of commands.
+def csv_tracks(
+    paths: list[Path], um_px: float | None = None, rate_hz: float | None = None
+) -> list[Track]:
+    """Return the tracks in some CSV files and GEFF folders, each of poses or of commands.
 
-    Poses are rows of time_s, robot, x_UNIT, y_UNIT, heading_rad and perhaps valid; commands of
-    time_s, direction_rad and perhaps observed_s. Columns log and trial, if present, assign poses
-    and commands to tracks. Raises UsageError if data are missing, or very many.
+    Poses are rows of time_s, robot (or cell, a number), x_UNIT, y_UNIT, heading_rad and perhaps
+    valid, or what `pose_rows` reads with a scale and a rate; commands of time_s, direction_rad and
+    perhaps observed_s. Columns log and trial, if present, assign poses and commands to tracks.
+    Raises UsageError if data are missing, or very many.
     """
     trials: dict[Trial, _Numbers] = {}
     unit = ""
     for path in paths:
-        rows = read_csv(path)
+        rows = pose_rows(path, um_px, rate_hz)
         first = next(rows, {})
         commands = all(name in first for name in COMMAND_COLUMNS)
         if not commands:
@@ -164,7 +169,8 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
             else:
                 known = row.get("valid", "True").strip().lower() in ("true", "1", "")
                 keys = (f"x_{unit}", f"y_{unit}", "heading_rad")
-                robot = one.robots.setdefault(row["robot"], len(one.robots))
+                name = row["robot"] if "robot" in row else CELL + row["cell"]
+                robot = one.robots.setdefault(name, len(one.robots))
                 one.poses.extend((_number(row, "time_s", path), robot))
                 one.poses.extend(_number(row, k, path, True) if known else math.nan for k in keys)
             if len(one.robots) > ROBOTS_MAX or len(trials) > TRIALS_MAX:
@@ -182,7 +188,7 @@ def csv_tracks(paths: list[Path]) -> list[Track]:
 
 def _unit(columns: Collection[str], unit: str, path: Path) -> str:
     """Return the length unit of a file of poses by its columns, which must be the given one."""
-    if not all(name in columns for name in POSE_COLUMNS):
+    if not all(name in columns for name in POSE_COLUMNS) and "cell" not in columns:
         raise UsageError(
             f"{path}: contains neither poses nor commands",
             f"poses have the columns {', '.join(POSE_COLUMNS)}, x_mm, y_mm; commands "
@@ -196,11 +202,21 @@ def _unit(columns: Collection[str], unit: str, path: Path) -> str:
 
 def _track(trial: _Numbers, unit: str, name: Trial) -> Track:
     rows = np.array(trial.poses).reshape(-1, 5)
+    brief = {
+        robot: number
+        for robot, number in trial.robots.items()
+        if robot.startswith(CELL) and np.ptp(rows[rows[:, 1] == number, 0]) < CELL_S
+    }
+    rows = rows[~np.isin(rows[:, 1], list(brief.values()))]
+    names = [robot for robot in trial.robots if robot not in brief]
+    if not names:
+        raise UsageError(f"{trial.path}: has no cell that is seen for {CELL_S:g} s")
+    _, rows[:, 1] = np.unique(rows[:, 1], return_inverse=True)
     time, frame = np.unique(rows[:, 0], return_inverse=True)
-    if len(time) * len(trial.robots) > POSES_MAX:
-        what = f"{len(trial.robots)} robots at {len(time)} times"
+    if len(time) * len(names) > POSES_MAX:
+        what = f"{len(names)} robots at {len(time)} times"
         raise UsageError(f"{trial.path}: has {what}; at most {POSES_MAX} poses are read of a trial")
-    found = np.full((len(time), len(trial.robots), 3), np.nan)
+    found = np.full((len(time), len(names), 3), np.nan)
     found[frame, rows[:, 1].astype(int)] = rows[:, 2:]
     valid: Bools = ~np.isnan(found[..., 0] + found[..., 1] + found[..., 2])
     commands = np.array(trial.commands).reshape(-1, 3)
@@ -212,7 +228,7 @@ def _track(trial: _Numbers, unit: str, name: Trial) -> Track:
         source=name[0] or str(trial.path),
         origin=ORIGIN,
         unit=unit,
-        names=tuple(trial.robots),
+        names=tuple(names),
         time=time,
         poses=np.where(valid[..., None], found, 0.0),
         valid=valid,
@@ -220,6 +236,7 @@ def _track(trial: _Numbers, unit: str, name: Trial) -> Track:
         u=u,
         until=float(sent[-1]) + gap,
         frame_age=max(0.0, float(np.median(ages))) if ages.size else None,
+        left_out=tuple(brief),
     )
 
 

@@ -1,0 +1,94 @@
+"""`tetractl identify`: cells from tracks of other programs, in pixels and pictures."""
+
+import json
+
+import numpy as np
+import pytest
+from support.cli import tetractl
+
+from tetractl.core.errors import AbortError
+
+RATE_HZ, UM_PX, SPEED, A = 30.0, 2.0, 300.0, (2.0, 4.0)
+
+
+@pytest.fixture(scope="module")
+def dish(tmp_path_factory):
+    """A folder with the field and rows of cell, picture, y and x [pixels, y downwards]."""
+    folder, rows = tmp_path_factory.mktemp("dish"), []
+    random = np.random.default_rng(3)
+    turns = np.column_stack([np.arange(0, 20, 1.5), random.uniform(-3, 3, 14)])
+    lines = "".join(f"{t},{u}\n" for t, u in turns)
+    (folder / "field.csv").write_text(f"time_s,direction_rad\n{lines}")
+    for cell, a in enumerate((*A, 3.0)):
+        state = np.array([500.0, 400.0, 0.3 * cell])
+        for k in range(round((20 if cell < len(A) else 1) * RATE_HZ)):  # the last one is brief
+            rows.append((cell + 7, k, 600 - state[1] / UM_PX, state[0] / UM_PX))
+            u = turns[np.searchsorted(turns[:, 0], k / RATE_HZ, side="right") - 1, 1]
+            rate = [SPEED * np.cos(state[2]), SPEED * np.sin(state[2]), a * np.sin(u - state[2])]
+            state = state + np.array(rate) / RATE_HZ
+    return folder, np.array(rows)
+
+
+def written(folder, name, header, table):
+    np.savetxt(folder / name, table, delimiter=",", header=header, comments="")
+    return name
+
+
+@pytest.mark.parametrize("header", ["particle,frame,y,x", "ID,T,Y,X", "track_id,t,y,x"])
+def test_tracks_of_others_are_identified(dish, header):
+    folder, rows = dish
+    name = written(folder, "theirs.csv", header, rows)
+    words = ("identify", name, "field.csv", "--scale", UM_PX, "--rate", RATE_HZ, "--json")
+    done = tetractl(folder, *words).ok()
+    found = json.loads(done.stdout)["robots"]
+    assert [one["name"] for one in found] == ["cell 7", "cell 8"]
+    assert "left out: cell 9" in done.stderr
+    for one, a in zip(found, A, strict=True):
+        assert one["a"]["value"] == pytest.approx(a, rel=0.1)
+        assert one["speed"]["value"] == pytest.approx(SPEED, rel=0.02)
+
+
+def test_a_graph_states_its_scale_and_rate(dish):
+    core_io = pytest.importorskip("geff.core_io", reason="geff is not installed")
+    from geff import GeffMetadata
+    from geff_spec import Axis
+
+    folder, rows = dish
+    space = {"type": "space", "unit": "pixel", "scale": UM_PX, "scaled_unit": "micrometer"}
+    time = {"type": "time", "unit": "frame", "scale": 1 / RATE_HZ, "scaled_unit": "second"}
+    axes = [Axis(name="t", **time), Axis(name="y", **space), Axis(name="x", **space)]
+    ids, same = np.arange(len(rows), dtype=np.uint64), np.diff(rows[:, 0]) == 0
+    core_io.write_arrays(
+        folder / "theirs.geff",
+        ids,
+        {
+            name: {"values": rows[:, k], "missing": None}
+            for name, k in (("t", 1), ("y", 2), ("x", 3))
+        },
+        np.column_stack([ids[:-1], ids[1:]])[same],
+        {},
+        GeffMetadata(directed=True, axes=axes, node_props_metadata={}, edge_props_metadata={}),
+    )
+    done = tetractl(folder, "identify", "theirs.geff", "field.csv", "--json").ok()
+    found = json.loads(done.stdout)["robots"]
+    assert [one["a"]["value"] for one in found] == pytest.approx(A, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("header", "options", "says"),
+    [
+        ("particle,frame,y,x", (), "its tracks are in pixels and pictures"),
+        ("particle,frame,y,z", (), "contains neither poses nor commands"),
+        ("particle,frame,y,x", ("--scale", 2), "its tracks are in pixels and pictures"),
+    ],
+)
+def test_what_is_missing_is_one_line(dish, header, options, says):
+    folder, rows = dish
+    name = written(folder, "bad.csv", header, rows)
+    done = tetractl(folder, "identify", name, "field.csv", *options)
+    assert done.returncode == 2 and says in done.stderr
+    assert len(done.stderr.splitlines()) == 2
+    (folder / "no.geff").mkdir(exist_ok=True)
+    graph = tetractl(folder, "identify", "no.geff", "field.csv")
+    assert graph.returncode in (2, AbortError.exit) and "geff" in graph.stderr.lower()
+    assert tetractl(folder, "identify", "x.mcap", "--scale", 2).returncode == 2

@@ -52,6 +52,7 @@ EXTRAS = {
     "cv2": ("OpenCV", "vision"),
     "dask_jobqueue": ("dask-jobqueue", "dask"),
     "distributed": ("Dask's distributed", "dask"),
+    "geff": ("geff", "geff"),
     "pandas": ("pandas", "dataframe"),
     "pyarrow": ("pyarrow", "parquet"),
     "pymmcore": ("pymmcore", "microscope"),

@@ -77,8 +77,8 @@ def cells(folder: Path) -> None:
     words = ("--field", folder / "field.csv", "--scale", "2.3", "-o", folder / "tracks")
     tetractl("track", folder / "dish.avi", *words)
     with Image.open(folder / "tracks" / "cells.png") as drawn:
-        small = drawn.convert("RGB").resize((1000, round(1000 * drawn.height / drawn.width)))
-        small.quantize(64, dither=Image.Dither.NONE).save(IMAGES / "cells.png", optimize=True)
+        small = drawn.convert("RGB").resize((900, round(900 * drawn.height / drawn.width)))
+        small.quantize(160, dither=Image.Dither.NONE).save(IMAGES / "cells.png", optimize=True)
 
 
 def thin(film: Path, out: Path) -> None:

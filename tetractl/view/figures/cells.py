@@ -213,7 +213,8 @@ def turns(times: Floats, heading: Floats, field: dict) -> tuple[Floats, Floats]:
 def _displacement(axes: Axes, log: TrackLog) -> None:
     """Draw each cell's mean squared displacement over the lag, and their mean with its interval."""
     step = 1 / log.record["rate_hz"]
-    longest = max(len(times) for _, times, _ in log.tracks) * LAG_SHARE
+    lengths = sorted((len(times) for _, times, _ in log.tracks), reverse=True)
+    longest = lengths[:CELLS_MIN][-1] * LAG_SHARE  # so that the mean is of CELLS_MIN, if there are
     lags = np.unique(np.geomspace(1, max(longest, 2), LAGS).astype(int))
     rows = []
     for number, times, poses in log.tracks:

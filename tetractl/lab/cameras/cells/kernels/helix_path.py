@@ -12,7 +12,7 @@ ODD_RUN = 3  # successive blobs far from their expected positions that make the 
 ODD_DISTANCE = 30.0  # squared Mahalanobis distance above which a blob counts as far
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def forward(m, p, total, growth, turn_sd, pieces, first, k):
     """Move a cell's state m and covariance p to picture k."""
     for i in range(first[k], first[k + 1]):

@@ -34,7 +34,7 @@ def torque(dipole, ux, uy):
     return uy * cos - ux * sin, -(uy * sin + ux * cos)
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def apply(f, p, total):
     """Replace the covariance p by f p f', and the derivatives `total` (n, n; may be empty) by
     f total.
@@ -59,7 +59,7 @@ def apply(f, p, total):
     total[:] = done
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def switch(m, p, total, before_x, before_y, ux, uy):
     """Let the field change from (before_x, before_y) to (ux, uy) later by the state DELAY."""
     a = m[A] if m[SPEED] > SLOWEST_UM_S else 0.0
@@ -75,7 +75,7 @@ def switch(m, p, total, before_x, before_y, ux, uy):
     apply(f, p, total)
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
     """Move a cell's state m and covariance p over a piece of constant field (ux, uy).
 
@@ -132,7 +132,7 @@ def move(m, p, total, growth, turn_sd, walled, seconds, ux, uy):
     p[TURN, TURN] += turn_sd**2 * (1 - forget**2)
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def expect(m, expected, h):
     """Write the predicted x, y and axis of the body (3,), and their derivatives h (3, n) with
     respect to the states.
@@ -155,7 +155,7 @@ def expect(m, expected, h):
     h[2, SPEED] = m[SWAY] * across / squared if m[SPEED] > SLOWEST_UM_S else 0.0
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def inverse(s, out):
     """Write the inverse of the symmetric matrix s (3, 3), and return its determinant."""
     out[0, 0] = s[1, 1] * s[2, 2] - s[1, 2] ** 2
@@ -169,7 +169,7 @@ def inverse(s, out):
     return det
 
 
-@compiled(**INLINE_EXACT)
+@compiled(**ENTRY)
 def correct(m, p, measured, deviation, h, gain, weighed):
     """Update a cell's state m and covariance p by x, y [um] and axis [rad] with their deviations
     (3,); write derivatives h (3, n), gain (n, 3) and the weighed innovation (3,).

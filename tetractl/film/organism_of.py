@@ -62,7 +62,7 @@ def recognised(
         why = (
             f"warning: the scale is a guess: what swims is {usual:.0f} px long, as "
             f"{taken.name} of {taken.body_um[0]:.0f} um are at {scale:.3g} um/px; lengths and "
-            "speeds have this guess's error. Give the scale by --scale"
+            "speeds have this guess's error. Give the scale by --scale, what swims by --organism"
         )
         return Recognised(taken, scale, True, (why, *_others(moving, taken, known, scale)))
     why = []

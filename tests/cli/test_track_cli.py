@@ -12,7 +12,7 @@ from support.dish_films import film
 from support.film_containers import UM_PX, folder, stack
 from support.needs_opencv import cv2, video
 
-from tetractl.film.geff_file import _edges
+from tetractl.results.geff_file import _edges
 
 
 @pytest.fixture(scope="module")

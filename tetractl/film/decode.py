@@ -61,13 +61,12 @@ def _watched(pictures: Iterator[films.Raw]) -> Iterator[films.Raw]:
 
 def _opened(path: Path) -> films.FilmSource:
     try:
-        from tetractl.film.tiff_film import folder_film, tiff_film
+        head = b"" if path.is_dir() else _head(path)
+        if path.is_dir() or head in TIFFS:
+            from tetractl.film.tiff_film import folder_film, tiff_film  # slow to import
 
-        if path.is_dir():
-            return folder_film(path)
-        with path.open("rb") as file:
-            head = file.read(4)
-        return tiff_film(path) if head in TIFFS else MICROSCOPES.get(head, films.video_film)(path)
+            return tiff_film(path) if head else folder_film(path)
+        return MICROSCOPES.get(head, films.video_film)(path)
     except (TetractlError, MemoryError):
         raise
     except ModuleNotFoundError as error:
@@ -76,6 +75,11 @@ def _opened(path: Path) -> films.FilmSource:
     except Exception as error:  # the libraries do not document what they raise for damaged files
         said = printable(f"{type(error).__name__}: {error}", 100)
         raise UsageError(f"{path}: cannot be read as a film: {said}") from error
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4)
 
 
 def _limit_memory() -> None:

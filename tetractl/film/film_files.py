@@ -21,13 +21,13 @@ from tetractl.core.poses import Grey
 from tetractl.core.table.table_files import json_text, table_files
 from tetractl.film.film_tables import pixel, pose_tables
 from tetractl.film.follow import Followed
-from tetractl.film.geff_file import write_geff
 from tetractl.film.pictures import FilmPictures, opencv
 from tetractl.lab.cameras.cells.cell import SeenCell
 from tetractl.log.format.channels import TRACK, TRANSFORMS
 from tetractl.log.format.scene import stamp
 from tetractl.log.read.track_log import CELL, PICTURE, PROFILE, UM, read_track
 from tetractl.results.cell_tables import cell_data
+from tetractl.results.geff_file import write_geff
 from tetractl.view.figures.draw import draw_cells
 from tetractl.view.style import SCREEN_DPI, save
 

@@ -7,8 +7,8 @@ from tetractl.core.table.table_files import plain
 from tetractl.film.field_file import FieldRecord
 from tetractl.film.fit_cell import CellSummary
 from tetractl.film.follow import CellPath, Followed
-from tetractl.film.kinematics import velocities
 from tetractl.replay.identification.fit import SampleInterval
+from tetractl.results.kinematics import velocities
 
 
 def notes(followed: Followed, cells: Sequence[CellSummary]) -> list[str]:

@@ -13,8 +13,8 @@ from tetractl.film.field_file import read_field
 from tetractl.film.film_tables import as_items
 from tetractl.film.fit_cell import fit_cells
 from tetractl.film.follow import _paths, follow
-from tetractl.film.kinematics import velocities
 from tetractl.film.pictures import open_film
+from tetractl.results.kinematics import velocities
 
 
 def test_a_speeds_and_biases_are_within_their_intervals():

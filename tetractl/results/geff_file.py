@@ -25,9 +25,9 @@ def write_geff(
     rate_hz: float,
     um_px: float,
 ) -> None:
-    """Write a node for each row of the tables that `pose_tables` returns: t [pictures], y and x
-    [pixels], and what ABOUT lists; an edge between successive nodes of a cell, and one from the
-    mother to the daughter of each of `divisions`.
+    """Write a node for each row of the tables that `pose_tables` of `film` returns: t [pictures],
+    y and x [pixels], and what ABOUT lists; an edge between successive nodes of a cell, and one from
+    the mother to the daughter of each of `divisions`.
     """
     from geff import GeffMetadata
     from geff.core_io import write_arrays

@@ -27,7 +27,7 @@ class Ellipses:
     rate_hz: float = RATE_HZ
 
     def __iter__(self):
-        for number in range(60):
+        for number in range(120):
             picture = np.full((SIDE, SIDE), 200, np.uint8)
             way = self.speed_px_s * self.seconds(number)
             for i in range(COUNT):

@@ -10,7 +10,7 @@ from tetractl.lab.cameras.cells.detect_cells import Light
 from tetractl.lab.cameras.pictures.looks import Look
 
 DARK, SATURATED = 12.0, 245.0  # median grey levels at which a picture is too dark, too bright
-FAINT = 6.0  # ratio of contrast to noise below which cells are occasionally lost
+FAINT = 1.5  # ratio of cells' contrast to the least contrast, below which some are missed
 BLURRED = 0.1  # sharpness of rims, 1 / width [1/px], below which a warning is given
 SMALL_PX = 8.0  # least width of a cell in a picture, below which a warning is given
 
@@ -39,6 +39,23 @@ def dish_lines(
     given oldest first, for cells `width_px` wide; two empty lists without pictures.
     """
     return (_problems(names, looks), _warnings(looks, width_px)) if looks else ([], [])
+
+
+def faint_line(contrast: float | None, limit: float) -> str | None:
+    """Return a line if objects have so little `contrast` that cells may be missed; None if not.
+
+    `contrast` is the median over objects, None without objects, and `limit` the least contrast
+    at which one is found [grey levels].
+    """
+    if contrast is None:
+        said = f"no object differs from the medium by the {limit:.0f} grey levels"
+    elif contrast < FAINT * limit:
+        said = (
+            f"objects differ from the medium by {contrast:.0f} grey levels, hardly the {limit:.0f}"
+        )
+    else:
+        return None
+    return f"{said} that are needed: use more light, a smaller aperture or phase contrast"
 
 
 def cell_count(looks: Sequence[Look[SeenDish]]) -> int:
@@ -76,16 +93,11 @@ def _problems(names: Sequence[str], looks: Sequence[Look[SeenDish]]) -> list[str
 
 def _warnings(looks: Sequence[Look[SeenDish]], width_px: float) -> list[str]:
     found: list[str] = []
-    ratios = [
-        look.seen.light.contrast / max(look.seen.light.noise, 1.0)
-        for look in looks
-        if look.seen.light.contrast is not None
-    ]
-    if ratios and statistics.median(ratios) < FAINT:
-        found.append(
-            f"cells differ from the medium by only {statistics.median(ratios):.1f} times the noise"
-            ": use more light, a smaller aperture or phase contrast"
-        )
+    light = looks[-1].seen.light
+    contrasts = [c for look in looks if (c := look.seen.light.contrast) is not None]
+    contrast = statistics.median(contrasts) if contrasts else None
+    if not light.lost and (line := faint_line(contrast, light.limit)):
+        found.append(line)
     sharp = [look.seen.sharpness for look in looks if look.seen.sharpness is not None]
     if sharp and statistics.median(sharp) < BLURRED:
         found.append("the rims of cells are blurred: focus, or shorten the exposure")

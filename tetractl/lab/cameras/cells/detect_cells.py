@@ -14,27 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tetractl.core.poses import Floats, Grey
+from tetractl.lab.cameras.cells.knocks import moved, shift_of
 
 STRIPES = 16  # number of stripes of the background; each picture updates one
 LEARNING = 0.1  # weight of the picture in an update: a time constant of 5 s at 30 Hz
 RELEARNING = 0.5  # the weight where the picture keeps differing from the background
 SPARSE = 64  # number of rows sampled for light and noise, fewer in a small picture
-LOW, HIGH = 5.0, 8.0  # thresholds of averaged differences, in standard deviations of their noise
-LEAST_LOW, LEAST_HIGH = 1.5, 4.0  # the same at least, above the mean [grey levels]
+LOW, HIGH = 4.5, 6.0  # thresholds of averaged differences, in standard deviations of their noise
+LEAST_LOW, LEAST_HIGH = 1.0, 2.0  # the same at least, above the mean [grey levels]
+NOISY = 4.0  # growth of the noise at which the background no longer applies
 NOISE_MAX = 20.0  # most noise of a picture that shows a dish [grey levels]
 BLOBS = 200  # largest number of blobs of a picture; smaller ones are dropped
 REGIONS = 4000  # a picture with more regions does not show a dish
 CHANGED = 0.25  # fraction of changed pixels above which the background no longer applies
-EDGE = 0.5  # averaged difference at a body's edge, as a fraction of the greatest in the body
-GHOST = 2.5  # least ratio of grey levels' deviations where a body is only in the background
-RAMP = 0.2, 0.8  # differences with the weights 0 and 1, relative to the body's mean difference
-RIM = np.ones((5, 5), np.uint8)  # pixels around a body that count by their difference
+EDGE = 0.4  # averaged difference at a body's edge, as a fraction of the greatest in the body
+GHOST = 2.0  # least ratio of grey levels' deviations where a body is only in the background
+RAMP = 0.2, 0.6  # differences with the weights 0 and 1, relative to the body's greatest mean
 BODIES, NEXT = 4, 0.5  # bodies in a region; least peak of each, relative to the first's
 KNOCK = 1.3, 0.002  # factor and fraction by which a knock makes more of the picture change
-KNOCK_PX = 512  # largest side of the pictures whose shift is computed
-KNOCK_LEAST = 0.5  # least shift that counts, in pixels of these pictures
-KNOCK_LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shifted
-LOST, EVERY, AGAIN = 15, 3, 9  # pictures lost until learning begins again, of every third, from 9
+LOST, EVERY, AGAIN = 5, 3, 9  # pictures lost until learning begins again, of every third, from 9
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,11 +60,6 @@ class Blob:
         """Columns and rows of the blob's pixels (M, 2)."""
         rows, columns = np.nonzero(self.body)
         return np.column_stack([columns + self.corner[0], rows + self.corner[1]]).astype(float)
-
-    @property
-    def area(self) -> float:
-        """Area of the blob's ellipse [px^2]."""
-        return math.pi / 4 * self.long * self.wide
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +112,7 @@ class BlobFinder:
     _room: list[Grey] = field(default_factory=list, init=False)  # buffers, reused for speed
     _usual: float | None = field(default=None, init=False)  # usual fraction of changed pixels
     _was: Grey = field(init=False)  # pixels that differed when their stripe was updated last
+    _noise: float = field(default=0.0, init=False)  # of the first picture after learning
     _lost: int = field(default=0, init=False)  # successive pictures that were lost
     _again: list[Grey] = field(default_factory=list, init=False)  # of them, for a new background
 
@@ -146,7 +140,7 @@ class BlobFinder:
         even = [cv2.convertScaleAbs(s, s, middle / v) for s, v in zip(smooth, levels, strict=True)]
         half = len(even) // 2
         usual = _grey(_median(even[max(0, half - 2) : half + 3]))
-        even = [_moved(each, _shift(each, usual)) for each in even]
+        even = [moved(each, shift_of(each, usual)) for each in even]
         self._background = _median(even)
         self._flat = flat = _grey(cv2.convertScaleAbs(self._background))
         self._usual, self._lost, self._again = None, 0, []
@@ -166,15 +160,17 @@ class BlobFinder:
         light, shift = self._compare(), (0.0, 0.0)
         first, usual = self._usual is None, self._usual or 0.0
         if first or light.changed > KNOCK[0] * usual + KNOCK[1]:
-            shift = _shift(self._room[2], self._smooth)
+            shift = shift_of(self._room[2], self._smooth)
             if shift != (0.0, 0.0):
                 assert self._background is not None
-                self._background = _moved(self._background, shift)
+                self._background = moved(self._background, shift)
                 cv2.convertScaleAbs(self._background, self._flat)
                 light = self._compare()
             usual = light.changed
         self._usual = usual + 0.05 * (light.changed - usual)
-        lost = light.lost or light.changed > CHANGED
+        self._noise = light.noise if first else self._noise
+        noisy = light.noise > NOISY * max(self._noise, 1.0)
+        lost = light.lost or noisy or light.changed > CHANGED or bool(self._again)
         found = None if lost else _blobs(self.searched, self._room[4], self.limits)
         lost, blobs = found is None, found or []
         if not self._signed:
@@ -227,7 +223,7 @@ class BlobFinder:
         )
         if known < GHOST * max(seen, 1.0):
             return False
-        wrong = cv2.dilate(blob.body, RIM) > 0
+        wrong = cv2.dilate(blob.body, _square(self.least_px2)) > 0
         self._background[here][wrong] = self._smooth[here][wrong] / gain
         self._flat[here][wrong] = np.clip(self._background[here][wrong], 0, 255)
         return True
@@ -242,10 +238,11 @@ class BlobFinder:
         top = self._stripe * height // STRIPES
         bottom = (self._stripe + 1) * height // STRIPES
         self._stripe = (self._stripe + 1) % STRIPES
+        if top == bottom:  # a picture with fewer rows than stripes
+            return
         here = slice(top, bottom)
         old, mask, was = self._background[here], self._room[3][here], self._was[here]
-        still = cv2.bitwise_and(mask, was)
-        calm = cv2.bitwise_not(mask)
+        still, calm = mask & was, ~mask
         was[:] = mask
         for left, upper, right, lower in keep:
             rows = slice(max(0, upper - top), max(0, lower - top))
@@ -255,7 +252,7 @@ class BlobFinder:
         cv2.accumulateWeighted(scaled, old, LEARNING, calm)
         cv2.accumulateWeighted(scaled, old, RELEARNING, still)
         self._flat[here] = cv2.convertScaleAbs(old)
-        if self._lost > LOST and self._lost % EVERY == 0:
+        if self._lost > LOST and self._stripe % EVERY == 0:
             self._again.append(self._smooth.copy())
             if len(self._again) == AGAIN:
                 self.learn(self._again)
@@ -278,6 +275,10 @@ def box_px(least_px2: float) -> int:
     of the smallest cell.
     """
     return 2 * int(math.sqrt(least_px2) / 2) + 1
+
+
+def _square(least_px2: float) -> Grey:
+    return np.ones((box_px(least_px2),) * 2, np.uint8)
 
 
 def _averaged(difference: Grey, least_px2: float, into: Grey) -> Grey:
@@ -318,6 +319,7 @@ def _bodies(
     """
     left, top, wide, tall = box
     low, high, least, most = limits
+    rim = _square(least)
     here, (height, width) = (slice(top, top + tall), slice(left, left + wide)), mean.shape
     inside = np.zeros((tall, wide), np.uint8)
     cv2.drawContours(inside, [region], -1, 255, -1, offset=(-left, -top))
@@ -331,19 +333,22 @@ def _bodies(
         mask = cv2.threshold(rest, max(low, EDGE * peak), 1, cv2.THRESH_BINARY)[1]
         cv2.floodFill(mask, None, at, 2)
         body = _grey(cv2.threshold(mask, 1, 1, cv2.THRESH_BINARY)[1])
-        rest[cv2.dilate(body, RIM) > 0] = 0
+        rest[cv2.dilate(body, rim) > 0] = 0
         if least <= cv2.countNonZero(body) <= most:
-            yield _blob(body, difference[here], (left + corner[0], top + corner[1]), at_edge)
+            at = left + corner[0], top + corner[1]
+            yield _blob(body, difference[here], peak, rim, at, at_edge)
 
 
-def _blob(body: Grey, difference: Grey, corner: tuple[int, int], at_edge: bool) -> Blob:
+def _blob(
+    body: Grey, difference: Grey, peak: float, rim: Grey, corner: tuple[int, int], at_edge: bool
+) -> Blob:
     """Return the blob of a body; the weights of its moments rise from 0 to 1 with the difference,
     so that neither a pixel at its edge nor what is inside moves them much.
     """
-    strength = cv2.mean(difference, body)[0]
-    weights = difference.astype(np.float32) / max(strength, 1.0)
-    weights = (np.clip(weights, *RAMP) - RAMP[0]) * cv2.dilate(body, RIM)
-    moments = cv2.moments(weights)
+    weights = np.clip(difference.astype(np.float32) / peak, *RAMP) - RAMP[0]
+    moments = cv2.moments(weights * cv2.dilate(body, rim))
+    if moments["m00"] == 0:
+        moments = cv2.moments(body, binaryImage=True)
     mass = moments["m00"]
     x, y = moments["m10"] / mass, moments["m01"] / mass
     xx, yy = moments["mu20"] / mass + 1 / 12, moments["mu02"] / mass + 1 / 12
@@ -356,52 +361,11 @@ def _blob(body: Grey, difference: Grey, corner: tuple[int, int], at_edge: bool) 
         axis=0.5 * math.atan2(2 * xy, xx - yy),
         long=4 * math.sqrt(mean + spread),
         wide=4 * math.sqrt(max(mean - spread, 1e-3)),
-        strength=strength,
+        strength=cv2.mean(difference, body)[0],
         body=body,
         corner=corner,
         at_edge=at_edge,
     )
-
-
-def _shift(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
-    """Return by how many columns and rows the content of a picture was shifted; (0, 0) unless most
-    of the difference between the two pictures is due to it.
-    """
-    scale = min(1.0, KNOCK_PX / max(now.shape))
-    one, two = (
-        cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-        for each in (before, now)
-    )
-    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
-    (x, y), _ = cv2.phaseCorrelate(_features(one), _features(two), window)
-    if math.hypot(x, y) < KNOCK_LEAST or max(abs(x), abs(y)) > 0.25 * min(one.shape):
-        return 0.0, 0.0
-    apart = cv2.absdiff(one, two)
-    changed = max(6.0 * float(np.median(apart)), 8.0)
-    by = math.ceil(max(abs(x), abs(y)))
-    inner = slice(by, one.shape[0] - by), slice(by, one.shape[1] - by)
-    left = cv2.absdiff(_moved(one, (x, y)), two)
-    counts = [np.count_nonzero(each[inner] > changed) for each in (apart, left)]
-    return (x / scale, y / scale) if counts[1] < KNOCK_LEFT * counts[0] else (0.0, 0.0)
-
-
-def _features(picture: np.ndarray) -> NDArray[np.float32]:
-    """Return what stands out of a picture; noise, also a camera's own pattern, becomes 0."""
-    even = picture.astype(np.float32)
-    even -= cv2.blur(even, (31, 31))
-    least = 6.0 * float(np.median(np.abs(_sparse(even))))
-    return even - np.clip(even, -least, least)
-
-
-def _moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
-    """Return a picture with its content shifted by columns and rows; new pixels at an edge are like
-    their neighbours.
-    """
-    if shift == (0.0, 0.0):
-        return picture
-    by = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
-    size = picture.shape[1], picture.shape[0]
-    return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
 
 
 def _smoothed(picture: Grey, between: Grey, into: Grey) -> Grey:

@@ -1,0 +1,57 @@
+"""The shift of a microscope's picture: a knock moves all that does not swim."""
+
+import math
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+SIDE = 512  # largest side of the pictures whose shift is computed [px]
+LEAST = 0.5  # least shift that counts, in pixels of these pictures
+MOST = 0.25  # largest, in sides of the picture
+PLAIN = 31  # side of the square whose mean is subtracted [px]
+STANDS_OUT = 6.0  # least difference from it, in medians of the differences
+LEFT = 0.85  # fraction of changed pixels that may be left if pictures are shifted
+
+
+def shift_of(before: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+    """Return by how many columns and rows the content of a grey picture was shifted; (0, 0) unless
+    that explains a part of the difference between the two pictures.
+    """
+    scale = min(1.0, SIDE / max(now.shape))
+    one, two = (
+        cv2.resize(each, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+        for each in (before, now)
+    )
+    if min(one.shape) < PLAIN:
+        return 0.0, 0.0
+    window = cv2.createHanningWindow(one.shape[::-1], cv2.CV_32F)
+    (x, y), _ = cv2.phaseCorrelate(_features(one), _features(two), window)
+    far = max(abs(x), abs(y))
+    if math.hypot(x, y) < LEAST or not far < MOST * min(one.shape):
+        return 0.0, 0.0
+    apart, left = cv2.absdiff(one, two), cv2.absdiff(moved(one, (x, y)), two)
+    changed = max(STANDS_OUT * float(np.median(apart)), 8.0)
+    by = math.ceil(far)
+    inner = slice(by, one.shape[0] - by), slice(by, one.shape[1] - by)
+    counts = [np.count_nonzero(each[inner] > changed) for each in (apart, left)]
+    return (x / scale, y / scale) if counts[1] < LEFT * counts[0] else (0.0, 0.0)
+
+
+def moved(picture: np.ndarray, shift: tuple[float, float]) -> np.ndarray:
+    """Return a picture with its content shifted by columns and rows; new pixels at an edge are like
+    their neighbours.
+    """
+    if shift == (0.0, 0.0):
+        return picture
+    by = np.array([[1.0, 0.0, shift[0]], [0.0, 1.0, shift[1]]])
+    size = picture.shape[1], picture.shape[0]
+    return cv2.warpAffine(picture, by, size, borderMode=cv2.BORDER_REPLICATE)
+
+
+def _features(picture: np.ndarray) -> NDArray[np.float32]:
+    """Return what stands out of a picture; noise, also a camera's fixed pattern, becomes 0."""
+    even = picture.astype(np.float32)
+    even -= cv2.blur(even, (PLAIN, PLAIN))
+    least = STANDS_OUT * float(np.median(np.abs(even[::4, ::4])))
+    return even - np.clip(even, -least, least)
